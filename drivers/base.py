@@ -1,0 +1,142 @@
+"""The driver contract and the values that cross it.
+
+Every Boolean is False when the wire carries no energy, except the guard lock: it is locked by its
+spring, so `guard_lock = True` is the state without energy and False energises the release.
+A 0-10 V valve has its centre at 5 V: zero volts is full stroke, and no driver treats it as safe.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+JOINTS = ("shoulder", "arm", "wrist")
+"""Joint order everywhere: theta1 (shoulder), theta2 (left arm, moved by the right arm), theta3 (wrist)."""
+
+ACTUATORS = ("shoulder vane", "right arm", "wrist cylinder")
+"""Actuator order everywhere; actuator i moves joint i."""
+
+CHAMBERS = tuple(f"{actuator} {side}" for actuator in ACTUATORS for side in ("A", "B"))
+"""Chamber order everywhere; pressure in A drives the actuator coordinate up."""
+
+ABSENT = float("nan")
+"""A channel that is not fitted. Never zero: zero is a value."""
+
+Triple = tuple[float, float, float]
+
+
+class Readings(NamedTuple):
+    """One reading of all inputs, with validity and age travelling with the data.
+
+    Encoder order is `JOINTS`. Times are seconds on the loop's clock.
+    """
+
+    time: float
+    encoder_count: tuple[int, int, int]
+    encoder_time: Triple
+    encoder_valid: tuple[bool, bool, bool]
+    encoder_age: Triple
+    emergency_stop_clear: bool
+    guard_closed: bool
+    guard_locked: bool
+    supply_pressure: float
+    """Pa absolute; ABSENT when not fitted."""
+    local_reset: bool
+    ball_present: bool
+    chamber_pressure: tuple[float, float, float, float, float, float]
+    """Pa absolute in the order of CHAMBERS; ABSENT when not fitted."""
+
+
+class Command(NamedTuple):
+    """One set of outputs. The default is the passive command: everything without energy."""
+
+    valve: Triple = (0.0, 0.0, 0.0)
+    """Spool openings -1..1; 0 is the centre (closed), +1 fills chamber A and exhausts B."""
+    supply_enable: bool = False
+    """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
+    exhaust_closed: bool = False
+    """True closes the normally open, throttled chamber vents."""
+    guard_lock: bool = True
+    """True leaves the guard to its locking spring; False energises the release."""
+    beacon: bool = False
+    tee: bool = False
+    """True raises the next ball onto the tee (rising edge)."""
+
+
+PASSIVE = Command()
+
+
+class Launch(NamedTuple):
+    """How a ball leaves: what a launch monitor measures.
+
+    `speed` m/s, `launch_angle` rad above the horizontal, `direction` rad (positive to the right of
+    the target line), `spin` rad/s (total, >= 0), `spin_axis` rad (tilt of the spin axis from the
+    horizontal; positive bends the ball to the right).
+    """
+
+    speed: float
+    launch_angle: float
+    direction: float = 0.0
+    spin: float = 0.0
+    spin_axis: float = 0.0
+
+
+READINGS = np.dtype(
+    [
+        ("time", "f8"),
+        ("encoder_count", "i8", (3,)),
+        ("encoder_time", "f8", (3,)),
+        ("encoder_valid", "u1", (3,)),
+        ("encoder_age", "f8", (3,)),
+        ("emergency_stop_clear", "?"),
+        ("guard_closed", "?"),
+        ("guard_locked", "?"),
+        ("supply_pressure", "f8"),
+        ("local_reset", "?"),
+        ("ball_present", "?"),
+        ("chamber_pressure", "f8", (6,)),
+    ],
+    align=True,
+)
+"""`Readings` as a record for compiled code and shared memory, same names."""
+
+COMMAND = np.dtype(
+    [
+        ("valve", "f8", (3,)),
+        ("supply_enable", "?"),
+        ("exhaust_closed", "?"),
+        ("guard_lock", "?"),
+        ("beacon", "?"),
+        ("tee", "?"),
+    ],
+    align=True,
+)
+"""`Command` as a record for compiled code and shared memory, same names."""
+
+
+@runtime_checkable
+class Driver(Protocol):
+    """What the loop needs of any hardware or of its stand-in.
+
+    Time is given: `read` and `write` get the loop's time and never read a clock of their own.
+    """
+
+    def open(self) -> None:
+        """Make ready, read back the device's own fallback on silence; raise DriverError when unfit."""
+
+    def read(self, time: float) -> Readings:
+        """Return the newest readings at `time` (s); a lost channel is invalid, not an exception."""
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` and return the one truly applied, after the device's limits."""
+
+    def make_passive(self) -> None:
+        """Centre the spools, shut the supply, open the vents. Never raises, allowed in any state."""
+
+    def close(self) -> None:
+        """Release the device. Allowed in any state, also twice."""
+
+
+class DriverError(RuntimeError):
+    """A driver cannot do its work; the text names the device, what was found, expected, and the cure."""

@@ -1,0 +1,223 @@
+"""Kane's dynamical equations of the robot, evaluated numerically (thesis section 2.3, Eqs. 11-38).
+
+For each of the five bodies the method asks for partial angular velocities, partial velocities of the
+centre of mass, and the inertia force and torque; their dot products, summed, are three equations
+F_r* + F_r = 0. Here they are evaluated with numbers instead of symbols: hours become 0.1 us
+(erratum 11). Vectors are written in frame 1, which turns with the shoulder link, so that theta1
+enters through gravity alone.
+
+Generalised speeds u = dq/dt. Effort = [M_A N m on the shoulder link, F_E N along the right arm (positive
+pushes R3 away from R6), M_C N m between left arm and club].
+
+Errata corrected: 3 (direction of F_E), 4 (gravity lies in the swing plane and works), 5 (M_C reacts on
+the left arm, so it works on u3 only), 6 (body E is written from R6 with the right arm's turning rate
+from d l46/d theta2), 7 (dot products: three equations, not nine).
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.compiled import compiled
+from sim.robot import RobotParameters
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def _body(mass, inertia, spin_2, spin_3, spin_rate, px, py, p2x, p2y, p3x, p3y, ax, ay):  # type: ignore[no-untyped-def]
+    """Return one body's part of the mass matrix and of the bias forces.
+
+    `spin_r` are its partial angular velocities (that of u1 is 1), `p` its centre of mass in frame 1 and
+    `p_r` = dp/dtheta_r, so that its partial velocities are z x p, p_2, p_3. `spin_rate` and `a` are the
+    parts of its angular and linear acceleration (less gravity) that remain when du/dt = 0.
+    """
+    torque_bias = inertia * spin_rate
+    return (
+        mass * (px * px + py * py) + inertia,
+        mass * (px * p2y - py * p2x) + inertia * spin_2,
+        mass * (px * p3y - py * p3x) + inertia * spin_3,
+        mass * (p2x * p2x + p2y * p2y) + inertia * spin_2 * spin_2,
+        mass * (p2x * p3x + p2y * p3y) + inertia * spin_2 * spin_3,
+        mass * (p3x * p3x + p3y * p3y) + inertia * spin_3 * spin_3,
+        mass * (px * ay - py * ax) + torque_bias,
+        mass * (p2x * ax + p2y * ay) + torque_bias * spin_2,
+        mass * (p3x * ax + p3y * ay) + torque_bias * spin_3,
+    )
+
+
+@compiled
+def kane_terms(r, q1, q2, q3, u1, u2, u3):  # type: ignore[no-untyped-def]
+    """Return (m11, m12, m13, m22, m23, m33, h1, h2, h3, lever) with M du/dt + h = Q.
+
+    `r` is a ROBOT record. h holds the velocity products and gravity. `lever` = d l46/d theta2 (m/rad), so
+    Q = (M_A, F_E lever, M_C).
+    """
+    c2, s2 = cos(q2), sin(q2)
+    c23, s23 = cos(q2 + q3), sin(q2 + q3)
+    # Gravity taken as an upward acceleration of the frame: minus g along -y0, written in frame 1.
+    gx, gy = r.gravity * sin(q1), r.gravity * cos(q1)
+    u11, w2 = u1 * u1, u1 + u2
+    w2w2 = w2 * w2
+    w3w3 = (w2 + u3) * (w2 + u3)
+
+    # Right arm, R6 -> R3: unit vector n at angle phi in frame 1, length l46.
+    dx, dy = r.l62 + r.l23 * c2, r.l23 * s2
+    l46 = sqrt(dx * dx + dy * dy)
+    nx, ny = dx / l46, dy / l46
+    lever = -r.l62 * r.l23 * s2 / l46
+    lever_slope = -(r.l62 * r.l23 * c2 + lever * lever) / l46
+    turn = r.l23 * (r.l62 * c2 + r.l23) / (l46 * l46)  # d phi/d theta2
+    turn_slope = lever * (1.0 - 2.0 * turn) / l46
+    w_arm = u1 + turn * u2
+    arm_rate = turn_slope * u2 * u2
+    slide = lever * u2  # d l46/dt
+
+    # A: shoulder link.
+    a_b = _body(r.mass_a, r.inertia_a, 0.0, 0.0, 0.0, r.com_a, 0.0, 0.0, 0.0, 0.0, 0.0, gx - u11 * r.com_a, gy)
+    # B: left arm.
+    bx, by = r.com_b * c2, r.com_b * s2
+    b_b = _body(
+        r.mass_b, r.inertia_b, 1.0, 0.0, 0.0,
+        r.l12 + bx, by, -by, bx, 0.0, 0.0,
+        gx - u11 * r.l12 - w2w2 * bx, gy - w2w2 * by,
+    )  # fmt: skip
+    # C: club.
+    ex, ey = r.l23 * c2, r.l23 * s2
+    fx, fy = r.com_c * c23, r.com_c * s23
+    wrist_ax, wrist_ay = gx - u11 * r.l12 - w2w2 * ex, gy - w2w2 * ey
+    c_b = _body(
+        r.mass_c, r.inertia_c, 1.0, 1.0, 0.0,
+        r.l12 + ex + fx, ey + fy, -ey - fy, ex + fx, -fy, fx,
+        wrist_ax - w3w3 * fx, wrist_ay - w3w3 * fy,
+    )  # fmt: skip
+    # D: rod, back from R3 along -n. n' = n turned by a right angle.
+    d_ax = wrist_ax + r.com_d * (w_arm * w_arm * nx + arm_rate * ny)
+    d_ay = wrist_ay + r.com_d * (w_arm * w_arm * ny - arm_rate * nx)
+    d_b = _body(
+        r.mass_d, r.inertia_d, turn, 0.0, arm_rate,
+        r.l12 + ex - r.com_d * nx, ey - r.com_d * ny,
+        -ey + r.com_d * turn * ny, ex - r.com_d * turn * nx, 0.0, 0.0,
+        d_ax, d_ay,
+    )  # fmt: skip
+    # E: cylinder, from R6 along n; its centre of mass does not slide along the arm (erratum 6).
+    e_ax = gx + u11 * r.l16 - r.com_e * (w_arm * w_arm * nx + arm_rate * ny)
+    e_ay = gy - r.com_e * (w_arm * w_arm * ny - arm_rate * nx)
+    e_b = _body(
+        r.mass_e, r.inertia_e, turn, 0.0, arm_rate,
+        -r.l16 + r.com_e * nx, r.com_e * ny,
+        -r.com_e * turn * ny, r.com_e * turn * nx, 0.0, 0.0,
+        e_ax, e_ay,
+    )  # fmt: skip
+    return (
+        a_b[0] + b_b[0] + c_b[0] + d_b[0] + e_b[0],
+        a_b[1] + b_b[1] + c_b[1] + d_b[1] + e_b[1],
+        a_b[2] + b_b[2] + c_b[2] + d_b[2] + e_b[2],
+        a_b[3] + b_b[3] + c_b[3] + d_b[3] + e_b[3],
+        a_b[4] + b_b[4] + c_b[4] + d_b[4] + e_b[4],
+        a_b[5] + b_b[5] + c_b[5] + d_b[5] + e_b[5],
+        a_b[6] + b_b[6] + c_b[6] + d_b[6] + e_b[6],
+        a_b[7] + b_b[7] + c_b[7] + d_b[7] + e_b[7],
+        a_b[8] + b_b[8] + c_b[8] + d_b[8] + e_b[8],
+        lever,
+    )
+
+
+@compiled
+def solve_symmetric(m11, m12, m13, m22, m23, m33, f1, f2, f3):  # type: ignore[no-untyped-def]
+    """Return x with M x = f for a symmetric positive definite 3x3 matrix (Cholesky without roots)."""
+    l21, l31 = m12 / m11, m13 / m11
+    d2 = m22 - l21 * m12
+    t32 = m23 - l21 * m13
+    l32 = t32 / d2
+    d3 = m33 - l31 * m13 - l32 * t32
+    y2 = f2 - l21 * f1
+    y3 = f3 - l31 * f1 - l32 * y2
+    x3 = y3 / d3
+    x2 = y2 / d2 - l32 * x3
+    return f1 / m11 - l21 * x2 - l31 * x3, x2, x3
+
+
+@compiled
+def accelerations(r, q1, q2, q3, u1, u2, u3, torque_a, force_e, torque_c):  # type: ignore[no-untyped-def]
+    """Return du/dt (rad/s2) as three floats; `r` a ROBOT record, efforts as in the module's text."""
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(r, q1, q2, q3, u1, u2, u3)
+    return solve_symmetric(
+        m11, m12, m13, m22, m23, m33, torque_a - h1, force_e * lever - h2, torque_c - h3
+    )
+
+
+@compiled
+def _forward_batch(robot, q, u, effort, out):  # type: ignore[no-untyped-def]
+    r = robot[0]
+    for i in range(q.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = accelerations(
+            r, q[i, 0], q[i, 1], q[i, 2], u[i, 0], u[i, 1], u[i, 2], effort[i, 0], effort[i, 1], effort[i, 2]
+        )
+
+
+@compiled
+def _terms_batch(robot, q, u, matrix, bias, lever):  # type: ignore[no-untyped-def]
+    r = robot[0]
+    for i in range(q.shape[0]):
+        m11, m12, m13, m22, m23, m33, h1, h2, h3, slope = kane_terms(
+            r, q[i, 0], q[i, 1], q[i, 2], u[i, 0], u[i, 1], u[i, 2]
+        )
+        matrix[i, 0, 0], matrix[i, 0, 1], matrix[i, 0, 2] = m11, m12, m13
+        matrix[i, 1, 0], matrix[i, 1, 1], matrix[i, 1, 2] = m12, m22, m23
+        matrix[i, 2, 0], matrix[i, 2, 1], matrix[i, 2, 2] = m13, m23, m33
+        bias[i, 0], bias[i, 1], bias[i, 2] = h1, h2, h3
+        lever[i] = slope
+
+
+def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
+    """Broadcast (..., 3) arrays together; return the common shape and contiguous (n, 3) copies."""
+    common = np.broadcast_arrays(*(np.asarray(array, dtype=float) for array in arrays))
+    shape = common[0].shape
+    if not shape or shape[-1] != 3:  # noqa: PLR2004
+        raise ValueError(f"last axis is {shape[-1:] or 'absent'}, expected 3 (shoulder, arm, wrist)")
+    return shape, [np.ascontiguousarray(array).reshape(-1, 3) for array in common]
+
+
+def _terms(robot: RobotParameters, q: ArrayLike, u: ArrayLike) -> tuple[tuple[int, ...], Array, Array, Array]:
+    shape, (q_rows, u_rows) = _rows(q, u)
+    n = len(q_rows)
+    matrix, bias, lever = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty(n)
+    _terms_batch(robot.record, q_rows, u_rows, matrix, bias, lever)
+    return shape, matrix, bias, lever
+
+
+def mass_matrix(robot: RobotParameters, q: ArrayLike) -> Array:
+    """Return the mass matrix (kg m2) at `q`; shape (..., 3, 3) for q of shape (..., 3)."""
+    shape, matrix, _, _ = _terms(robot, q, np.zeros(3))
+    return matrix.reshape(*shape, 3)
+
+
+def bias_forces(robot: RobotParameters, q: ArrayLike, u: ArrayLike) -> Array:
+    """Return velocity-product and gravity forces h of M du/dt + h = Q (N m); shape (..., 3)."""
+    shape, _, bias, _ = _terms(robot, q, u)
+    return bias.reshape(shape)
+
+
+def forward_dynamics(robot: RobotParameters, q: ArrayLike, u: ArrayLike, effort: ArrayLike) -> Array:
+    """Return du/dt (rad/s2) for `effort` = [M_A N m, F_E N, M_C N m]; shapes (3,) or (..., 3)."""
+    shape, (q_rows, u_rows, effort_rows) = _rows(q, u, effort)
+    out = np.empty_like(q_rows)
+    _forward_batch(robot.record, q_rows, u_rows, effort_rows, out)
+    return out.reshape(shape)
+
+
+def inverse_dynamics(robot: RobotParameters, q: ArrayLike, u: ArrayLike, u_dot: ArrayLike) -> Array:
+    """Return the effort [M_A N m, F_E N, M_C N m] that gives `u_dot` (rad/s2); shapes (3,) or (..., 3).
+
+    At sin(theta2) = 0 the right arm has no lever and F_E is not finite (inf or NaN), not an error.
+    """
+    shape, (q_rows, u_rows, rate_rows) = _rows(q, u, u_dot)
+    _, matrix, bias, lever = _terms(robot, q_rows, u_rows)
+    effort = np.einsum("nij,nj->ni", matrix, rate_rows) + bias
+    with np.errstate(divide="ignore", invalid="ignore"):
+        effort[:, 1] /= lever
+    return effort.reshape(shape)

@@ -1,0 +1,221 @@
+"""The robot: lengths, bodies and clubs (thesis section 2.1 and Appendix A).
+
+Frames: frame 0 is fixed at the shoulder axis R1, x0 towards the target, y0 up the swing plane. Body
+frames 1, 2, 3 turn with the shoulder link, the left arm and the club; q = (theta1, theta2, theta3).
+
+Errata of the thesis noted where they are corrected: 8 (club's centre of mass divides by the club's own
+mass, here in `Club.centre_of_mass`) and 9 (rod length and inertia of body D: Appendix A's are taken).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import pi, radians, sin
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+
+from sim.compiled import new_record
+
+_INCH = 0.0254
+_POUND_PER_CUBIC_INCH = 0.45359237 / 0.00001639  # as in the thesis, kg/m3
+_STEEL = 0.283 * _POUND_PER_CUBIC_INCH
+_ALUMINIUM = 0.098 * _POUND_PER_CUBIC_INCH
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+
+
+@dataclass(frozen=True, slots=False)
+class Club:
+    """A golf club in the robot's mount; the head is a point mass to the robot, a rigid body to the ball.
+
+    Lengths run from the wrist axis R3 along the shaft. Defaults after the first block are assumptions
+    for a modern driver; head inertias and depth from golf.md 3.3 (4,000-5,900 g cm2; depth 35 mm).
+    """
+
+    head_mass: Positive = 0.2
+    shaft_mass: Positive = 0.065
+    mount_mass: NotNegative = 0.4
+    shaft_length: Positive = 1.0668
+    """R3 to the head's mass point (m); 42 in as in the thesis."""
+    shaft_radius: Positive = 0.0075
+    length_to_face: Positive = 1.09
+    """R3 to the centre of the face (m), l3T of the thesis."""
+    name: str = "driver"
+    loft: Annotated[float, Ge(0), Lt(radians(70))] = radians(10.5)
+    lie: Annotated[float, Gt(radians(35)), Lt(radians(80))] = radians(53.0)
+    face_angle: Annotated[float, Gt(-0.2), Lt(0.2)] = 0.0
+    """Face angle in the mount at zero shaft lean (rad, positive open)."""
+    head_inertia_horizontal: Positive = 4.8e-4
+    """About the vertical axis through the head's centre of mass (kg m2)."""
+    head_inertia_vertical: Positive = 2.9e-4
+    """About the heel-toe axis (kg m2)."""
+    head_depth: NotNegative = 0.035
+    """Depth of the centre of mass behind the face (m)."""
+    restitution: Annotated[float, Gt(0), Le(1)] = 0.83
+    tangential_factor: Annotated[float, Ge(0), Le(1)] = 0.75
+    """Share of the rolling-contact spin that a modern face gives (golf.md 3.1, a start value)."""
+    bulge_radius: Positive = 0.305
+    roll_radius: Positive = 0.305
+
+    @classmethod
+    def thesis(cls) -> Club:
+        """Return the thesis' club: 0.1 kg head, 0.1 kg shaft, 0.4 kg mount."""
+        return cls(head_mass=0.1, shaft_mass=0.1, mount_mass=0.4, name="thesis")
+
+    @classmethod
+    def driver(cls) -> Club:
+        """Return a real driver: 0.2 kg head, 65 g graphite shaft."""
+        return cls()
+
+    @property
+    def mass(self) -> float:
+        """Mass of body C (kg)."""
+        return self.mount_mass + self.shaft_mass + self.head_mass
+
+    @property
+    def centre_of_mass(self) -> float:
+        """Distance of body C's centre of mass from R3 (m); erratum 8."""
+        return self.shaft_length * (self.shaft_mass / 2 + self.head_mass) / self.mass
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia about body C's centre of mass (kg m2), thesis Eq. 32 with erratum 8."""
+        about_wrist = (
+            self.shaft_mass * (3 * self.shaft_radius**2 + self.shaft_length**2) / 12
+            + self.shaft_mass * self.shaft_length**2 / 4
+            + self.head_mass * self.shaft_length**2
+        )
+        return about_wrist - self.mass * self.centre_of_mass**2
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body: mass (kg), distance of its centre of mass on its axis (m), central inertia (kg m2)."""
+
+    mass: Positive
+    centre_of_mass: float
+    inertia: Positive
+
+
+def _bar(mass: float, length: float, width: float) -> float:
+    """Central inertia of a rectangular bar (thesis Eqs. 30, 31, 34)."""
+    return mass * (length**2 + width**2) / 12
+
+
+def _shoulder_link() -> Body:
+    mass = _STEEL * (0.375 * 2 * 17) * _INCH**3
+    return Body(mass, 0.34 / 2 - 0.09, _bar(mass, 17 * _INCH, 2 * _INCH))
+
+
+def _left_arm() -> Body:
+    mass = _ALUMINIUM * (0.625 * 1.5 * 24.5 * _INCH**3 + 0.006 * 0.075 * 0.21) + 0.524
+    return Body(mass, 0.28, _bar(mass, 24.5 * _INCH, 1.5 * _INCH))
+
+
+def _rod() -> Body:
+    # Erratum 9: Appendix A's length 0.20 m and m l^2/12.
+    return Body(0.6, 0.10, 0.6 * 0.20**2 / 12)
+
+
+def _right_arm_cylinder() -> Body:
+    return Body(0.517, 0.17, _bar(0.517, 0.34, 0.045))
+
+
+ROBOT = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "l12",
+            "l16",
+            "l62",
+            "l23",
+            "l3t",
+            "l56",
+            "mass_a",
+            "com_a",
+            "inertia_a",
+            "mass_b",
+            "com_b",
+            "inertia_b",
+            "mass_c",
+            "com_c",
+            "inertia_c",
+            "mass_d",
+            "com_d",
+            "inertia_d",
+            "mass_e",
+            "com_e",
+            "inertia_e",
+            "gravity",
+        )
+    ],
+    align=True,
+)
+"""`RobotParameters` as a record for compiled code; `gravity` is its in-plane part."""
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """Lengths (m), bodies and gravity of the parallel-arm robot.
+
+    `shoulder_link` is measured from R1 along x1, `left_arm` from R2 along x2, `rod` from R3 towards R6,
+    `cylinder` from R6 towards R3. The swing plane is tilted by `lie` (rad) from the horizontal.
+    """
+
+    l12: Positive = 0.25
+    l16: Positive = 0.09
+    l23: Positive = 0.56
+    l56: Positive = 0.34
+    stroke: Positive = 0.22
+    shoulder_link: Body = field(default_factory=_shoulder_link)
+    left_arm: Body = field(default_factory=_left_arm)
+    rod: Body = field(default_factory=_rod)
+    cylinder: Body = field(default_factory=_right_arm_cylinder)
+    club: Club = field(default_factory=Club.driver)
+    gravity: NotNegative = 9.82
+    lie: Annotated[float, Gt(0), Le(pi / 2)] = radians(53.0)
+
+    @property
+    def l62(self) -> float:
+        """R6 to R2 (m)."""
+        return self.l12 + self.l16
+
+    @property
+    def in_plane_gravity(self) -> float:
+        """Part of gravity along -y0 (m/s2); erratum 4: it does work."""
+        return self.gravity * sin(self.lie)
+
+    @cached_property
+    def record(self) -> np.ndarray:
+        """The parameters as a one-element `ROBOT` array for compiled code."""
+        record = new_record(ROBOT)
+        values: dict[str, float] = {
+            "l12": self.l12,
+            "l16": self.l16,
+            "l62": self.l62,
+            "l23": self.l23,
+            "l3t": self.club.length_to_face,
+            "l56": self.l56,
+            "mass_c": self.club.mass,
+            "com_c": self.club.centre_of_mass,
+            "inertia_c": self.club.inertia,
+            "gravity": self.in_plane_gravity,
+        }
+        for letter, body in zip("abde", (self.shoulder_link, self.left_arm, self.rod, self.cylinder), strict=True):
+            values |= {
+                f"mass_{letter}": body.mass,
+                f"com_{letter}": body.centre_of_mass,
+                f"inertia_{letter}": body.inertia,
+            }
+        for name, value in values.items():
+            record[name] = value
+        return record
+
+
+def thesis_robot(club: Club | None = None) -> RobotParameters:
+    """Return the robot of the thesis with `club` (the thesis' own light club by default)."""
+    return RobotParameters(club=club or Club.thesis())
