@@ -1,0 +1,1 @@
+"""The test bench: control, swings, campaigns, telemetry and the command line."""

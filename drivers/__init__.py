@@ -1,0 +1,1 @@
+"""What stands between the cycle and the world: the contract and its implementations."""

@@ -1,0 +1,1 @@
+"""The robot, its air, the ball and its flight, as numbers."""

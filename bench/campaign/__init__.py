@@ -1,0 +1,1 @@
+"""Campaigns: their plan, runner, store, statistics and report."""

@@ -1,0 +1,1 @@
+"""The deciding part of the cycle: pure, compiled, time is an argument."""

@@ -1,0 +1,1 @@
+"""Swings: references, profiles and the search for them."""

@@ -1,0 +1,1 @@
+"""The way of a cycle's record: ring, recorder, export."""

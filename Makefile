@@ -1,0 +1,65 @@
+# Two commands: `make demo` and `make test`. Both need Python >= 3.11 with venv and pip, nothing else.
+# The rest is made here: .venv with the versions of constraints.txt.
+
+.SHELLFLAGS := -euc
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+# PYTHON=/path/to/python chooses the interpreter .venv is made with.
+PYTHON ?= $(firstword $(foreach python,python3 python3.13 python3.12 python3.11 python3.14,\
+  $(shell $(python) -c 'import sys; print("$(python)" if sys.version_info >= (3, 11) else "")' 2>/dev/null)))
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+PYTEST ?= $(BIN)/python -m pytest
+
+help:  ## show this text
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+
+demo: $(VENV)/.runtime  ## ten swings of the simulated robot at a ball, and their report
+	@$(BIN)/golfbench demo
+
+test: $(VENV)/.dev lint  ## lint, types, import contracts and all tests
+	@$(PYTEST) $(ARGS)
+
+lint: $(VENV)/.dev  ## ruff, strict types and import contracts
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-timing
+
+benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
+	@$(PYTEST) -m benchmark -s tests/benchmarks $(ARGS)
+
+clean:  ## remove .venv and everything made by tools (not data/)
+	rm -rf $(VENV) dist .coverage .coverage.* .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find bench drivers sim tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.python:
+	@if [ -z "$(PYTHON)" ] || ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
+	  echo "golfbench needs Python 3.11 or newer; found $$($(or $(PYTHON),python3) --version 2>&1 || true)." >&2; \
+	  echo "Install it, or name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 1; fi
+	@if [ ! -x $(BIN)/python ]; then echo "Making $(VENV) with $$("$(PYTHON)" --version) ..."; \
+	  "$(PYTHON)" -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "This Python has no venv or pip (on Debian and Ubuntu: apt-get install python3-venv)." >&2; exit 1; }; fi
+	@$(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(VENV) was made with $$($(BIN)/python --version), Python 3.11 or newer is needed: make clean" >&2; exit 1; }
+	@touch $@
+
+$(VENV)/.runtime: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "Installing golfbench into $(VENV) (the first time takes a minute or two) ..."
+	@$(PIP) -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
+	@echo "Installing golfbench and its test tools into $(VENV) (the first time takes a few minutes) ..."
+	@$(PIP) -e '.[dev]'
+	@touch $@ $(VENV)/.runtime
+
+$(VENV)/.benchmark: $(VENV)/.dev
+	@echo "Installing MuJoCo and Pinocchio into $(VENV) ..."
+	@$(PIP) -e '.[benchmark]'
+	@touch $@
+
+.PHONY: help demo test lint benchmark clean
