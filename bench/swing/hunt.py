@@ -1,0 +1,96 @@
+"""Hunt's human swing: a 2-handicap golfer as three functions of time.
+
+Source: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of Meymi, "Modeling and control of parallel
+arm golfing robot", KTH 2009. The functions are as printed; `STEP` is ADAMS' cubic smooth step, not the
+tanh the thesis takes it for.
+
+Signs and offsets:
+- `shoulder_turn` counts from address and is positive in the backswing; a robot following it has
+  theta1 = theta1 at address - turn. Table 2 starts its turn at zero again, so the whole swing adds
+  the turn at the top: 1.8104 rad at 0.686 s, -0.1571 rad at the end.
+- `right_arm_length` is a displacement from Hunt's zero (unpublished): -0.03032 m at address,
+  -0.23382 m at the top, negative is shorter.
+- `wrist_cock` is 0 at address and 1.769 rad (101 deg) at the top; in the downswing the wrist is free
+  and its angle follows from the dynamics: NaN here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+BACKSWING_DURATION = 0.686
+DOWNSWING_DURATION = 0.1667
+SWING_DURATION = BACKSWING_DURATION + DOWNSWING_DURATION
+
+
+@dataclass(frozen=True)
+class HumanSwing:
+    """Hunt's swing, sampled; all arrays (N,), signs and offsets as at the top of this file."""
+
+    time: NDArray[np.float64]
+    """s from the start of the backswing"""
+    shoulder_turn: NDArray[np.float64]
+    """rad"""
+    right_arm_length: NDArray[np.float64]
+    """m"""
+    wrist_cock: NDArray[np.float64]
+    """rad, NaN where the wrist is free"""
+    backswing_duration: float = BACKSWING_DURATION
+    downswing_duration: float = DOWNSWING_DURATION
+
+    @property
+    def wrist_free(self) -> NDArray[np.bool_]:
+        """True where the wrist is not driven, (N,)."""
+        return self.time >= self.backswing_duration
+
+
+def step(t: ArrayLike, t0: float, h0: float, t1: float, h1: float) -> NDArray[np.float64]:
+    """Return ADAMS' STEP: h0 before t0, h1 after t1, h0 + (h1 - h0) s^2 (3 - 2 s) between.
+
+    `t` has any shape; ValueError unless t0 < t1.
+    """
+    if not t0 < t1:
+        raise ValueError(f"step: found t0 = {t0}, t1 = {t1}; t0 must lie before t1")
+    s = np.clip((np.asarray(t, dtype=float) - t0) / (t1 - t0), 0.0, 1.0)
+    return np.asarray(h0 + (h1 - h0) * s**2 * (3.0 - 2.0 * s))
+
+
+def shoulder_turn(t: ArrayLike) -> NDArray[np.float64]:
+    """Return the shoulder turn (rad) at time t (s) from the start of the backswing."""
+    t = _inside(t)
+    back = np.minimum(t, BACKSWING_DURATION)
+    down = np.maximum(t - BACKSWING_DURATION, 0.0)
+    return np.asarray(2.639 * back - 11.8028 * down)
+
+
+def right_arm_length(t: ArrayLike) -> NDArray[np.float64]:
+    """Return the right arm's displacement (m) at time t (s) from the start of the backswing."""
+    t = _inside(t)
+    back = step(t, 0.2, 0.0, BACKSWING_DURATION, -0.2035) - 0.03032
+    down = step(t - BACKSWING_DURATION, 0.0, 0.0, DOWNSWING_DURATION, 0.2035) - 0.23382
+    return np.where(t < BACKSWING_DURATION, back, down)
+
+
+def wrist_cock(t: ArrayLike) -> NDArray[np.float64]:
+    """Return the wrist cock (rad) at time t (s) from the start of the backswing; NaN where it is free."""
+    t = _inside(t)
+    back = step(t, 0.05, 0.0, 0.4, 0.515) + step(t, 0.4, 0.0, BACKSWING_DURATION, 1.254)
+    return np.where(t < BACKSWING_DURATION, back, np.nan)
+
+
+def human_swing(sample_time: float = 0.001) -> HumanSwing:
+    """Return Hunt's swing sampled every `sample_time` s; ValueError unless 0 < sample_time <= 0.1."""
+    if not 0.0 < sample_time <= 0.1:
+        raise ValueError(f"human_swing: found sample_time = {sample_time} s; expected 0 < sample_time <= 0.1")
+    time = sample_time * np.arange(int(np.floor(SWING_DURATION / sample_time + 1e-9)) + 1)
+    return HumanSwing(time, shoulder_turn(time), right_arm_length(time), wrist_cock(time))
+
+
+def _inside(t: ArrayLike) -> NDArray[np.float64]:
+    t = np.asarray(t, dtype=float)
+    if not np.all((t >= 0.0) & (t <= SWING_DURATION + 1e-9)):
+        raise ValueError(f"time outside the swing: found {t.min()} … {t.max()} s, expected 0 … {SWING_DURATION} s")
+    return t

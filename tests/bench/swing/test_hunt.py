@@ -1,0 +1,70 @@
+"""Hunt's functions: ADAMS' STEP and the junctions of the two phases."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.swing.hunt import (
+    BACKSWING_DURATION,
+    SWING_DURATION,
+    human_swing,
+    right_arm_length,
+    shoulder_turn,
+    step,
+    wrist_cock,
+)
+
+
+def test_step_is_the_cubic() -> None:
+    assert step([-1.0, 0.0, 0.5, 1.0, 2.0], 0.0, 0.0, 1.0, 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
+    assert step(0.25, 0.0, 0.0, 1.0, 1.0) == pytest.approx(0.25**2 * (3 - 2 * 0.25))
+    # not the tanh which the thesis equates with it
+    assert abs(step(0.25, 0.0, 0.0, 1.0, 1.0) - (np.tanh(-1.5) + 1) / 2) > 0.1
+
+
+@given(st.floats(-5, 5), st.floats(0.01, 5), st.floats(-5, 5), st.floats(-5, 5))
+def test_step_rises_monotonically_with_flat_ends(t0: float, width: float, h0: float, h1: float) -> None:
+    t = np.linspace(t0 - width, t0 + 2 * width, 301)
+    h = step(t, t0, h0, t0 + width, h1)
+    assert np.all(np.diff(h) * np.sign(h1 - h0) >= -1e-12)
+    assert h[0] == h0
+    assert h[-1] == pytest.approx(h1)
+    # mirrored about its middle
+    assert h + h[::-1] == pytest.approx(np.full(301, h0 + h1))
+    ends = step(np.array([t0 + 1e-5 * width, t0 + (1 - 1e-5) * width]), t0, h0, t0 + width, h1)
+    assert ends == pytest.approx([h0, h1], abs=1e-8)
+
+
+def test_step_refuses_an_empty_ramp() -> None:
+    with pytest.raises(ValueError, match="t0 must lie before t1"):
+        step(0.0, 1.0, 0.0, 1.0, 1.0)
+
+
+def test_values_at_the_junctions() -> None:
+    top = BACKSWING_DURATION
+    assert shoulder_turn([0, top, SWING_DURATION]) == pytest.approx([0, 1.810354, 1.810354 - 1.96752676])
+    assert right_arm_length([0, 0.2, top, SWING_DURATION]) == pytest.approx(
+        [-0.03032, -0.03032, -0.23382, -0.03032]
+    )
+    assert wrist_cock([0, 0.05, 0.4, top - 1e-12]) == pytest.approx([0, 0, 0.515, 1.769])
+    assert np.isnan(wrist_cock(top))
+
+
+def test_the_whole_swing_is_continuous_and_the_wrist_free_in_the_downswing() -> None:
+    swing = human_swing(1e-3)
+    assert swing.time[[0, -1]] == pytest.approx([0, 0.852])
+    assert swing.time.shape == swing.shoulder_turn.shape == swing.right_arm_length.shape == (853,)
+    assert np.abs(np.diff(swing.shoulder_turn)).max() < 0.012
+    assert np.abs(np.diff(swing.right_arm_length)).max() < 0.002
+    assert np.array_equal(swing.wrist_free, swing.time >= 0.686)
+    assert np.array_equal(np.isnan(swing.wrist_cock), swing.wrist_free)
+
+
+def test_time_outside_the_swing_is_refused() -> None:
+    with pytest.raises(ValueError, match="outside the swing"):
+        shoulder_turn(0.9)
+    with pytest.raises(ValueError, match="outside the swing"):
+        wrist_cock(np.nan)
+    with pytest.raises(ValueError, match="sample_time"):
+        human_swing(0.0)
