@@ -1,0 +1,142 @@
+"""What is stored of one control cycle, defined once.
+
+`FIELDS` is the schema: the numpy record `CYCLE`, the Arrow schema (Parquet, telemetry) and every export
+derive from it. A change of FIELDS is a change of SCHEMA_VERSION.
+
+Vectors become one Arrow column per component, named by joint, chamber or axis (`angle_wrist`,
+`chamber_pressure_right_arm_b`): pandas and polars users select, plot and filter plain columns without
+unpacking lists, Parquet compresses each channel by itself, and a reader may load only what it needs.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from drivers.base import CHAMBERS, JOINTS
+
+SCHEMA_VERSION = 1
+"""Version of FIELDS; stored in every file and message."""
+
+_CHAMBERS = tuple(chamber.replace(" ", "_").lower() for chamber in CHAMBERS)
+_PLANE = ("x", "y")
+
+
+class Field(NamedTuple):
+    """One field of the cycle record."""
+
+    name: str
+    dtype: str
+    """numpy type of one component. Vectors of Booleans are "u1": compiled code has no nested bool."""
+    unit: str
+    """SI unit; "1" for pure numbers, codes and Booleans."""
+    text: str
+    components: tuple[str, ...] = ()
+    """Names of the components of a vector; empty for a scalar."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the field in one record: () for a scalar, (n,) for a vector."""
+        return (len(self.components),) if self.components else ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the field's columns in Arrow, Parquet and exports."""
+        return tuple(f"{self.name}_{component}" for component in self.components) or (self.name,)
+
+
+FIELDS = (
+    Field("tick", "i8", "1", "number of the loop's tick since its start; a gap is a missed tick"),
+    Field("time", "f8", "s", "time since the start of this swing's record"),
+    Field("measured_step", "f8", "s", "measured time since the tick before"),
+    Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'"),
+    Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'"),
+    Field("trip", "i4", "1", "code of the cause that tripped the envelope, 0 when none"),
+    Field("encoder_count", "i8", "1", "encoder reading in counts", JOINTS),
+    Field("encoder_valid", "u1", "1", "1 when the encoder reading is valid", JOINTS),
+    Field("encoder_age", "f8", "s", "age of the encoder reading at this tick", JOINTS),
+    Field("angle", "f8", "rad", "estimated joint angle", JOINTS),
+    Field("velocity", "f8", "rad/s", "estimated joint velocity", JOINTS),
+    Field("angle_variance", "f8", "rad^2", "estimator's variance of the joint angle", JOINTS),
+    Field("reference_angle", "f8", "rad", "joint angle asked for", JOINTS),
+    Field("reference_velocity", "f8", "rad/s", "joint velocity asked for", JOINTS),
+    Field("proportional", "f8", "1", "proportional part of the controller's output", JOINTS),
+    Field("integral", "f8", "1", "integral part of the controller's output", JOINTS),
+    Field("derivative", "f8", "1", "derivative part of the controller's output", JOINTS),
+    Field("feedforward", "f8", "1", "feed-forward and learned part of the controller's output", JOINTS),
+    Field("desired_valve", "f8", "1", "valve opening the controller wants, -1 to 1", JOINTS),
+    Field("applied_valve", "f8", "1", "valve opening truly applied after envelope and device, -1 to 1", JOINTS),
+    Field("supply_enable", "?", "1", "supply valve commanded open"),
+    Field("exhaust_closed", "?", "1", "chamber vents commanded closed"),
+    Field("guard_lock", "?", "1", "guard left to its locking spring"),
+    Field("beacon", "?", "1", "warning beacon commanded on"),
+    Field("tee", "?", "1", "tee commanded to raise a ball"),
+    Field("emergency_stop_clear", "?", "1", "emergency stop circuit closed"),
+    Field("guard_closed", "?", "1", "guard seen closed"),
+    Field("guard_locked", "?", "1", "guard seen locked"),
+    Field("ball_present", "?", "1", "ball seen on the tee"),
+    Field("local_reset", "?", "1", "local reset input"),
+    Field("supply_pressure", "f8", "Pa", "supply pressure, absolute; NaN when not fitted"),
+    Field("chamber_pressure", "f8", "Pa", "chamber pressure, absolute; NaN when not fitted", _CHAMBERS),
+    Field("head_position", "f8", "m", "club head in the swing plane, from the estimated angles", _PLANE),
+    Field("head_orientation", "f8", "rad", "club's angle in the swing plane, from the estimated angles"),
+    Field("plant_angle", "f8", "rad", "true joint angle; simulation only, else NaN", JOINTS),
+    Field("plant_velocity", "f8", "rad/s", "true joint velocity; simulation only, else NaN", JOINTS),
+    Field("plant_pressure", "f8", "Pa", "true chamber pressure; simulation only, else NaN", _CHAMBERS),
+    Field("plant_effort", "f8", "N m, N, N m", "true actuator effort; simulation only, else NaN", JOINTS),
+    Field("plant_head_position", "f8", "m", "true club head in the swing plane; simulation only, else NaN", _PLANE),
+    Field("plant_head_speed", "f8", "m/s", "true speed of the club head; simulation only, else NaN"),
+)
+"""The schema of one cycle, in storage order. Vectors over joints follow `drivers.base.JOINTS`; those over
+actuators carry the name of the joint that the actuator moves."""
+
+CYCLE = np.dtype([(f.name, f.dtype, f.shape) for f in FIELDS], align=True)
+"""One cycle as a numpy record: the form of the loop, the ring and compiled code."""
+
+
+def arrow_schema() -> pa.Schema:
+    """Return the Arrow schema of cycles; each column carries `unit` and `description` as metadata."""
+    return pa.schema(
+        [
+            pa.field(
+                column,
+                pa.from_numpy_dtype(np.dtype(field.dtype)),
+                nullable=False,
+                metadata={"unit": _unit(field, index), "description": field.text},
+            )
+            for field in FIELDS
+            for index, column in enumerate(field.columns)
+        ],
+        metadata={"golfbench_schema": f"cycle/{SCHEMA_VERSION}"},
+    )
+
+
+def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
+    """Return `cycles` (n records of CYCLE) as an Arrow table of `arrow_schema()`; NaN stays NaN."""
+    columns = [
+        pa.array(np.ascontiguousarray(values), from_pandas=False)
+        for field in FIELDS
+        for values in np.atleast_2d(cycles[field.name].T)
+    ]
+    return pa.Table.from_arrays(columns, schema=arrow_schema())
+
+
+def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
+    """Return the records of CYCLE in `table`, bit for bit those given to `to_arrow`.
+
+    Raises KeyError naming the first missing column.
+    """
+    cycles = np.zeros(table.num_rows, CYCLE)
+    for field in FIELDS:
+        target = cycles[field.name].reshape(table.num_rows, len(field.columns))
+        for index, column in enumerate(field.columns):
+            target[:, index] = table.column(column).to_numpy()
+    return cycles
+
+
+def _unit(field: Field, index: int) -> str:
+    """Return the unit of one component: efforts differ by actuator and list theirs."""
+    units = field.unit.split(", ")
+    return units[index] if len(units) > 1 else units[0]
