@@ -1,0 +1,225 @@
+"""What holds for every test: no leaks, no silent skips, repeatable random cases.
+
+Leaks. A test that leaves a Python thread, a process (also one that detached itself) or a file in
+shared memory behind fails. What module- and session-wide fixtures hold is theirs.
+
+Tools. `@pytest.mark.requires("chromium")`, or the fixture `tool` for its path, skips a test whose tool
+is absent, by name; with GOLFBENCH_REQUIRE=chromium,postgres the skip is a failure. The run ends with a
+list of the skips by tool.
+
+Random cases. With CI set hypothesis derives its cases from the test itself; elsewhere they are random,
+and a failure prints the blob that repeats it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import hypothesis
+import psutil
+import pytest
+
+SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - watched, never written
+GRACE = 2.0
+"""Seconds a thread, process or file may take to go away after its test."""
+
+PR_SET_CHILD_SUBREAPER = 36
+
+# Tools -----------------------------------------------------------------------------------------------
+
+
+def _program(*names: str) -> Callable[[], str | None]:
+    """Return a search for the first of `names` on the PATH."""
+    return lambda: next(filter(None, map(shutil.which, names)), None)
+
+
+def _postgres() -> str | None:
+    """Return the path of PostgreSQL's initdb, which Debian keeps off the PATH."""
+    off_path = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)
+    return shutil.which("initdb") or next(map(str, off_path), None)
+
+
+def _systemd() -> str | None:
+    """Return systemctl's path when systemd runs this machine."""
+    return shutil.which("systemctl") if Path("/run/systemd/system").is_dir() else None
+
+
+TOOLS: dict[str, Callable[[], str | None]] = {
+    "chromium": _program("chromium", "chromium-browser", "google-chrome"),
+    "cyclictest": _program("cyclictest"),
+    "postgres": _postgres,
+    "qemu": _program("qemu-system-x86_64"),
+    "systemd": _systemd,
+    "tmux": _program("tmux"),
+}
+"""Optional tools by name; each search returns the tool's path or None."""
+
+MISSING = pytest.StashKey[dict[str, list[str]]]()
+
+
+def demanded_tools() -> frozenset[str]:
+    """Return the tools GOLFBENCH_REQUIRE demands; an unknown name, which would demand none, stops the run."""
+    names = frozenset(os.environ.get("GOLFBENCH_REQUIRE", "").replace(",", " ").split())
+    if unknown := sorted(names - TOOLS.keys()):
+        raise pytest.UsageError(
+            f"GOLFBENCH_REQUIRE names {', '.join(unknown)}; known tools: {', '.join(sorted(TOOLS))}"
+        )
+    return names
+
+
+def _require(item: pytest.Item, name: str) -> str:
+    """Return the path of tool `name`, else skip `item`, or fail it when the tool is demanded."""
+    if name not in TOOLS:
+        pytest.fail(f"unknown tool {name!r}; known: {', '.join(sorted(TOOLS))} (tests/conftest.py)", False)
+    if path := TOOLS[name]():
+        return path
+    if name in demanded_tools():
+        pytest.fail(f"{name} is absent, and GOLFBENCH_REQUIRE demands it", False)
+    item.config.stash[MISSING][name].append(item.nodeid)
+    pytest.skip(f"needs {name}")
+
+
+@pytest.fixture
+def tool(request: pytest.FixtureRequest) -> Callable[[str], str]:
+    """Return `tool(name) -> path`, which skips or fails the test when the tool is absent."""
+    return lambda name: _require(request.node, name)
+
+
+# Leaks -----------------------------------------------------------------------------------------------
+
+
+class Held(NamedTuple):
+    """What this process holds that outlives a test."""
+
+    threads: frozenset[threading.Thread]
+    processes: frozenset[psutil.Process]
+    files: frozenset[str]
+
+
+def _is_helper_of_python(process: psutil.Process) -> bool:
+    """Tell whether `process` is multiprocessing's own, kept for the life of its parent."""
+    try:
+        line = " ".join(process.cmdline())
+    except psutil.Error:
+        return False
+    return "multiprocessing.resource_tracker" in line or "multiprocessing.forkserver" in line
+
+
+def _is_alive(process: psutil.Process) -> bool:
+    """Tell whether `process` runs; a finished orphan that came to us is reaped on the way."""
+    try:
+        if process.status() != psutil.STATUS_ZOMBIE:
+            return True
+        os.waitpid(process.pid, os.WNOHANG)
+    except (psutil.NoSuchProcess, ChildProcessError):
+        pass
+    return False
+
+
+def _is_foreign(name: str) -> bool:
+    """Tell whether a process outside this test run uses the shared-memory file `name`."""
+    own = {os.getpid()} | {child.pid for child in psutil.Process().children(recursive=True)}
+    path = str(SHARED_MEMORY / name)
+    for folder in Path("/proc").glob("[0-9]*"):
+        if int(folder.name) in own:
+            continue
+        try:
+            if path in (folder / "maps").read_text():
+                return True
+            if any(os.readlink(handle) == path for handle in (folder / "fd").iterdir()):
+                return True
+        except OSError:
+            continue
+    return False
+
+
+def _held() -> Held:
+    return Held(
+        frozenset(threading.enumerate()),
+        frozenset(psutil.Process().children(recursive=True)),
+        frozenset(os.listdir(SHARED_MEMORY)) if SHARED_MEMORY.is_dir() else frozenset(),
+    )
+
+
+def _leaked(before: Held) -> Held:
+    now = _held()
+    return Held(
+        frozenset(thread for thread in now.threads - before.threads if thread.is_alive()),
+        frozenset(
+            process
+            for process in now.processes - before.processes
+            if _is_alive(process) and not _is_helper_of_python(process)
+        ),
+        now.files - before.files,
+    )
+
+
+def _describe(process: psutil.Process) -> str:
+    try:
+        return f"process {process.pid}: {' '.join(process.cmdline())}"
+    except psutil.Error:
+        return f"process {process.pid} (just gone)"
+
+
+@pytest.fixture(autouse=True)
+def _no_leaks() -> Iterator[None]:
+    """Fail a test that leaves a thread, a process or a shared-memory file behind."""
+    before = _held()
+    yield
+    deadline = time.monotonic() + GRACE
+    while any(leaked := _leaked(before)) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    found = [f"thread {thread.name}" for thread in leaked.threads]
+    found += [_describe(process) for process in leaked.processes]
+    found += [f"file {SHARED_MEMORY / name}" for name in leaked.files if not _is_foreign(name)]
+    for process in leaked.processes:
+        process.kill()  # only what the test itself left
+    if found:
+        pytest.fail("the test left behind:\n  " + "\n  ".join(sorted(found)), False)
+
+
+# The run ---------------------------------------------------------------------------------------------
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Check GOLFBENCH_REQUIRE, choose hypothesis' profile, adopt processes that detach themselves."""
+    demanded_tools()
+    missing: dict[str, list[str]] = defaultdict(list)
+    config.stash[MISSING] = missing
+    hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
+    hypothesis.settings.register_profile("dev", deadline=None, print_blob=True)
+    hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "dev")
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip or fail a test marked `requires` whose tool is absent."""
+    for marker in item.iter_markers("requires"):
+        for name in marker.args:
+            _require(item, name)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """List the skipped tests: first by missing tool, then the others with their reason."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    if not skipped:
+        return
+    missing = config.stash[MISSING]
+    by_tool = {nodeid for nodeids in missing.values() for nodeid in nodeids}
+    terminalreporter.section("skipped tests")
+    for name, nodeids in sorted(missing.items()):
+        terminalreporter.line(f"missing tool {name}: {len(nodeids)} skipped")
+        for nodeid in nodeids:
+            terminalreporter.line(f"  {nodeid}")
+    for report in skipped:
+        if report.nodeid not in by_tool:
+            reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+            terminalreporter.line(f"{report.nodeid}: {reason}")

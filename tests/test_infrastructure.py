@@ -1,0 +1,123 @@
+"""The tests' own rules hold: leaks fail, absent tools are named, demanded ones fail."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+CONFTEST = Path(__file__).with_name("conftest.py").read_text()
+INI = "[pytest]\naddopts = --import-mode=importlib -p no:cacheprovider\nmarkers = requires(*tools): x\n"
+
+
+@pytest.fixture
+def project(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytest.Pytester:
+    """A small project with this project's conftest, where leaks are given 0.2 s to go away."""
+    monkeypatch.delenv("GOLFBENCH_REQUIRE", raising=False)
+    pytester.makeconftest(CONFTEST.replace("GRACE = 2.0", "GRACE = 0.2"))
+    pytester.makeini(INI)
+    return pytester
+
+
+def test_leaks_fail_and_clean_tests_pass(project: pytest.Pytester) -> None:
+    project.makepyfile(
+        """
+        import os, subprocess, sys, threading, time
+        from pathlib import Path
+
+        def test_clean():
+            thread = threading.Thread(target=time.sleep, args=(0.01,))
+            thread.start()
+            subprocess.run([sys.executable, "-c", "pass"], check=True)
+
+        def test_thread():
+            threading.Thread(target=time.sleep, args=(2,), daemon=True, name="left-thread").start()
+
+        def test_child():
+            global child
+            child = subprocess.Popen(["sleep", "97"])
+
+        def test_detached():
+            subprocess.run(["sh", "-c", "setsid sleep 98 & exit 0"], check=True)
+
+        def test_shared_memory():
+            Path(f"/dev/shm/golfbench-leak-{os.getppid()}").touch()
+
+        def test_next_is_clean():
+            Path(f"/dev/shm/golfbench-leak-{os.getppid()}").unlink()
+        """
+    )
+    result = project.runpytest_subprocess()
+    result.assert_outcomes(passed=6, errors=4)
+    result.stdout.fnmatch_lines_random(
+        [
+            "*thread left-thread",
+            "*process *: sleep 97",
+            "*process *: sleep 98",
+            "*file /dev/shm/golfbench-leak-*",
+        ]
+    )
+
+
+def test_what_a_wider_fixture_holds_is_no_leak(project: pytest.Pytester) -> None:
+    project.makepyfile(
+        """
+        import subprocess, pytest
+
+        @pytest.fixture(scope="module")
+        def service():
+            with subprocess.Popen(["sleep", "60"]) as process:
+                yield process
+                process.terminate()
+
+        def test_first(service): pass
+        def test_second(service): pass
+        """
+    )
+    project.runpytest_subprocess().assert_outcomes(passed=2)
+
+
+TOOL_TESTS = """
+    import pytest
+
+    @pytest.mark.requires("qemu")
+    def test_marked(): raise RuntimeError("ran")
+
+    def test_fixture(tool): tool("qemu"); raise RuntimeError("ran")
+
+    def test_other(): pytest.skip("for a reason of its own")
+"""
+
+
+def test_absent_tools_are_skipped_and_named(
+    project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    project.makepyfile(TOOL_TESTS)
+    result = project.runpytest_subprocess()
+    result.assert_outcomes(skipped=3)
+    result.stdout.fnmatch_lines(
+        [
+            "missing tool qemu: 2 skipped",
+            "*test_marked",
+            "*test_fixture",
+            "*test_other: Skipped: for a reason of its own",
+        ]
+    )
+
+
+def test_a_demanded_tool_fails(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setenv("GOLFBENCH_REQUIRE", "chromium,qemu")
+    project.makepyfile(TOOL_TESTS)
+    result = project.runpytest_subprocess()
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines_random(["*qemu is absent, and GOLFBENCH_REQUIRE demands it"])
+    assert "RuntimeError" not in result.stdout.str()
+
+
+def test_a_misspelt_demand_stops_the_run(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GOLFBENCH_REQUIRE", "chromiun")
+    result = project.runpytest_subprocess()
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*GOLFBENCH_REQUIRE names chromiun; known tools: chromium,*"])
