@@ -67,7 +67,9 @@ FIELDS = (
     Field("derivative", "f8", "1", "derivative part of the controller's output", JOINTS),
     Field("feedforward", "f8", "1", "feed-forward and learned part of the controller's output", JOINTS),
     Field("desired_valve", "f8", "1", "valve opening the controller wants, -1 to 1", JOINTS),
-    Field("applied_valve", "f8", "1", "valve opening truly applied after envelope and device, -1 to 1", JOINTS),
+    Field(
+        "applied_valve", "f8", "1", "valve opening truly applied after envelope and device, -1 to 1", JOINTS
+    ),
     Field("supply_enable", "?", "1", "supply valve commanded open"),
     Field("exhaust_closed", "?", "1", "chamber vents commanded closed"),
     Field("guard_lock", "?", "1", "guard left to its locking spring"),
@@ -86,7 +88,13 @@ FIELDS = (
     Field("plant_velocity", "f8", "rad/s", "true joint velocity; simulation only, else NaN", JOINTS),
     Field("plant_pressure", "f8", "Pa", "true chamber pressure; simulation only, else NaN", _CHAMBERS),
     Field("plant_effort", "f8", "N m, N, N m", "true actuator effort; simulation only, else NaN", JOINTS),
-    Field("plant_head_position", "f8", "m", "true club head in the swing plane; simulation only, else NaN", _PLANE),
+    Field(
+        "plant_head_position",
+        "f8",
+        "m",
+        "true club head in the swing plane; simulation only, else NaN",
+        _PLANE,
+    ),
     Field("plant_head_speed", "f8", "m/s", "true speed of the club head; simulation only, else NaN"),
 )
 """The schema of one cycle, in storage order. Vectors over joints follow `drivers.base.JOINTS`; those over

@@ -1,0 +1,98 @@
+"""One shot of a series: what was tried, what was measured, and where each figure comes from."""
+
+from __future__ import annotations
+
+import types
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from enum import StrEnum
+from math import isfinite
+from typing import Any, get_args, get_origin, get_type_hints
+
+
+class Status(StrEnum):
+    """What became of a shot."""
+
+    VALID = "valid"
+    EXCLUDED = "excluded"
+    """Hit, but the delivery was outside its bounds: counted and shown, not compared."""
+    FAILED = "failed"
+    """Not hit: no ball, a fault, a stop."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One shot as a row of the exported table; the fields are its columns, in order.
+
+    Units stand in the names. Angles follow `sim/impact.py`: attack positive up, club path, face angle,
+    direction and spin axis positive to the right of the target line, strike positive towards the toe
+    and up from the centre of the face. A figure that was not measured is None, never zero; the sources
+    say how the delivery, launch and carry figures were come by ("" when there are none).
+    """
+
+    shot: int
+    block: int
+    position: int
+    """Place in the block's order, from 1."""
+    club: str
+    ball: str
+    status: Status
+    reason: str = ""
+    """Why the shot is not valid."""
+    club_speed_mps: float | None = None
+    attack_angle_deg: float | None = None
+    club_path_deg: float | None = None
+    face_angle_deg: float | None = None
+    dynamic_loft_deg: float | None = None
+    strike_x_mm: float | None = None
+    strike_y_mm: float | None = None
+    ball_speed_mps: float | None = None
+    launch_angle_deg: float | None = None
+    direction_deg: float | None = None
+    spin_rpm: float | None = None
+    spin_axis_deg: float | None = None
+    carry_m: float | None = None
+    total_m: float | None = None
+    apex_m: float | None = None
+    landing_angle_deg: float | None = None
+    delivery_source: str = ""
+    launch_source: str = ""
+    carry_source: str = ""
+    time_utc: datetime = datetime(1970, 1, 1, tzinfo=UTC)
+
+    def __post_init__(self) -> None:
+        """Refuse what a table cannot hold: non-finite figures, times without zone, a reason missing."""
+        for column in COLUMNS:
+            value = getattr(self, column.name)
+            if isinstance(value, float) and not isfinite(value):
+                raise ValueError(f"{column.name} is {value}; a figure that is not known is None")
+        if self.time_utc.utcoffset() is None:
+            raise ValueError(f"time_utc {self.time_utc} has no time zone")
+        if (self.status is Status.VALID) == bool(self.reason):
+            raise ValueError(f"status {self.status} with reason {self.reason!r}: only valid shots have none")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the shot table."""
+
+    name: str
+    kind: type
+    """int, float, str, Status or datetime."""
+    optional: bool
+    """The figure may be absent (None)."""
+
+
+def _columns() -> tuple[Column, ...]:
+    """Derive the columns from the fields of Shot."""
+    hints: dict[str, Any] = get_type_hints(Shot)
+    found = []
+    for field in fields(Shot):
+        hint = hints[field.name]
+        optional = get_origin(hint) in (types.UnionType,) and type(None) in get_args(hint)
+        found.append(Column(field.name, get_args(hint)[0] if optional else hint, optional))
+    return tuple(found)
+
+
+COLUMNS = _columns()
+"""The columns of the shot table, in order; the export format of a campaign."""
