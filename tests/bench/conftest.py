@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from math import degrees, pi, radians
 from typing import Any
 
 import numpy as np
@@ -10,12 +12,19 @@ import pytest
 from bench.lifecycle import Phase
 from scipy.interpolate import CubicHermiteSpline
 
+from bench.campaign.shot import Shot, Status
+from bench.campaign.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE, FIELDS
+from drivers.base import Launch
+from sim.flight import fly
 from sim.kinematics import joint_positions
 from sim.robot import Club, RobotParameters, thesis_robot
 
 ADDRESS = np.array([0.571, 4.141, 2 * np.pi])
 """Shaft straight down, wrist uncocked (rad)."""
+
+BALL = (0.25, -1.56)
+"""Where the ball of the synthetic swing lies in the swing plane (m)."""
 
 Cycles = np.ndarray[Any, Any]
 
@@ -42,6 +51,66 @@ def make_swing(robot: RobotParameters) -> Callable[[int], Cycles]:
         return _cycles(robot, time, path, random)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def make_records(make_swing: Callable[[int], Cycles]) -> Callable[[int], list[ShotRecord]]:
+    """Return a function of the number of shots that gives their records, balls alternating."""
+
+    def make(shots: int) -> list[ShotRecord]:
+        return [_record(number, make_swing(number)) for number in range(1, shots + 1)]
+
+    return make
+
+
+def _record(number: int, cycles: Cycles) -> ShotRecord:
+    random = np.random.default_rng(number)
+    ball = ("Pro V", "Range")[(number - 1) % 2]
+    base: dict[str, Any] = {
+        "shot": number,
+        "block": (number + 1) // 2,
+        "position": 2 - number % 2,
+        "club": "driver",
+        "ball": ball,
+        "time_utc": datetime(2026, 11, 1, 9, 30, tzinfo=UTC) + number * timedelta(seconds=30),
+    }
+    if number == 4:
+        return ShotRecord(Shot(**base, status=Status.FAILED, reason="no ball seen on the tee"), cycles)
+    speed = random.normal(43.0, 0.15)
+    launch = Launch(
+        speed * (1.44 if ball == "Pro V" else 1.425),
+        radians(random.normal(12.0, 0.2)),
+        radians(random.normal(0.4, 0.3)),
+        random.normal(3100.0, 60.0) * pi / 30,
+        radians(random.normal(1.5, 0.8)),
+    )
+    flight = fly(launch)
+    status = (Status.EXCLUDED, "club speed 0.6 m/s off the plan") if number == 7 else (Status.VALID, "")
+    shot = Shot(
+        **base,
+        status=status[0],
+        reason=status[1],
+        club_speed_mps=speed,
+        attack_angle_deg=random.normal(1.1, 0.05),
+        club_path_deg=random.normal(0.8, 0.05),
+        face_angle_deg=random.normal(0.3, 0.05),
+        dynamic_loft_deg=random.normal(13.0, 0.1),
+        strike_x_mm=random.normal(1.0, 0.5),
+        strike_y_mm=random.normal(-2.0, 0.5),
+        ball_speed_mps=launch.speed,
+        launch_angle_deg=degrees(launch.launch_angle),
+        direction_deg=degrees(launch.direction),
+        spin_rpm=launch.spin * 30 / pi,
+        spin_axis_deg=degrees(launch.spin_axis),
+        carry_m=flight.carry,
+        total_m=flight.total,
+        apex_m=flight.apex,
+        landing_angle_deg=degrees(flight.landing_angle),
+        delivery_source="encoders+model",
+        launch_source="simulated",
+        carry_source="simulated",
+    )
+    return ShotRecord(shot, cycles, flight)
 
 
 def _cycles(
