@@ -85,12 +85,15 @@ def human_swing(sample_time: float = 0.001) -> HumanSwing:
     """Return Hunt's swing sampled every `sample_time` s; ValueError unless 0 < sample_time <= 0.1."""
     if not 0.0 < sample_time <= 0.1:
         raise ValueError(f"human_swing: found sample_time = {sample_time} s; expected 0 < sample_time <= 0.1")
-    time = sample_time * np.arange(int(np.floor(SWING_DURATION / sample_time + 1e-9)) + 1)
+    count = int(np.floor(SWING_DURATION / sample_time + 1e-9)) + 1
+    time = sample_time * np.arange(count, dtype=np.float64)
     return HumanSwing(time, shoulder_turn(time), right_arm_length(time), wrist_cock(time))
 
 
 def _inside(t: ArrayLike) -> NDArray[np.float64]:
     t = np.asarray(t, dtype=float)
     if not np.all((t >= 0.0) & (t <= SWING_DURATION + 1e-9)):
-        raise ValueError(f"time outside the swing: found {t.min()} … {t.max()} s, expected 0 … {SWING_DURATION} s")
+        raise ValueError(
+            f"time outside the swing: found {t.min()} … {t.max()} s, expected 0 … {SWING_DURATION} s"
+        )
     return t
