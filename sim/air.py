@@ -1,0 +1,73 @@
+"""The air a ball flies through: density and viscosity from what a weather station reads.
+
+Density: CIPM-2007 (Picard et al., Metrologia 45 (2008) 149) with 400 ppm CO2; stated range 600-1100 hPa
+and 15-27 degrees C, smooth and within 0.1 % well beyond it. Viscosity: Sutherland's law for dry air.
+Pressure over altitude: International Standard Atmosphere (ISO 2533).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, sqrt
+
+from sim.ranges import Range, check_ranges
+
+_ZERO_CELSIUS = 273.15
+_STANDARD_PRESSURE = 101325.0
+
+
+@dataclass(frozen=True)
+class Air:
+    """Still air: `temperature` K, `pressure` Pa (at the place, not reduced to sea level), humidity 0..1.
+
+    The default, 25 degrees C at sea level, is the condition that launch monitors normalise to.
+    A value outside its physical range raises ValueError.
+    """
+
+    temperature: float = 298.15
+    pressure: float = _STANDARD_PRESSURE
+    relative_humidity: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _RANGES)
+
+    @classmethod
+    def at_altitude(cls, altitude: float, temperature: float = 298.15, relative_humidity: float = 0.5) -> Air:
+        """Return air at `altitude` (m above sea level, -500 to 11,000) with the standard pressure there."""
+        if not -500.0 <= altitude <= 11_000.0:
+            raise ValueError(f"altitude: found {altitude!r}, expected -500 to 11000 m above sea level")
+        pressure = _STANDARD_PRESSURE * (1.0 - 2.25577e-5 * altitude) ** 5.25588
+        return cls(temperature, pressure, relative_humidity)
+
+    @property
+    def density(self) -> float:
+        """Density of moist air (kg/m3), CIPM-2007."""
+        T, p = self.temperature, self.pressure
+        t = T - _ZERO_CELSIUS
+        saturation = exp(1.2378847e-5 * T**2 - 1.9121316e-2 * T + 33.93711047 - 6.3431645e3 / T)
+        enhancement = 1.00062 + 3.14e-8 * p + 5.6e-7 * t**2
+        x = self.relative_humidity * enhancement * saturation / p
+        compressibility = (
+            1.0
+            - p / T
+            * (
+                1.58123e-6 - 2.9331e-8 * t + 1.1043e-10 * t**2
+                + (5.707e-6 - 2.051e-8 * t) * x
+                + (1.9898e-4 - 2.376e-6 * t) * x**2
+            )
+            + (p / T) ** 2 * (1.83e-11 - 0.765e-8 * x**2)
+        )  # fmt: skip
+        return 3.483740e-3 * p / (compressibility * T) * (1.0 - 0.3780 * x)
+
+    @property
+    def viscosity(self) -> float:
+        """Dynamic viscosity (Pa s), Sutherland: 1.716e-5 at 0 degrees C, constant 110.4 K."""
+        ratio = self.temperature / _ZERO_CELSIUS
+        return 1.716e-5 * ratio * sqrt(ratio) * (_ZERO_CELSIUS + 110.4) / (self.temperature + 110.4)
+
+
+_RANGES = {
+    "temperature": Range(233.15, 333.15, "K"),
+    "pressure": Range(20_000.0, 120_000.0, "Pa"),
+    "relative_humidity": Range(0.0, 1.0, "as a fraction (0.5 is 50 %)"),
+}

@@ -1,0 +1,48 @@
+"""The golf ball, as the impact and the flight see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sim.ranges import Range, check_ranges
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball model. Defaults: the heaviest and smallest ball the Rules allow, average surface.
+
+    `inertia_factor` is I/(m r2), 0.4 for a uniform sphere. The factors multiply the club's restitution
+    and the aerodynamic model's drag and lift coefficient: they tell one ball model from another.
+    A value outside its physical range raises ValueError.
+    """
+
+    name: str = "standard"
+    mass: float = 0.04593
+    """kg"""
+    radius: float = 0.021335
+    """m"""
+    inertia_factor: float = 0.4
+    restitution_factor: float = 1.0
+    friction: float = 0.4
+    """Coulomb coefficient of cover on club face; sliding starts only far above a driver's loft."""
+    drag_factor: float = 1.0
+    lift_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _RANGES)
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia (kg m2)."""
+        return self.inertia_factor * self.mass * self.radius**2
+
+
+_RANGES = {
+    "mass": Range(0.02, 0.06, "kg"),
+    "radius": Range(0.015, 0.03, "m"),
+    "inertia_factor": Range(0.2, 2.0 / 3.0, "(hollow shell at most)"),
+    "restitution_factor": Range(0.3, 1.2, ""),
+    "friction": Range(0.0, 2.0, ""),
+    "drag_factor": Range(0.0, 3.0, ""),
+    "lift_factor": Range(0.0, 3.0, ""),
+}

@@ -1,0 +1,431 @@
+"""The flight of a golf ball, from its launch to rest.
+
+Golf frame: X along the target line, Y up, Z to the right of it. Equations (golf.md 4.1, Smits and Smith):
+    dv/dt = (rho A / 2 m) V [-Cd v + Cl (s x v)] - g,   d omega/dt = -2e-5 omega V / r,
+v relative to the air, V = |v|, s the spin's axis, which keeps its direction. Coefficients come from a
+published model (`sim.aerodynamics`), air from `sim.air`, bounce and roll from `sim.turf`.
+RK4 with a fixed step; apex and landing are found inside their step, so that they too converge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import atan2, cos, hypot, pi, sin
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from drivers.base import Launch
+from sim.aerodynamics import SPIN_DECAY, Aerodynamics, coefficients
+from sim.air import Air
+from sim.ball import Ball
+from sim.compiled import compiled, new_record
+from sim.ranges import Range, check_ranges
+from sim.turf import Turf, bounce, roll
+from sim.vectors import Vector, added, norm
+
+__all__ = ["FLIGHT", "Aerodynamics", "Air", "Ball", "Flight", "Launch", "Turf", "Wind", "fly", "fly_many"]
+
+Array: TypeAlias = np.ndarray[Any, Any]
+
+GRAVITY = 9.80665
+STEP = 0.005
+"""Integration step (s); a tenfold finer one changes a carry by millimetres (tests)."""
+
+_LONGEST_FLIGHT = 60.0
+_MOST_BOUNCES = 25
+_LOWEST_BOUNCE = 0.3  # m/s upwards: below this the ball rolls
+
+
+@dataclass(frozen=True)
+class Wind:
+    """Wind: `velocity` (x, y, z) m/s in the golf frame at `reference_height` (m).
+
+    Elsewhere it is that times (height / reference height) ** `exponent`: 0 is the same wind at all heights,
+    1/7 the usual power law over open ground. A value outside its physical range raises ValueError.
+    """
+
+    velocity: Vector = (0.0, 0.0, 0.0)
+    reference_height: float = 10.0
+    exponent: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _WIND_RANGES)
+        if np.shape(self.velocity) != (3,) or not np.all(np.abs(self.velocity) <= 60.0):
+            raise ValueError(f"Wind.velocity: found {self.velocity!r}, expected 3 values, -60 to 60 m/s")
+
+    @classmethod
+    def towards(cls, speed: float, direction: float, exponent: float = 0.0) -> Wind:
+        """Return wind of `speed` (m/s) towards `direction` (rad): 0 a tail wind, pi/2 to the right."""
+        return cls((speed * cos(direction), 0.0, speed * sin(direction)), exponent=exponent)
+
+
+_WIND_RANGES = {"reference_height": Range(0.1, 1000.0, "m"), "exponent": Range(0.0, 1.0, "")}
+
+FLIGHT = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "carry",
+            "carry_side",
+            "total",
+            "total_side",
+            "apex",
+            "landing_angle",
+            "landing_speed",
+            "landing_spin",
+            "time",
+            "total_time",
+        )
+    ],
+    align=True,
+)
+"""What `fly_many` returns for each launch; names and units as in `Flight`."""
+
+_SETTINGS = np.dtype(
+    [
+        *((name, "f8") for name in ("lift_and_drag", "reynolds", "radius", "drag_factor", "lift_factor")),
+        *((name, "f8") for name in ("wind_x", "wind_y", "wind_z", "wind_height", "wind_exponent")),
+        *((name, "f8") for name in ("turf_friction", "turf_tilt", "turf_restitution", "turf_resistance")),
+        *((name, "f8") for name in ("start_height", "step")),
+        ("model", "i8"),
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight: distances in m, angles in rad, times in s, spin in rad/s.
+
+    Carry ends where the ball comes down to the height of the ground at its start (0); `carry` and
+    `total` are straight horizontal distances from the start, `carry_side` and `total_side` their offline
+    parts, positive to the right. `landing_angle` is positive downwards. `time` ends with the carry,
+    `total_time` at rest. `path` has a row (t, x, y, z) for each step down to rest.
+    """
+
+    carry: float
+    carry_side: float
+    total: float
+    total_side: float
+    apex: float
+    landing_angle: float
+    landing_speed: float
+    landing_spin: float
+    time: float
+    total_time: float
+    path: Array = field(repr=False, compare=False)
+    aerodynamics: str = Aerodynamics.LIBGOLF.name
+    turf: str = "fairway (Penner 2002)"
+
+
+def fly(
+    launch: Launch,
+    air: Air | None = None,
+    ball: Ball | None = None,
+    wind: Wind | Vector | None = None,
+    turf: Turf | None = None,
+    aerodynamics: Aerodynamics = Aerodynamics.LIBGOLF,
+    start_height: float = 0.0,
+    step: float = STEP,
+) -> Flight:
+    """Return the flight of a ball with `launch`.
+
+    `air` defaults to 25 degrees C at sea level, `wind` to none (a tuple is its velocity in the golf frame,
+    m/s), `turf` to a fairway. `start_height` (m) raises the start above the ground; `step` in s.
+    Raises ValueError for a launch or setting outside its physical range.
+    """
+    ball, turf = ball or Ball(), turf or Turf()
+    settings = _settings(air or Air(), ball, wind, turf, aerodynamics, start_height, step)
+    launches = _checked(np.array([launch], dtype=float))
+    result = new_record(FLIGHT)
+    path = np.empty((int(2 * _LONGEST_FLIGHT / step) + 4 * _MOST_BOUNCES, 4))
+    rows = _fly(launches[0], settings, result, path)
+    values = {name: float(result[name][0]) for name in FLIGHT.names or ()}
+    surface = f"{turf.name} ({turf.model})"
+    return Flight(**values, path=path[:rows].copy(), aerodynamics=aerodynamics.name, turf=surface)
+
+
+def fly_many(
+    launches: Array,
+    air: Air | None = None,
+    ball: Ball | None = None,
+    wind: Wind | Vector | None = None,
+    turf: Turf | None = None,
+    aerodynamics: Aerodynamics = Aerodynamics.LIBGOLF,
+    start_height: float = 0.0,
+    step: float = STEP,
+) -> Array:
+    """Return the flights of `launches`, shape (n, 5) in the order of `Launch`, as n records of `FLIGHT`.
+
+    Same arguments, figures and errors as `fly`, without paths, in one compiled loop.
+    """
+    settings = _settings(air or Air(), ball or Ball(), wind, turf or Turf(), aerodynamics, start_height, step)
+    launches = _checked(np.ascontiguousarray(launches, dtype=float))
+    results = np.zeros(len(launches), FLIGHT)
+    _fly_all(launches, settings, results.view(np.recarray) if _is_plain() else results)
+    return results
+
+
+def _is_plain() -> bool:
+    return isinstance(new_record(FLIGHT), np.recarray)
+
+
+_LAUNCH_RANGES = (
+    ("speed", 0.0, 150.0, "m/s"),
+    ("launch_angle", -pi / 2, pi / 2, "rad"),
+    ("direction", -pi, pi, "rad"),
+    ("spin", 0.0, 2000.0, "rad/s"),
+    ("spin_axis", -pi, pi, "rad"),
+)
+
+
+def _checked(launches: Array) -> Array:
+    if launches.ndim != 2 or launches.shape[1] != len(_LAUNCH_RANGES):
+        raise ValueError(f"launches: found shape {launches.shape}, expected (n, 5) in the order of Launch")
+    for column, (name, low, high, unit) in enumerate(_LAUNCH_RANGES):
+        values = launches[:, column]
+        bad = ~((values >= low) & (values <= high))  # NaN is bad too
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise ValueError(
+                f"launch {row}, {name}: found {float(values[row])!r}, expected {low:.4g} to {high:.4g} {unit}"
+            )
+    return launches
+
+
+def _settings(
+    air: Air,
+    ball: Ball,
+    wind: Wind | Vector | None,
+    turf: Turf,
+    aerodynamics: Aerodynamics,
+    start_height: float,
+    step: float,
+) -> Array:
+    if not 1e-5 <= step <= 0.05:
+        raise ValueError(f"step: found {step!r} s, expected 0.00001 to 0.05 s")
+    if not 0.0 <= start_height <= 100.0:
+        raise ValueError(f"start_height: found {start_height!r} m, expected 0 to 100 m")
+    if not isinstance(wind, Wind):
+        wind = Wind() if wind is None else Wind(wind)
+    record = new_record(_SETTINGS)
+    for name, value in {
+        "lift_and_drag": air.density * pi * ball.radius**2 / (2.0 * ball.mass),
+        "reynolds": 2.0 * ball.radius * air.density / air.viscosity,
+        "radius": ball.radius,
+        "drag_factor": ball.drag_factor,
+        "lift_factor": ball.lift_factor,
+        "wind_x": wind.velocity[0],
+        "wind_y": wind.velocity[1],
+        "wind_z": wind.velocity[2],
+        "wind_height": wind.reference_height,
+        "wind_exponent": wind.exponent,
+        "turf_friction": turf.friction,
+        "turf_tilt": turf.tilt,
+        "turf_restitution": turf.restitution_factor,
+        "turf_resistance": turf.rolling_resistance,
+        "start_height": start_height,
+        "step": step,
+        "model": int(aerodynamics),
+    }.items():
+        record[name] = value
+    return record
+
+
+State = tuple[float, float, float, float, float, float, float]
+"""(x, y, z, vx, vy, vz, omega) of the ball; the spin's axis is constant in the air and travels beside it."""
+
+
+@compiled
+def _derivative(state: State, axis: Vector, settings: Array) -> State:
+    s = settings[0]
+    gain = 1.0
+    if s.wind_exponent > 0.0:
+        gain = (max(state[1], 0.0) / s.wind_height) ** s.wind_exponent
+    vx = state[3] - gain * s.wind_x
+    vy = state[4] - gain * s.wind_y
+    vz = state[5] - gain * s.wind_z
+    omega = state[6]
+    V = norm((vx, vy, vz))
+    if V < 1e-9:
+        return (state[3], state[4], state[5], 0.0, -GRAVITY, 0.0, 0.0)
+    drag, lift = coefficients(s.model, s.reynolds * V, s.radius * omega / V)
+    k = s.lift_and_drag * V
+    d = k * drag * s.drag_factor
+    f = k * lift * s.lift_factor
+    return (
+        state[3],
+        state[4],
+        state[5],
+        -d * vx + f * (axis[1] * vz - axis[2] * vy),
+        -d * vy + f * (axis[2] * vx - axis[0] * vz) - GRAVITY,
+        -d * vz + f * (axis[0] * vy - axis[1] * vx),
+        -SPIN_DECAY * omega * V / s.radius,
+    )
+
+
+@compiled
+def _shifted(a: State, h: float, b: State) -> State:
+    return (
+        a[0] + h * b[0],
+        a[1] + h * b[1],
+        a[2] + h * b[2],
+        a[3] + h * b[3],
+        a[4] + h * b[4],
+        a[5] + h * b[5],
+        a[6] + h * b[6],
+    )
+
+
+@compiled
+def _advanced(state: State, axis: Vector, h: float, settings: Array) -> State:
+    """One RK4 step of h seconds."""
+    k1 = _derivative(state, axis, settings)
+    k2 = _derivative(_shifted(state, h / 2.0, k1), axis, settings)
+    k3 = _derivative(_shifted(state, h / 2.0, k2), axis, settings)
+    k4 = _derivative(_shifted(state, h, k3), axis, settings)
+    state = _shifted(state, h / 6.0, k1)
+    state = _shifted(state, h / 3.0, k2)
+    state = _shifted(state, h / 3.0, k3)
+    return _shifted(state, h / 6.0, k4)
+
+
+@compiled
+def _event_time(state: State, axis: Vector, h: float, settings: Array, index: int) -> float:
+    """Time within a step of h at which state[index] falls through zero (bisection and secant, guarded)."""
+    low, high = 0.0, h
+    f_low = state[index]
+    f_high = _advanced(state, axis, h, settings)[index]
+    t = h
+    for _ in range(60):
+        t = low + (high - low) * min(max(f_low / (f_low - f_high), 0.02), 0.98)
+        f = _advanced(state, axis, t, settings)[index]
+        if f > 0.0:
+            low, f_low = t, f
+        else:
+            high, f_high = t, f
+        if high - low < 1e-9 or abs(f) < 1e-12:
+            break
+    return t
+
+
+@compiled
+def _recorded(path: Array, row: int, t: float, x: float, y: float, z: float) -> int:
+    """Write (t, x, y, z) where the path has room; return the next row."""
+    if row < path.shape[0]:
+        path[row, 0] = t
+        path[row, 1] = x
+        path[row, 2] = y
+        path[row, 3] = z
+        return row + 1
+    return row
+
+
+@compiled
+def _airborne(
+    state: State, axis: Vector, t: float, settings: Array, path: Array, row: int
+) -> tuple[State, float, float, int]:
+    """Fly until the ball falls to height 0 (or the time limit); return state, time, apex and path row."""
+    h = settings[0].step
+    apex = state[1]
+    while t < _LONGEST_FLIGHT:
+        following = _advanced(state, axis, h, settings)
+        if state[4] > 0.0 and following[4] <= 0.0:
+            apex = max(apex, _advanced(state, axis, _event_time(state, axis, h, settings, 4), settings)[1])
+        if following[1] <= 0.0 and following[4] < 0.0:
+            rest = _event_time(state, axis, h, settings, 1) if state[1] > 0.0 else h
+            if state[1] <= 0.0 and state[4] > 0.0:  # up and down again within this one step
+                top = _event_time(state, axis, h, settings, 4)
+                state = _advanced(state, axis, top, settings)
+                t += top
+                rest = _event_time(state, axis, h - top, settings, 1)
+            state = _advanced(state, axis, rest, settings)
+            t += rest
+            return state, t, apex, _recorded(path, row, t, state[0], state[1], state[2])
+        state = following
+        t += h
+        row = _recorded(path, row, t, state[0], state[1], state[2])
+    return state, t, apex, row
+
+
+@compiled
+def _fly(launch: Array, settings: Array, result: Array, path: Array) -> int:
+    """Fill result[0] (`FLIGHT`) and `path` for launch (5,); return the number of path rows."""
+    s = settings[0]
+    r = result[0]
+    speed, elevation, azimuth, omega, tilt = launch[0], launch[1], launch[2], launch[3], launch[4]
+    axis = _spin_axis(elevation, azimuth, tilt)
+    state = (
+        0.0,
+        s.start_height,
+        0.0,
+        speed * cos(elevation) * cos(azimuth),
+        speed * sin(elevation),
+        speed * cos(elevation) * sin(azimuth),
+        omega,
+    )
+    t = 0.0
+    row = _recorded(path, 0, t, state[0], state[1], state[2])
+    r.apex = s.start_height
+    if state[4] > 0.0 or state[1] > 0.0:
+        state, t, r.apex, row = _airborne(state, axis, t, settings, path, row)
+    r.carry = hypot(state[0], state[2])
+    r.carry_side = state[2]
+    r.landing_angle = atan2(-state[4], hypot(state[3], state[5]))
+    r.landing_speed = norm((state[3], state[4], state[5]))
+    r.landing_spin = state[6]
+    r.time = t
+
+    velocity = (state[3], state[4], state[5])
+    spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
+    for _ in range(_MOST_BOUNCES):
+        if velocity[1] < 0.0:
+            velocity, spin = bounce(
+                velocity, spin, s.radius, s.turf_friction, s.turf_tilt, s.turf_restitution
+            )
+        if velocity[1] < _LOWEST_BOUNCE or t >= _LONGEST_FLIGHT:
+            break
+        omega = norm(spin)
+        if omega > 0.0:
+            axis = (spin[0] / omega, spin[1] / omega, spin[2] / omega)
+        state = (state[0], 0.0, state[2], velocity[0], velocity[1], velocity[2], omega)
+        state, t, _, row = _airborne(state, axis, t, settings, path, row)
+        velocity = (state[3], state[4], state[5])
+        spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
+    run_x, run_z, duration = roll(velocity, spin, s.radius, s.turf_resistance, GRAVITY)
+    row = _roll_recorded(path, row, t, state, run_x, run_z, duration)
+    r.total = hypot(state[0] + run_x, state[2] + run_z)
+    r.total_side = state[2] + run_z
+    r.total_time = t + duration
+    return row
+
+
+@compiled
+def _roll_recorded(
+    path: Array, row: int, t: float, state: State, run_x: float, run_z: float, duration: float
+) -> int:
+    """Record a uniformly decelerated roll in 20 rows."""
+    for i in range(1, 21):
+        share = 1.0 - (1.0 - i / 20.0) ** 2
+        x, z = state[0] + share * run_x, state[2] + share * run_z
+        row = _recorded(path, row, t + duration * i / 20.0, x, 0.0, z)
+    return row
+
+
+@compiled
+def _spin_axis(elevation: float, azimuth: float, tilt: float) -> Vector:
+    """Unit spin axis: pure back spin at zero tilt, at right angles to the launch direction.
+
+    A positive tilt lowers the axis' right end, which bends the flight to the right.
+    """
+    right = (-sin(azimuth), 0.0, cos(azimuth))
+    up = (-sin(elevation) * cos(azimuth), cos(elevation), -sin(elevation) * sin(azimuth))
+    return added((cos(tilt) * right[0], cos(tilt) * right[1], cos(tilt) * right[2]), -sin(tilt), up)
+
+
+@compiled
+def _fly_all(launches: Array, settings: Array, results: Array) -> None:
+    no_path = np.empty((0, 4))
+    for i in range(launches.shape[0]):
+        _fly(launches[i], settings, results[i : i + 1], no_path)
