@@ -1,0 +1,143 @@
+"""The command line: one frame for all commands, and what becomes of errors.
+
+Heavy packages are imported inside the commands that need them, so that `--help` and completion stay
+quick.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from bench.errors import BenchError, ExitCode
+
+HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
+
+EXIT_CODES = """[bold]Exit codes[/bold]
+   0  done
+   1  refused, or the answer is no
+   2  wrong usage, or a configuration, profile or file that does not hold
+  69  a device or service cannot do its work
+  70  an error of golfbench itself
+  74  a file or folder cannot be read or written
+ 130  interrupted by Ctrl-C
+"""
+
+app = typer.Typer(
+    help=HELP,
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+
+@dataclass
+class Session:
+    """What the options before the command say; `typer.Context.obj` in every command."""
+
+    config: Path | None = None
+    """Configuration file asked for; None means the default one."""
+    debug: bool = False
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"golfbench {importlib.metadata.version('golfbench')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    ctx: typer.Context,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", envvar="GOLFBENCH_CONFIG", help="Configuration of the bench (TOML)."),
+    ] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Take the options that stand before the command."""
+    session = ctx.ensure_object(Session)
+    session.config, session.debug = config, debug
+
+
+@app.command()
+def doctor(
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    data_dir: Annotated[
+        Path, typer.Option(metavar="PATH", help="Folder in which records will be stored.")
+    ] = Path("data"),
+) -> None:
+    """Show what this machine can do: packages, real time, memory, CAN, tools.
+
+    Ends with 1 when something is missing without which not even the simulation runs.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.doctor import examine, probes, report, table, usable
+    from bench.progress import progress_bar
+
+    planned = probes(data_dir)
+    findings = []
+    with progress_bar() as progress:
+        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
+        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
+            findings.append(finding)
+            progress.update(task, advance=1, description=f"examining {following.group}")
+    if json_:
+        typer.echo(json.dumps(report(findings), indent=2))
+    else:
+        Console().print(table(findings))
+    if not usable(findings):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line with `arguments` (those of the process by default) and exit with its code."""
+    session = Session()
+    command = typer.main.get_command(app)
+    try:
+        command.main(args=arguments, prog_name="golfbench", obj=session)
+    except KeyboardInterrupt:
+        sys.exit(ExitCode.INTERRUPTED)
+    except Exception as error:
+        if session.debug:
+            traceback.print_exception(error)
+        texts, code = explain(error)
+        print(*texts, sep="\n", file=sys.stderr)
+        sys.exit(code)
+    sys.exit(ExitCode.OK)
+
+
+def explain(error: Exception) -> tuple[list[str], ExitCode]:
+    """Return what to tell the user about `error`, and the exit code; a group tells of each mistake."""
+    from drivers.base import DriverError
+
+    match error:
+        case ExceptionGroup():
+            parts = [explain(part) for part in error.exceptions]
+            return [text for texts, _ in parts for text in texts], max(code for _, code in parts)
+        case BenchError():
+            lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
+            return ["\n".join((*lines, f"  to do:    {error.cure}"))], error.exit_code
+        case DriverError():
+            return [f"error: {error}"], ExitCode.DEVICE
+        case OSError(filename=str() | bytes() | Path()):
+            return [f"error: {error.filename!s}: {error.strerror}"], ExitCode.FILE
+        case _:
+            cause = f"internal error: {type(error).__name__}: {error}"
+            return [
+                f"{cause}\n  to do:    report it with the output of golfbench --debug ..."
+            ], ExitCode.INTERNAL

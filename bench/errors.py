@@ -1,0 +1,52 @@
+"""What a user's mistake looks like: the place, what was found, what was expected, what to do."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The exit codes of the command line, the same for every command."""
+
+    OK = 0
+    REFUSED = 1
+    """The command did its work and its answer is no."""
+    BAD_INPUT = 2
+    """Wrong usage, or a configuration, profile or file that does not hold."""
+    DEVICE = 69
+    """A device or a service the command needs cannot do its work."""
+    INTERNAL = 70
+    """A mistake of golfbench itself."""
+    FILE = 74
+    """A file or folder cannot be read or written."""
+    INTERRUPTED = 130
+    """Ctrl-C."""
+
+
+class BenchError(Exception):
+    """Something outside does not hold, told so that its owner can mend it. Exits with BAD_INPUT.
+
+    Args:
+        place: where it stands: file and key, option, or device.
+        found: the value found there.
+        expected: what would hold, with its unit.
+        cure: what to do.
+    """
+
+    exit_code = ExitCode.BAD_INPUT
+
+    def __init__(self, place: str, found: str, expected: str, cure: str) -> None:
+        super().__init__(place, found, expected, cure)
+        self.place = place
+        self.found = found
+        self.expected = expected
+        self.cure = cure
+
+    def __str__(self) -> str:
+        return f"{self.place}: found {self.found}, expected {self.expected}. {self.cure}"
+
+
+class Refused(BenchError):
+    """The input is well formed, but what it asks is not done: it is unsafe or its time is wrong."""
+
+    exit_code = ExitCode.REFUSED
