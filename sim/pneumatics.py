@@ -1,0 +1,174 @@
+"""Compressed air: proportional valve, chambers, supply (golf.md 8; ISO 6358; Richer & Hurmuzlu 2000).
+
+Everything here works on pressures (Pa absolute). Mass flow m' enters the chamber equation only as
+q = m' R T, because p' = (n / V) (q - p V') for a polytropic exponent n.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import exp, pi, sqrt
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+
+from sim.compiled import compiled
+
+REFERENCE_TEMPERATURE = 293.15
+GAS_CONSTANT = 287.05
+REFERENCE_DENSITY = 1.185
+FLOW_TO_PRESSURE = GAS_CONSTANT * REFERENCE_TEMPERATURE * REFERENCE_DENSITY
+"""R T0 rho0 (Pa): turns ISO 6358 conductance times pressure into m' R T (W)."""
+
+LAMINAR_RATIO = 0.98
+"""Pressure ratio above which the flow is taken as linear; removes the infinite slope at equal pressures."""
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Fraction = Annotated[float, Ge(0), Lt(1)]
+
+
+@compiled
+def flow(conductance, upstream, downstream, critical_ratio):  # type: ignore[no-untyped-def]
+    """Return m' R T (W) through an orifice, positive from `upstream` to `downstream`; ISO 6358.
+
+    `conductance` m3/(s Pa); pressures Pa absolute; choked below `critical_ratio`, elliptic above it,
+    linear above `LAMINAR_RATIO`. The sign follows the pressures.
+    """
+    if upstream >= downstream:
+        high, low, sign = upstream, downstream, 1.0
+    else:
+        high, low, sign = downstream, upstream, -1.0
+    ratio = low / high
+    if ratio <= critical_ratio:
+        fraction = 1.0
+    elif ratio < LAMINAR_RATIO:
+        relative = (ratio - critical_ratio) / (1.0 - critical_ratio)
+        fraction = sqrt(1.0 - relative * relative)
+    else:
+        relative = (LAMINAR_RATIO - critical_ratio) / (1.0 - critical_ratio)
+        fraction = sqrt(1.0 - relative * relative) * (1.0 - ratio) / (1.0 - LAMINAR_RATIO)
+    return sign * conductance * high * FLOW_TO_PRESSURE * fraction
+
+
+@dataclass(frozen=True)
+class Valve:
+    """A 5/3 proportional valve, centre closed (MPYE type; golf.md 8.2)."""
+
+    conductance: Positive = 7.9e-8
+    """Sonic conductance of one metering edge fully open, m3/(s Pa)."""
+    critical_ratio: Annotated[float, Gt(0), Lt(0.9)] = 0.3
+    natural_frequency: Positive = 2 * pi * 100.0
+    """Spool, rad/s (assumption: critical frequency about 100 Hz)."""
+    damping_ratio: Annotated[float, Gt(0), Le(2)] = 0.8
+    dead_band: Fraction = 0.02
+    """Overlap on each side of the centre, share of the stroke."""
+    leakage: Fraction = 0.001
+    """Opening that remains at a closed edge, share of the full one."""
+
+    def half_step_matrix(self, half_step: float) -> np.ndarray:
+        """Return the exact 2x2 propagation of (opening - command, rate) over `half_step` s."""
+        omega, zeta = self.natural_frequency, self.damping_ratio
+        system = np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])
+        values, vectors = np.linalg.eig(system.astype(complex) + np.diag([0.0, 1e-9j]))
+        matrix: np.ndarray = np.real(vectors @ np.diag(np.exp(values * half_step)) @ np.linalg.inv(vectors))
+        return matrix
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Joint friction in the actuator's coordinate: viscous, and Coulomb with Stribeck's static rise."""
+
+    viscous: NotNegative
+    """N s/m or N m s/rad."""
+    coulomb: NotNegative
+    """N or N m."""
+    static: NotNegative
+    """N or N m; at least `coulomb`."""
+    stribeck_speed: Positive = 0.05
+    """m/s or rad/s."""
+
+
+@dataclass(frozen=True)
+class EndStop:
+    """A stop with a cushion: `travel` beyond the working range takes `energy` at most."""
+
+    energy: Positive
+    """Rated energy, J."""
+    travel: Positive
+    """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
+    damping_speed: Positive = 2.0
+    """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
+
+    @property
+    def stiffness(self) -> float:
+        """Spring rate at which the rated energy just fills the travel (N/m or N m/rad)."""
+        return 2 * self.energy / self.travel**2
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A double-acting pneumatic actuator with its valve, hoses, friction and stops.
+
+    Areas are m2, for a rotary vane m3/rad; `lower` and `upper` bound the working range of its joint
+    coordinate: theta1 (rad), rod extension (m), theta3 (rad).
+    """
+
+    area_a: Positive
+    area_b: Positive
+    dead_volume: Positive
+    """Of each chamber with its hose, m3."""
+    lower: float
+    upper: float
+    friction: Friction
+    stop: EndStop
+    valve: Valve = field(default_factory=Valve)
+    cross_leakage: NotNegative = 2e-11
+    """Conductance between the chambers past the seals, m3/(s Pa)."""
+    pressure_rating: Positive = 1.2e6
+    """Pa absolute."""
+
+
+@dataclass(frozen=True)
+class Supply:
+    """Regulator, manifold, dump valve, and the throttled, normally open chamber vents."""
+
+    pressure: Positive = 8.0e5
+    """Regulated, Pa absolute."""
+    feed_conductance: Positive = 8.0e-8
+    """Regulator and feed line, m3/(s Pa)."""
+    volume: Positive = 0.010
+    """Manifold and its reservoir behind the soft-start valve, m3."""
+    dump_conductance: Positive = 2.0e-7
+    soft_start_time: Positive = 0.3
+    """From shut to fully open, s."""
+    vent_conductance: Positive = 5.0e-9
+    """Of one chamber vent, m3/(s Pa)."""
+    vent_delay: NotNegative = 0.5
+    """From loss of energy to open vents (pneumatic timer), s."""
+    atmosphere: Positive = 1.013e5
+    polytropic_exponent: Annotated[float, Ge(1.0), Le(1.4)] = 1.2
+
+
+@compiled
+def friction_bound(coulomb, static, stribeck_speed, speed):  # type: ignore[no-untyped-def]
+    """Return the largest dry-friction force at `speed`: Coulomb plus Stribeck's rise towards standstill."""
+    relative = speed / stribeck_speed
+    return coulomb + (static - coulomb) * exp(-relative * relative)
+
+
+@compiled
+def stop_force(stiffness, travel, damping_speed, depth, speed):  # type: ignore[no-untyped-def]
+    """Return the force of a cushion pressed in by `depth` (> 0) at `speed` (positive inwards).
+
+    Spring with position-dependent damping (Hunt & Crossley 1975), so that force and energy are continuous
+    and it never pulls. Behind the cushion's travel the structure is twenty times as stiff.
+    """
+    factor = 1.0 + speed / damping_speed
+    if factor < 0.0:
+        factor = 0.0
+    force = stiffness * depth
+    if depth > travel:
+        force += 20.0 * stiffness * (depth - travel)
+    return force * factor
