@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(firstword $(foreach python,python3 python3.13 python3.12 python3.11 python3.14,\
   $(shell $(python) -c 'import sys; print("$(python)" if sys.version_info >= (3, 11) else "")' 2>/dev/null)))
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
-PYTEST ?= $(BIN)/python -m pytest
+# ARGS=... is handed to pytest or to the benchmarks.
 
 help:  ## show this text
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
@@ -21,7 +21,7 @@ demo: $(VENV)/.runtime  ## ten swings of the simulated robot at a ball, and thei
 	@$(BIN)/golfbench demo
 
 test: $(VENV)/.dev lint  ## lint, types, import contracts and all tests
-	@$(PYTEST) $(ARGS)
+	@$(BIN)/python -m pytest $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/ruff check
@@ -30,7 +30,7 @@ lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/lint-imports --no-timing
 
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
-	@$(PYTEST) -m benchmark -s tests/benchmarks $(ARGS)
+	@$(BIN)/python -m tests.benchmarks $(ARGS)
 
 clean:  ## remove .venv and everything made by tools (not data/)
 	rm -rf $(VENV) dist .coverage .coverage.* .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,5 @@
+"""`python -m bench` is `golfbench`."""
+
+from bench.cli import main
+
+main()

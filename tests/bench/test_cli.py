@@ -1,0 +1,159 @@
+"""The frame of the command line: quick to start, and every error with its cure and exit code."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any
+
+import psutil
+import pytest
+
+from bench.cli import main
+from bench.errors import BenchError, ExitCode, Refused
+from drivers.base import DriverError
+
+HEAVY = (
+    "can",
+    "filterpy",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "pyarrow",
+    "rerun",
+    "scipy",
+    "sqlalchemy",
+    "zenoh",
+)
+BAD_PRESSURE = BenchError("config.toml supply.pressure", "-3", "0.1e6 to 1.1e6 Pa", "Correct the value.")
+BAD_KEY = BenchError("config.toml supply.presure", "an unknown key", "pressure", "Correct the key.")
+UNSAFE = Refused("hook.toml follow_through", "78 J at the stop", "at most 40 J", "Lower the speed.")
+
+
+def _golfbench(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "bench", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Run a command that raises the given error, and return the exit code."""
+
+    def run(error: BaseException, *arguments: str) -> int:
+        def fail(*_: object) -> None:
+            raise error
+
+        monkeypatch.setattr("bench.doctor.probes", fail)
+        with pytest.raises(SystemExit) as end:
+            main([*arguments, "doctor"])
+        assert isinstance(end.value.code, int)
+        return end.value.code
+
+    return run
+
+
+def test_help_names_commands_and_exit_codes() -> None:
+    answer = _golfbench("--help")
+    assert answer.returncode == 0
+    assert "doctor" in answer.stdout
+    for code in ExitCode:
+        assert f" {code.value}  " in answer.stdout
+
+
+def test_help_starts_without_heavy_packages() -> None:
+    code = "import sys, atexit; atexit.register(lambda: print(*sys.modules))\n"
+    code += "from bench.cli import main; main(['--help'])"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(answer.stdout.splitlines()[-1].split())
+    assert "bench.cli" in loaded
+    assert loaded.isdisjoint(HEAVY)
+
+
+def test_version() -> None:
+    assert _golfbench("--version").stdout == f"golfbench {version('golfbench')}\n"
+
+
+@pytest.mark.parametrize("arguments", [["dcotor"], ["doctor", "--jsno"], ["--config"], []])
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    answer = _golfbench(*arguments)
+    assert answer.returncode == ExitCode.BAD_INPUT
+    assert "Traceback" not in answer.stderr
+
+
+def test_shell_completion_is_there() -> None:
+    answer = _golfbench(
+        env={
+            **os.environ,
+            "_GOLFBENCH_COMPLETE": "complete_bash",
+            "COMP_WORDS": "golfbench do",
+            "COMP_CWORD": "1",
+        }
+    )
+    assert answer.stdout.split() == ["doctor"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "texts"),
+    [
+        (BAD_PRESSURE, 2, ["supply.pressure", "-3", "0.1e6 to 1.1e6 Pa", "Correct the value."]),
+        (UNSAFE, 1, ["hook.toml", "78 J", "at most 40 J", "Lower the speed."]),
+        (
+            ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY]),
+            2,
+            ["Correct the value.", "Correct the key."],
+        ),
+        (DriverError("valve island: found no answer"), 69, ["error: valve island: found no answer"]),
+        (FileNotFoundError(2, "No such file or directory", "swing.toml"), 74, ["swing.toml: No such file"]),
+        (ZeroDivisionError("1/0"), 70, ["internal error: ZeroDivisionError: 1/0", "--debug"]),
+        (KeyboardInterrupt(), 130, []),
+    ],
+)
+def test_errors_show_their_cure_and_no_traceback(
+    error: BaseException,
+    code: int,
+    texts: list[str],
+    run: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(error) == code
+    shown = capsys.readouterr().err
+    assert [text for text in texts if text not in shown] == []
+    assert "Traceback" not in shown
+
+
+def test_debug_shows_the_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(ZeroDivisionError("1/0"), "--debug") == ExitCode.INTERNAL
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
+    copy = pickle.loads(pickle.dumps(UNSAFE))  # noqa: S301 - our own bytes
+    assert type(copy) is Refused
+    assert (
+        str(copy)
+        == "hook.toml follow_through: found 78 J at the stop, expected at most 40 J. Lower the speed."
+    )
+
+
+def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
+    command = [sys.executable, "-m", "bench", "doctor", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not psutil.Process(process.pid).children():  # until it examines packages in a child
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=20)
+    assert (process.returncode, output) == (ExitCode.INTERRUPTED, "")
+    assert "Traceback" not in errors
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    command = f"{sys.executable} -m bench doctor --json | head -c 10"
+    answer = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
+    assert answer.stdout.startswith("{")
+    assert answer.stderr == ""

@@ -1,0 +1,180 @@
+"""What is declared holds: import contracts, dependencies, pins, entry points, the wheel, the Makefile."""
+
+from __future__ import annotations
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import distribution, entry_points, packages_distributions, requires
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from drivers.base import Driver
+
+TOP = Path(__file__).resolve().parent.parent
+PACKAGES = ("bench", "drivers", "sim")
+PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())
+
+
+def _sources() -> Iterator[Path]:
+    for package in PACKAGES:
+        yield from (TOP / package).rglob("*.py")
+
+
+# Import contracts ------------------------------------------------------------------------------------
+
+
+def _contracts(folder: Path, extra: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run the import contracts on a skeleton of the packages with `extra` lines in some modules."""
+    modules = dict.fromkeys(["drivers/base", "drivers/mock", "sim/plant", "sim/driver", "bench/loop"], "")
+    modules["sim/driver"] = "from drivers.base import Driver"
+    modules["bench/loop"] = "import sim.plant, drivers.mock"
+    for package in PACKAGES:
+        (folder / package).mkdir()
+        (folder / package / "__init__.py").touch()
+    for module, text in (modules | extra).items():
+        (folder / f"{module}.py").write_text(text + "\n")
+    shutil.copy(TOP / "pyproject.toml", folder)
+    linter = Path(sys.executable).with_name("lint-imports")
+    return subprocess.run([linter, "--no-cache"], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_allowed_imports_keep_the_contracts(tmp_path: Path) -> None:
+    answer = _contracts(tmp_path, {})
+    assert answer.returncode == 0, answer.stdout
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("drivers/mock", "import bench.loop"),
+        ("drivers/mock", "from sim import plant"),
+        ("sim/plant", "def late():\n    from bench import loop"),
+        ("sim/plant", "from drivers import mock"),
+        ("sim/driver", "from drivers.mock import MockDriver"),
+        ("sim/plant", "import sympy"),
+        ("bench/loop", "import pytest"),
+    ],
+)
+def test_a_forbidden_import_breaks_the_contracts(module: str, line: str, tmp_path: Path) -> None:
+    answer = _contracts(tmp_path, {module: line})
+    assert answer.returncode == 1
+    assert "BROKEN" in answer.stdout
+
+
+# Dependencies ----------------------------------------------------------------------------------------
+
+
+def test_every_imported_package_is_a_declared_dependency() -> None:
+    imported = set()
+    for path in _sources():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported.add(node.module.split(".")[0])
+    outside = imported - set(sys.stdlib_module_names) - set(PACKAGES)
+    declared = {canonicalize_name(Requirement(line).name) for line in PROJECT["project"]["dependencies"]}
+    owners = packages_distributions()
+    undeclared = {
+        name for name in outside if declared.isdisjoint(canonicalize_name(owner) for owner in owners[name])
+    }
+    assert undeclared == set()
+
+
+def _needed(line: str, seen: set[str]) -> None:
+    """Add the names of everything the requirement `line` installs here to `seen`."""
+    requirement = Requirement(line)
+    name = canonicalize_name(requirement.name)
+    if name in seen and not requirement.extras:
+        return
+    seen.add(name)
+    for further in requires(name) or ():
+        marker = Requirement(further).marker
+        if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *requirement.extras)):
+            _needed(further, seen)
+
+
+def test_constraints_pin_everything_that_is_installed() -> None:
+    pins = [
+        Requirement(line) for line in (TOP / "constraints.txt").read_text().splitlines() if line[0] != "#"
+    ]
+    pinned = {canonicalize_name(pin.name): str(pin.specifier) for pin in pins}
+    needed: set[str] = set()
+    _needed("golfbench[dev]", needed)
+    installed: dict[str, str] = {name: f"=={distribution(name).version}" for name in needed - {"golfbench"}}
+    assert {name: pin for name, pin in pinned.items() if name in installed} == installed
+
+
+def test_pins_lie_within_the_declared_bounds() -> None:
+    pins = [
+        Requirement(line) for line in (TOP / "constraints.txt").read_text().splitlines() if line[0] != "#"
+    ]
+    version = {canonicalize_name(pin.name): next(iter(pin.specifier)).version for pin in pins}
+    extras = PROJECT["project"]["optional-dependencies"].values()
+    bounds = [Requirement(line) for line in sum(extras, start=PROJECT["project"]["dependencies"])]
+    assert [
+        str(bound) for bound in bounds if version[canonicalize_name(bound.name)] not in bound.specifier
+    ] == []
+
+
+# What is installed -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["mock", "sim"])
+def test_drivers_are_found_by_entry_point(name: str) -> None:
+    (entry,) = entry_points(group="golfbench.drivers", name=name)
+    methods = [method for method in dir(Driver) if not method.startswith("_")]
+    assert [method for method in methods if not callable(getattr(entry.load(), method, None))] == []
+
+
+def test_the_wheel_holds_code_data_and_types(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(command, cwd=TOP, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("golfbench-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    expected = {str(path.relative_to(TOP)) for path in _sources()}
+    for package in PACKAGES:
+        expected.add(f"{package}/py.typed")
+        for pattern in ("*.toml", "*.j2", "*.eds", "*.json", "*.csv"):
+            expected |= {str(path.relative_to(TOP)) for path in (TOP / package).rglob(pattern)}
+    assert expected - names == set()
+    assert [name for name in names if name.startswith("tests/")] == []
+
+
+# The Makefile ----------------------------------------------------------------------------------------
+
+
+def _make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    shutil.copy(TOP / "Makefile", folder)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    return subprocess.run(
+        ["make", *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_make_refuses_an_old_python(tmp_path: Path) -> None:
+    old = tmp_path / "python3.9"
+    old.write_text('#!/bin/sh\nif [ "$1" = --version ]; then echo Python 3.9.2; else exit 1; fi\n')
+    old.chmod(0o755)
+    answer = _make(tmp_path, "demo", f"PYTHON={old}")
+    assert answer.returncode != 0
+    assert "golfbench needs Python 3.11 or newer; found Python 3.9.2." in answer.stderr
+    assert "make PYTHON=" in answer.stderr
+    assert not (tmp_path / ".venv").exists()
+
+
+def test_make_alone_shows_its_targets(tmp_path: Path) -> None:
+    answer = _make(tmp_path)
+    assert answer.returncode == 0
+    for target in ("demo", "test", "benchmark", "lint", "clean"):
+        assert f"make {target} " in answer.stdout
