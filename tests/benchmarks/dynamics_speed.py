@@ -1,0 +1,125 @@
+"""One integration step of the robot: compiled Kane beside MuJoCo and Pinocchio, same model, same run.
+
+Ratios are of steps with the same rule, semi-implicit Euler. MuJoCo runs its steps inside one call.
+Pinocchio is called from Python, as its users call it; for the promised ratio everything that is Python's
+(the binding's price, measured on an empty model, and the integration in numpy) is taken off, so that
+Pinocchio does one evaluation for nothing but its own time and integrates for free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kane import forward_dynamics
+from sim.robot import thesis_robot
+from tests.benchmarks.compiled_robot import CompiledRobot
+from tests.benchmarks.mujoco_robot import MujocoRobot
+from tests.benchmarks.pinocchio_robot import PinocchioRobot, bare_call
+from tests.benchmarks.row import Row
+from tests.benchmarks.stopwatch import Times, Work, in_turn
+
+PROMISED_RATIO = 15.0
+STEP = 1e-5
+STATES = 200
+
+Simulator = CompiledRobot | MujocoRobot | PinocchioRobot
+
+
+def random_states(n: int) -> list[tuple[NDArray[np.float64], ...]]:
+    """Return `n` states and efforts (q, u, effort) over the robot's working range."""
+    rng = np.random.default_rng(0)
+    return [
+        (
+            rng.uniform((-2.0, np.pi + 0.2, 4.8), (1.0, 1.6 * np.pi, 6.4)),
+            rng.uniform(-15.0, 15.0, 3),
+            rng.uniform(-1.0, 1.0, 3) * (300.0, 1000.0, 100.0),
+        )
+        for _ in range(n)
+    ]
+
+
+def disagreement(simulator: MujocoRobot | PinocchioRobot) -> float:
+    """Largest difference to `sim.kane`'s accelerations, relative to the largest of each state's three."""
+    worst = 0.0
+    for q, u, effort in random_states(STATES):
+        simulator.start(q, u)
+        simulator.push(effort)
+        expected = forward_dynamics(thesis_robot(), q, u, effort)
+        difference = np.abs(simulator.acceleration() - expected)
+        worst = max(worst, float(np.max(difference) / np.max(np.abs(expected))))
+    return worst
+
+
+def _steps(simulator: Simulator) -> Work:
+    """Return the work of taking n steps from the same bent pose, without effort."""
+
+    def work(n: int) -> None:
+        simulator.start(np.array([-2.0, 3.6, 5.1]), np.zeros(3))
+        simulator.advance(STEP, n)
+
+    return work
+
+
+def run() -> list[Row]:
+    """Measure; about ten seconds."""
+    robot = thesis_robot()
+    pinocchio = PinocchioRobot(robot, "Euler")
+    works: dict[str, Work] = {
+        "golfbench, Euler": _steps(CompiledRobot(robot, "Euler")),
+        "golfbench, RK4": _steps(CompiledRobot(robot, "RK4")),
+        "MuJoCo, Euler, default settings": _steps(MujocoRobot(robot, "Euler", "default")),
+        "MuJoCo, Euler, lean settings": _steps(MujocoRobot(robot, "Euler", "lean")),
+        "MuJoCo, RK4, lean settings": _steps(MujocoRobot(robot, "RK4", "lean")),
+        "Pinocchio, Euler, loop in Python": _steps(pinocchio),
+        "Pinocchio, constraintDynamics alone": pinocchio.evaluate,
+        "Pinocchio, the same call on an empty model": bare_call,
+    }
+    times = in_turn(works)
+    own = times["golfbench, Euler"]
+    binding = times["Pinocchio, the same call on an empty model"]
+    ratios: dict[str, tuple[Times, float | None]] = {
+        "MuJoCo / golfbench, Euler, default settings": (times["MuJoCo, Euler, default settings"] / own, None),
+        "MuJoCo / golfbench, Euler, lean settings": (
+            times["MuJoCo, Euler, lean settings"] / own,
+            PROMISED_RATIO,
+        ),
+        "MuJoCo / golfbench, RK4, lean settings": (
+            times["MuJoCo, RK4, lean settings"] / times["golfbench, RK4"],
+            None,
+        ),
+        "Pinocchio / golfbench, Euler, called from Python": (
+            times["Pinocchio, Euler, loop in Python"] / own,
+            None,
+        ),
+        "Pinocchio / golfbench, Euler, Python's share taken off": (
+            (times["Pinocchio, constraintDynamics alone"] - binding) / own,
+            PROMISED_RATIO,
+        ),
+    }
+    return [
+        Row(
+            "same model",
+            "MuJoCo, accelerations off by",
+            disagreement(MujocoRobot(robot, "Euler")),
+            "",
+            f"worst of {STATES} states; MuJoCo's loop is soft by design",
+            at_most=5e-4,
+        ),
+        Row(
+            "same model",
+            "Pinocchio, accelerations off by",
+            disagreement(pinocchio),
+            "",
+            f"worst of {STATES} states",
+            at_most=1e-10,
+        ),
+        *(
+            Row("one step", name, float(np.median(t)), "ns", f"fastest round {np.min(t):.4g}")
+            for name, t in times.items()
+        ),
+        *(
+            Row("ratio of one step", name, float(np.median(t)), "", f"lowest round {np.min(t):.3g}", bound)
+            for name, (t, bound) in ratios.items()
+        ),
+    ]

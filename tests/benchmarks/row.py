@@ -1,0 +1,24 @@
+"""One measured figure and the bound it has to hold."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Row(NamedTuple):
+    """A figure; `at_least` and `at_most` are what the project promises of it, where it promises."""
+
+    benchmark: str
+    name: str
+    value: float
+    unit: str
+    note: str = ""
+    at_least: float | None = None
+    at_most: float | None = None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the promise, if there is one, is kept. NaN keeps none."""
+        return (self.at_least is None or self.value >= self.at_least) and (
+            self.at_most is None or self.value <= self.at_most
+        )
