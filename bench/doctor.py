@@ -47,7 +47,7 @@ _MODULES = {
     "python-can": "can",
     "rerun-sdk": "rerun",
 }
-"""Import name of a distribution where the two differ."""
+"""Import name of a distribution where it is not the same word with underscores."""
 
 _TOOLS = {
     "chromium": (
@@ -257,7 +257,10 @@ def package_probes() -> Iterator[Probe]:
     wanted = [
         requirement for requirement in wanted if not requirement.marker or requirement.marker.evaluate()
     ]
-    modules = {requirement.name: _MODULES.get(requirement.name, requirement.name) for requirement in wanted}
+    modules = {
+        requirement.name: _MODULES.get(requirement.name, requirement.name.replace("-", "_"))
+        for requirement in wanted
+    }
     answers = functools.cache(lambda: import_answers(tuple(modules.values())))
     for requirement in wanted:
         name = requirement.name
