@@ -1,6 +1,6 @@
 """The flight of a golf ball, from its launch to rest.
 
-Golf frame: X along the target line, Y up, Z to the right of it. Equations (golf.md 4.1, Smits and Smith):
+Golf frame: X along the target line, Y up, Z to the right of it. Equations (Smits and Smith 1994):
     dv/dt = (rho A / 2 m) V [-Cd v + Cl (s x v)] - g,   d omega/dt = -2e-5 omega V / r,
 v relative to the air, V = |v|, s the spin's axis, which keeps its direction. Coefficients come from a
 published model (`sim.aerodynamics`), air from `sim.air`, bounce and roll from `sim.turf`.
@@ -342,6 +342,7 @@ def _airborne(
                 rest = _event_time(state, axis, h - top, settings, 1)
             state = _advanced(state, axis, rest, settings)
             t += rest
+            state = (state[0], 0.0, state[2], state[3], state[4], state[5], state[6])
             return state, t, apex, _recorded(path, row, t, state[0], state[1], state[2])
         state = following
         t += h

@@ -55,6 +55,7 @@ __all__ = [
     "impact_parameters",
     "in_plane_error",
     "launch_from_motion",
+    "meets_face",
     "mirrored",
     "plane_to_golf",
     "strike",
@@ -69,6 +70,9 @@ Axes = tuple[Vector, Vector, Vector]
 
 SHAFT_DOWN = 1.5 * pi
 """theta_t of a shaft straight down the swing plane (rad)."""
+
+FACE_HALF_WIDTH, FACE_HALF_HEIGHT = 0.055, 0.030
+"""Half axes (m) of the ellipse that a modern driver's face about fills (assumption)."""
 
 IMPACT = np.dtype(
     [
@@ -218,6 +222,12 @@ def strike_point(
     g = _cut(axes[0], parameters[0].plane_lie)
     error = in_plane_error(x, y, theta_t, ball_x, ball_y, parameters)
     return error * dot(g, axes[2]), error * dot(g, axes[1])
+
+
+@compiled
+def meets_face(strike_x: float, strike_y: float) -> bool:
+    """Tell whether a strike at (toe, high) m lies on the face; beyond it the club misses the ball."""
+    return (strike_x / FACE_HALF_WIDTH) ** 2 + (strike_y / FACE_HALF_HEIGHT) ** 2 <= 1.0
 
 
 # --- Collision --------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 A. R. Penner, "The run of a golf ball", Can. J. Phys. 80 (2002) 931. Turf gives way under the ball, which
 acts like a rigid surface leaning back against the ball by theta_c = tilt (v / 18.6 m/s)(phi / 44.4 deg),
 phi from the vertical; restitution falls with the normal speed; the ball leaves rolling when friction
-suffices and sliding otherwise. Constants as noted in golf literature (0.510 - 0.0375 v + 0.000903 v2);
-our extension is only that slip is a vector, so that side spin makes the ball kick sideways.
+suffices and sliding otherwise. The constants come from secondary texts, the paper was not at hand; our
+extension is only that slip is a vector, so that side spin makes the ball kick sideways.
 Roll is the least certain part of a flight: carry is the primary figure.
 """
 

@@ -1,0 +1,53 @@
+"""Density and viscosity of air against published values."""
+
+from __future__ import annotations
+
+import pytest
+
+from sim.air import Air
+
+
+def test_density_against_published_values() -> None:
+    # Standard references: dry air at 0 degrees C and 1 atm, and CIPM's 20 degrees C at 50 % humidity.
+    assert Air(273.15, 101325.0, 0.0).density == pytest.approx(1.2930, abs=3e-4)
+    assert Air(293.15, 101325.0, 0.5).density == pytest.approx(1.1993, abs=3e-4)
+    assert Air(293.15, 101325.0, 0.0).density == pytest.approx(1.2045, abs=3e-4)
+
+
+def test_default_is_the_condition_launch_monitors_normalise_to() -> None:
+    assert Air().density == pytest.approx(1.1773, abs=1e-4)
+    assert Air().viscosity / Air().density == pytest.approx(1.56e-5, abs=1e-8)
+
+
+def test_viscosity_against_published_values() -> None:
+    assert Air(293.15).viscosity == pytest.approx(1.813e-5, abs=1e-8)
+
+
+def test_humid_and_warm_air_is_lighter() -> None:
+    assert Air(relative_humidity=1.0).density < Air(relative_humidity=0.0).density
+    assert Air(temperature=308.15).density < Air().density
+
+
+def test_standard_atmosphere() -> None:
+    # ISO 2533: 1,000 m 89,874.6 Pa, 5,000 m 54,019.9 Pa.
+    assert Air.at_altitude(1000.0).pressure == pytest.approx(89874.6, rel=1e-4)
+    assert Air.at_altitude(5000.0).pressure == pytest.approx(54019.9, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"temperature": 25.0}, r"Air\.temperature: found 25\.0, expected 233\.15 to 333\.15 K"),
+        ({"pressure": 1013.25}, r"Air\.pressure: found 1013\.25"),
+        ({"relative_humidity": 50.0}, r"Air\.relative_humidity: found 50\.0, .*0\.5 is 50 %"),
+        ({"temperature": float("nan")}, r"Air\.temperature: found nan"),
+    ],
+)
+def test_unphysical_air_is_named(values: dict[str, float], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        Air(**values)
+
+
+def test_altitude_out_of_range_is_named() -> None:
+    with pytest.raises(ValueError, match="altitude: found 30000"):
+        Air.at_altitude(30000.0)
