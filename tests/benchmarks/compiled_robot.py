@@ -55,7 +55,21 @@ def _runge_kutta(robot: Any, state: Any, effort: Any, dt: float, steps: int) -> 
     return q1, q2, q3, u1, u2, u3
 
 
-RULES: dict[str, Any] = {"Euler": _euler, "RK4": _runge_kutta}
+@compiled
+def _follow_euler(robot: Any, state: Any, efforts: Any, dt: float, steps: int) -> Any:
+    for i in range(efforts.shape[0]):
+        state = _euler(robot, state, (efforts[i, 0], efforts[i, 1], efforts[i, 2]), dt, steps)
+    return state
+
+
+@compiled
+def _follow_runge_kutta(robot: Any, state: Any, efforts: Any, dt: float, steps: int) -> Any:
+    for i in range(efforts.shape[0]):
+        state = _runge_kutta(robot, state, (efforts[i, 0], efforts[i, 1], efforts[i, 2]), dt, steps)
+    return state
+
+
+RULES: dict[str, Any] = {"Euler": _follow_euler, "RK4": _follow_runge_kutta}
 
 
 class CompiledRobot:
@@ -63,21 +77,16 @@ class CompiledRobot:
 
     def __init__(self, robot: RobotParameters, rule: str) -> None:
         self._record = robot.record
-        self._advance = RULES[rule]
+        self._follow = RULES[rule]
         self._state: tuple[float, ...] = (0.0,) * 6
-        self._effort: tuple[float, ...] = (0.0,) * 3
 
     def start(self, q: Array, u: Array) -> None:
         """Set joint angles and speeds."""
         self._state = tuple(map(float, (*q, *u)))
 
-    def push(self, effort: Array) -> None:
-        """Hold `effort` [M_A N m, F_E N, M_C N m] from now on."""
-        self._effort = tuple(map(float, effort))
-
-    def advance(self, dt: float, steps: int) -> None:
-        """Take `steps` steps of `dt` seconds."""
-        self._state = self._advance(self._record, self._state, self._effort, dt, steps)
+    def follow(self, efforts: Array, dt: float, steps: int) -> None:
+        """Take `steps` steps of `dt` seconds under each of `efforts` [M_A N m, F_E N, M_C N m] in turn."""
+        self._state = self._follow(self._record, self._state, efforts, dt, steps)
 
     @property
     def q(self) -> Array:

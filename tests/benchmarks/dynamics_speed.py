@@ -56,7 +56,7 @@ def _steps(simulator: Simulator) -> Work:
 
     def work(n: int) -> None:
         simulator.start(np.array([-2.0, 3.6, 5.1]), np.zeros(3))
-        simulator.advance(STEP, n)
+        simulator.follow(np.zeros((1, 3)), STEP, n)
 
     return work
 

@@ -87,11 +87,16 @@ class MujocoRobot:
         """Hold `effort` [M_A N m, F_E N, M_C N m] from now on; the rod slides with l46."""
         self._data.qfrc_applied[:] = effort[0], 0.0, effort[2], 0.0, effort[1]
 
-    def advance(self, dt: float, steps: int) -> None:
-        """Take `steps` steps of `dt` seconds inside one call, so that Python has no share in it."""
+    def _set_step(self, dt: float) -> None:
         self._model.opt.timestep = dt
         self._model.eq_solref[0] = 2 * dt, 1.0
-        mujoco.mj_step(self._model, self._data, nstep=steps)
+
+    def follow(self, efforts: Array, dt: float, steps: int) -> None:
+        """Take `steps` steps of `dt` seconds under each of `efforts` in turn, in one call each."""
+        self._set_step(dt)
+        for effort in efforts:
+            self.push(effort)
+            mujoco.mj_step(self._model, self._data, nstep=steps)
 
     def acceleration(self) -> Array:
         """Accelerations (rad/s2) of the joints in the present state."""

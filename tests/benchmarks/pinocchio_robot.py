@@ -68,7 +68,7 @@ class PinocchioRobot:
     def __init__(self, robot: RobotParameters, rule: str) -> None:
         self._robot = robot
         self._problem = _robot_problem(robot)
-        self.advance = {"Euler": self._euler, "RK4": self._runge_kutta}[rule]
+        self._advance = {"Euler": self._euler, "RK4": self._runge_kutta}[rule]
         self.evaluations = {"Euler": 1, "RK4": 4}[rule]
         self._q, self._u, self._effort = np.zeros(5), np.zeros(5), np.zeros(5)
 
@@ -79,6 +79,12 @@ class PinocchioRobot:
     def push(self, effort: Array) -> None:
         """Hold `effort` [M_A N m, F_E N, M_C N m] from now on; the rod slides with l46."""
         self._effort = np.array([effort[0], 0.0, effort[2], 0.0, effort[1]])
+
+    def follow(self, efforts: Array, dt: float, steps: int) -> None:
+        """Take `steps` steps of `dt` seconds under each of `efforts` in turn."""
+        for effort in efforts:
+            self.push(effort)
+            self._advance(dt, steps)
 
     def acceleration(self) -> Array:
         """Accelerations (rad/s2) of the joints in the present state."""
