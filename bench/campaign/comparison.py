@@ -70,9 +70,9 @@ def shots_needed(
     """
     if not difference > 0:
         raise ValueError(f"difference is {difference}, expected more than 0")
-    levels = [(1 + confidence) / 2, power]
+    levels = np.array([(1 + confidence) / 2, power])
     scale = 2 * (deviation / difference) ** 2
-    shots = max(2, ceil(scale * stats.norm.ppf(levels).sum() ** 2))
+    shots: int = max(2, ceil(scale * stats.norm.ppf(levels).sum() ** 2))
     while shots < scale * stats.t.ppf(levels, 2 * shots - 2).sum() ** 2:
         shots += 1  # a few times only: t lies just above the normal quantiles
     return shots

@@ -6,8 +6,12 @@ import types
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from enum import StrEnum
-from math import isfinite
+from math import degrees, isfinite, pi
 from typing import Any, get_args, get_origin, get_type_hints
+
+from drivers.base import Launch
+from sim.flight import Flight
+from sim.impact import Delivery
 
 
 class Status(StrEnum):
@@ -59,6 +63,56 @@ class Shot:
     launch_source: str = ""
     carry_source: str = ""
     time_utc: datetime = datetime(1970, 1, 1, tzinfo=UTC)
+
+    @classmethod
+    def from_measurements(
+        cls,
+        *,
+        shot: int,
+        block: int,
+        position: int,
+        club: str,
+        ball: str,
+        time_utc: datetime,
+        delivery: Delivery | None,
+        launch: Launch | None,
+        flight: Flight | None,
+        status: Status = Status.VALID,
+        reason: str = "",
+        launch_source: str = "simulated",
+        carry_source: str = "simulated",
+    ) -> Shot:
+        """Return the shot of what was measured (SI, radians); what is None stays empty with its source."""
+        figures: dict[str, Any] = {}
+        if delivery is not None:
+            figures |= {
+                "club_speed_mps": delivery.speed,
+                "attack_angle_deg": degrees(delivery.attack_angle),
+                "club_path_deg": degrees(delivery.path),
+                "face_angle_deg": degrees(delivery.face_angle),
+                "dynamic_loft_deg": degrees(delivery.dynamic_loft),
+                "strike_x_mm": 1e3 * delivery.strike_x,
+                "strike_y_mm": 1e3 * delivery.strike_y,
+                "delivery_source": delivery.source,
+            }
+        if launch is not None:
+            figures |= {
+                "ball_speed_mps": launch.speed,
+                "launch_angle_deg": degrees(launch.launch_angle),
+                "direction_deg": degrees(launch.direction),
+                "spin_rpm": launch.spin * 30 / pi,
+                "spin_axis_deg": degrees(launch.spin_axis),
+                "launch_source": launch_source,
+            }
+        if flight is not None:
+            figures |= {
+                "carry_m": flight.carry,
+                "total_m": flight.total,
+                "apex_m": flight.apex,
+                "landing_angle_deg": degrees(flight.landing_angle),
+                "carry_source": carry_source,
+            }
+        return cls(shot, block, position, club, ball, status, reason, time_utc=time_utc, **figures)
 
     def __post_init__(self) -> None:
         """Refuse what a table cannot hold: non-finite figures, times without zone, a reason missing."""

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bench.errors import BenchError
-from bench.lifecycle import Phase, Reaction
+from bench.lifecycle import Cause, Phase, Reaction
 from bench.telemetry.cycle_record import CYCLE, FIELDS, SCHEMA_VERSION, from_arrow, to_arrow
 from bench.telemetry.whole_file import whole_file
 
@@ -22,6 +22,7 @@ METADATA_KEY = b"golfbench"
 ENUMERATIONS: dict[str, dict[str, str]] = {
     "phase": {str(phase.value): phase.name for phase in Phase},
     "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
+    "trip": {str(cause.value): cause.name for cause in Cause},
 }
 """Names of the coded fields as stored in the metadata; JSON keys are text."""
 
@@ -35,7 +36,7 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
     """Write the swing's `cycles` (n records of CYCLE) and `metadata` to `path`, whole or not at all.
 
     `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
-    version and the names of phases and reactions are added; units stand in each column's own metadata.
+    version and the names of phases, reactions and causes are added; units stand in each column's metadata.
     Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
     metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
     """

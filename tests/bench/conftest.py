@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from math import degrees, pi, radians
+from math import cos, pi, radians, sin
 from typing import Any
 
 import numpy as np
 import pytest
-from bench.lifecycle import Phase
 from scipy.interpolate import CubicHermiteSpline
 
 from bench.campaign.shot import Shot, Status
 from bench.campaign.shot_record import ShotRecord
+from bench.lifecycle import Phase
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
 from sim.flight import fly
+from sim.impact import Delivery
 from sim.kinematics import joint_positions
 from sim.robot import Club, RobotParameters, thesis_robot
 
 ADDRESS = np.array([0.571, 4.141, 2 * np.pi])
 """Shaft straight down, wrist uncocked (rad)."""
 
-BALL = (0.25, -1.56)
+BALL = (0.2315, -1.514)
 """Where the ball of the synthetic swing lies in the swing plane (m)."""
 
 Cycles = np.ndarray[Any, Any]
@@ -85,31 +86,19 @@ def _record(number: int, cycles: Cycles) -> ShotRecord:
         radians(random.normal(1.5, 0.8)),
     )
     flight = fly(launch)
-    status = (Status.EXCLUDED, "club speed 0.6 m/s off the plan") if number == 7 else (Status.VALID, "")
-    shot = Shot(
-        **base,
-        status=status[0],
-        reason=status[1],
-        club_speed_mps=speed,
-        attack_angle_deg=random.normal(1.1, 0.05),
-        club_path_deg=random.normal(0.8, 0.05),
-        face_angle_deg=random.normal(0.3, 0.05),
-        dynamic_loft_deg=random.normal(13.0, 0.1),
-        strike_x_mm=random.normal(1.0, 0.5),
-        strike_y_mm=random.normal(-2.0, 0.5),
-        ball_speed_mps=launch.speed,
-        launch_angle_deg=degrees(launch.launch_angle),
-        direction_deg=degrees(launch.direction),
-        spin_rpm=launch.spin * 30 / pi,
-        spin_axis_deg=degrees(launch.spin_axis),
-        carry_m=flight.carry,
-        total_m=flight.total,
-        apex_m=flight.apex,
-        landing_angle_deg=degrees(flight.landing_angle),
-        delivery_source="encoders+model",
-        launch_source="simulated",
-        carry_source="simulated",
+    path, attack = random.normal(0.014, 0.001), random.normal(0.019, 0.001)
+    delivery = Delivery(
+        velocity=(speed * cos(path) * cos(attack), speed * sin(attack), speed * sin(path) * cos(attack)),
+        face_angle=random.normal(0.005, 0.001),
+        dynamic_loft=radians(random.normal(13.0, 0.1)),
+        strike_x=random.normal(0.001, 0.0005),
+        strike_y=random.normal(-0.002, 0.0005),
+        source="encoders+model",
     )
+    off_plan: dict[str, Any] = (
+        {"status": Status.EXCLUDED, "reason": "club speed 0.6 m/s off the plan"} if number == 7 else {}
+    )
+    shot = Shot.from_measurements(**base, delivery=delivery, launch=launch, flight=flight, **off_plan)
     return ShotRecord(shot, cycles, flight)
 
 
