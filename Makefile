@@ -40,7 +40,7 @@ $(VENV)/.python:
 	@if [ -z "$(PYTHON)" ] || ! "$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
 	  echo "golfbench needs Python 3.11 or newer; found $$($(or $(PYTHON),python3) --version 2>&1 || true)." >&2; \
 	  echo "Install it, or name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 1; fi
-	@if [ ! -x $(BIN)/python ]; then echo "Making $(VENV) with $$("$(PYTHON)" --version) ..."; \
+	@if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then echo "Making $(VENV) with $$("$(PYTHON)" --version) ..."; \
 	  "$(PYTHON)" -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "This Python has no venv or pip (on Debian and Ubuntu: apt-get install python3-venv)." >&2; exit 1; }; fi
 	@$(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

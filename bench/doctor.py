@@ -28,6 +28,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from bench.probe import PRIORITY
+
 SCHEMA_VERSION = 1
 """Version of the JSON report; it changes when a field is renamed or changes its meaning."""
 
@@ -41,6 +43,7 @@ CHILD_TIME_LIMIT = 60.0
 """Seconds a child process may take before its question counts as unanswered."""
 
 _ARPHRD_CAN = "280"
+_CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {
     "eclipse-zenoh": "zenoh",
@@ -340,7 +343,7 @@ def realtime_probes() -> Iterator[Probe]:
         value = granted()["policy"]
         if value.startswith("FIFO"):
             return Outcome(Status.OK, f"{value} granted and read back")
-        return Outcome(Status.LIMITED, value, _limits_advice("rtprio", "80"))
+        return Outcome(Status.LIMITED, value, _limits_advice("rtprio", str(PRIORITY)))
 
     def memory_lock() -> Outcome:
         value = granted()["memory"]
@@ -374,16 +377,22 @@ def realtime_probes() -> Iterator[Probe]:
 
 
 def limits() -> Outcome:
-    """Look at the resource limits that stand beside the privileges."""
+    """Look at the resource limits, and at the capabilities that lift them."""
     priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     value = f"rtprio {_limit(priority)}, memlock {_limit(locked, MEBIBYTE, ' MiB')}"
-    if os.geteuid() == 0:
-        return Outcome(Status.OK, f"{value} (root is not bound by them)")
-    enough = locked == resource.RLIM_INFINITY and (priority == resource.RLIM_INFINITY or priority >= 80)
-    if enough:
+    status = dict(line.split(":", 1) for line in _read("/proc/self/status").splitlines())
+    held = int(status.get("CapEff", "0"), 16)
+    nice, lock = held >> _CAP_SYS_NICE & 1, held >> _CAP_IPC_LOCK & 1
+    if nice and lock:
+        return Outcome(Status.OK, f"{value}, lifted by capabilities")
+    priority_enough = nice or priority == resource.RLIM_INFINITY or priority >= PRIORITY
+    locked_enough = lock or locked == resource.RLIM_INFINITY
+    if priority_enough and locked_enough:
         return Outcome(Status.OK, value)
-    return Outcome(Status.LIMITED, value, _limits_advice("rtprio", "80") + ", and memlock unlimited likewise")
+    wanted = [] if priority_enough else [f"rtprio {PRIORITY}"]
+    wanted += [] if locked_enough else ["memlock unlimited"]
+    return Outcome(Status.LIMITED, value, f"raise to {' and '.join(wanted)} in /etc/security/limits.conf")
 
 
 def throttling() -> Outcome:

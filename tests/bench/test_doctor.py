@@ -247,20 +247,34 @@ def test_an_unknown_question_is_an_error() -> None:
         doctor._child("no such question")
 
 
+CAPABILITIES = {"none": 0, "nice": 1 << 23, "lock": 1 << 14, "both": 1 << 23 | 1 << 14}
+
+
 @pytest.mark.parametrize(
-    ("limits", "root", "status"),
+    ("priority", "locked", "held", "lacking"),
     [
-        ((0, 8 * 2**20), True, Status.OK),
-        ((0, 8 * 2**20), False, Status.LIMITED),
-        ((80, resource.RLIM_INFINITY), False, Status.OK),
-        ((80, 8 * 2**20), False, Status.LIMITED),
+        (0, 8 * 2**20, "both", ""),
+        (0, 8 * 2**20, "none", "rtprio 80 and memlock unlimited"),
+        (0, 8 * 2**20, "nice", "memlock unlimited"),
+        (0, 8 * 2**20, "lock", "rtprio 80"),
+        (80, resource.RLIM_INFINITY, "none", ""),
+        (resource.RLIM_INFINITY, 8 * 2**20, "none", "memlock unlimited"),
     ],
 )
-def test_limits(limits: tuple[int, int], root: bool, status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
-    by_kind = dict(zip((resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK), limits, strict=True))
-    monkeypatch.setattr("resource.getrlimit", lambda kind: (by_kind[kind], by_kind[kind]))
-    monkeypatch.setattr("os.geteuid", lambda: 0 if root else 1000)
-    assert doctor.limits().status is status
+def test_limits(
+    priority: int,
+    locked: int,
+    held: str,
+    lacking: str,
+    files: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = {resource.RLIMIT_RTPRIO: priority, resource.RLIMIT_MEMLOCK: locked}
+    monkeypatch.setattr("resource.getrlimit", lambda kind: (limits[kind], limits[kind]))
+    files["/proc/self/status"] = f"Name:\tpython\nCapEff:\t{CAPABILITIES[held]:016x}"
+    outcome = doctor.limits()
+    assert outcome.status is (Status.LIMITED if lacking else Status.OK)
+    assert outcome.advice == (f"raise to {lacking} in /etc/security/limits.conf" if lacking else "")
 
 
 @pytest.mark.parametrize(
