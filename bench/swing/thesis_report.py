@@ -124,6 +124,12 @@ def statements(experiment: ThesisExperiment, others: dict[str, Summary]) -> list
             "" if free.stable else "the arm is driven through its stretched position",
         ),
         Statement(
+            "rod without end stops",
+            "not given",
+            f"{s.rod_range[0]:.2f} to {s.rod_range[1]:.2f} m",
+            f"its stroke: 0 to {experiment.robot.stroke:g} m",
+        ),
+        Statement(
             "stronger actuators",
             "much smaller errors",
             f"{_of_three(strong.largest_error, '{:.2f}')} rad without limits",
