@@ -10,8 +10,8 @@ RK4 with a fixed step; apex and landing are found inside their step, so that the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import atan2, cos, hypot, pi, sin
-from typing import Any, TypeAlias
+from math import atan2, cos, hypot, isfinite, pi, sin
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from sim.ball import Ball
 from sim.compiled import compiled, new_record
 from sim.ranges import Range, check_ranges
 from sim.turf import Turf, bounce, roll
-from sim.vectors import Vector, added, norm
+from sim.vectors import Vector, added, norm, unit
 
 __all__ = ["FLIGHT", "Aerodynamics", "Air", "Ball", "Flight", "Launch", "Turf", "Wind", "fly", "fly_many"]
 
@@ -82,16 +82,27 @@ FLIGHT = np.dtype(
 )
 """What `fly_many` returns for each launch; names and units as in `Flight`."""
 
-_SETTINGS = np.dtype(
-    [
-        *((name, "f8") for name in ("lift_and_drag", "reynolds", "radius", "drag_factor", "lift_factor")),
-        *((name, "f8") for name in ("wind_x", "wind_y", "wind_z", "wind_height", "wind_exponent")),
-        *((name, "f8") for name in ("turf_friction", "turf_tilt", "turf_restitution", "turf_resistance")),
-        *((name, "f8") for name in ("start_height", "step")),
-        ("model", "i8"),
-    ],
-    align=True,
-)
+
+class _Settings(NamedTuple):
+    """What a flight depends on besides its launch, for compiled code."""
+
+    model: int
+    lift_and_drag: float
+    """rho A / 2 m"""
+    reynolds: float
+    """Reynolds number at 1 m/s"""
+    radius: float
+    drag_factor: float
+    lift_factor: float
+    wind: Vector
+    wind_height: float
+    wind_exponent: float
+    turf_friction: float
+    turf_tilt: float
+    turf_restitution: float
+    turf_resistance: float
+    start_height: float
+    step: float
 
 
 @dataclass(frozen=True)
@@ -133,7 +144,7 @@ def fly(
 
     `air` defaults to 25 degrees C at sea level, `wind` to none (a tuple is its velocity in the golf frame,
     m/s), `turf` to a fairway. `start_height` (m) raises the start above the ground; `step` in s.
-    Raises ValueError for a launch or setting outside its physical range.
+    Raises ValueError for a launch or setting outside its physical range, and for a ball that stays up 60 s.
     """
     ball, turf = ball or Ball(), turf or Turf()
     settings = _settings(air or Air(), ball, wind, turf, aerodynamics, start_height, step)
@@ -141,6 +152,8 @@ def fly(
     result = new_record(FLIGHT)
     path = np.empty((int(2 * _LONGEST_FLIGHT / step) + 4 * _MOST_BOUNCES, 4))
     rows = _fly(launches[0], settings, result, path)
+    if not isfinite(result["carry"][0]):
+        raise ValueError(f"the ball is still in the air after {_LONGEST_FLIGHT:g} s; check wind and factors")
     values = {name: float(result[name][0]) for name in FLIGHT.names or ()}
     surface = f"{turf.name} ({turf.model})"
     return Flight(**values, path=path[:rows].copy(), aerodynamics=aerodynamics.name, turf=surface)
@@ -158,7 +171,8 @@ def fly_many(
 ) -> Array:
     """Return the flights of `launches`, shape (n, 5) in the order of `Launch`, as n records of `FLIGHT`.
 
-    Same arguments, figures and errors as `fly`, without paths, in one compiled loop.
+    Same arguments, figures and errors as `fly`, without paths, in one compiled loop; a ball still in the air
+    after 60 s gives NaN.
     """
     settings = _settings(air or Air(), ball or Ball(), wind, turf or Turf(), aerodynamics, start_height, step)
     launches = _checked(np.ascontiguousarray(launches, dtype=float))
@@ -183,13 +197,13 @@ _LAUNCH_RANGES = (
 def _checked(launches: Array) -> Array:
     if launches.ndim != 2 or launches.shape[1] != len(_LAUNCH_RANGES):
         raise ValueError(f"launches: found shape {launches.shape}, expected (n, 5) in the order of Launch")
-    for column, (name, low, high, unit) in enumerate(_LAUNCH_RANGES):
+    for column, (name, low, high, units) in enumerate(_LAUNCH_RANGES):
         values = launches[:, column]
         bad = ~((values >= low) & (values <= high))  # NaN is bad too
         if bad.any():
             row = int(np.argmax(bad))
             raise ValueError(
-                f"launch {row}, {name}: found {float(values[row])!r}, expected {low:.4g} to {high:.4g} {unit}"
+                f"launch {row}, {name}: found {float(values[row])!r}, expected {low:.4g} to {high:.4g} {units}"
             )
     return launches
 
@@ -202,35 +216,30 @@ def _settings(
     aerodynamics: Aerodynamics,
     start_height: float,
     step: float,
-) -> Array:
+) -> _Settings:
     if not 1e-5 <= step <= 0.05:
         raise ValueError(f"step: found {step!r} s, expected 0.00001 to 0.05 s")
     if not 0.0 <= start_height <= 100.0:
         raise ValueError(f"start_height: found {start_height!r} m, expected 0 to 100 m")
     if not isinstance(wind, Wind):
         wind = Wind() if wind is None else Wind(wind)
-    record = new_record(_SETTINGS)
-    for name, value in {
-        "lift_and_drag": air.density * pi * ball.radius**2 / (2.0 * ball.mass),
-        "reynolds": 2.0 * ball.radius * air.density / air.viscosity,
-        "radius": ball.radius,
-        "drag_factor": ball.drag_factor,
-        "lift_factor": ball.lift_factor,
-        "wind_x": wind.velocity[0],
-        "wind_y": wind.velocity[1],
-        "wind_z": wind.velocity[2],
-        "wind_height": wind.reference_height,
-        "wind_exponent": wind.exponent,
-        "turf_friction": turf.friction,
-        "turf_tilt": turf.tilt,
-        "turf_restitution": turf.restitution_factor,
-        "turf_resistance": turf.rolling_resistance,
-        "start_height": start_height,
-        "step": step,
-        "model": int(aerodynamics),
-    }.items():
-        record[name] = value
-    return record
+    return _Settings(
+        model=int(aerodynamics),
+        lift_and_drag=air.density * pi * ball.radius**2 / (2.0 * ball.mass),
+        reynolds=2.0 * ball.radius * air.density / air.viscosity,
+        radius=float(ball.radius),
+        drag_factor=float(ball.drag_factor),
+        lift_factor=float(ball.lift_factor),
+        wind=(float(wind.velocity[0]), float(wind.velocity[1]), float(wind.velocity[2])),
+        wind_height=float(wind.reference_height),
+        wind_exponent=float(wind.exponent),
+        turf_friction=float(turf.friction),
+        turf_tilt=float(turf.tilt),
+        turf_restitution=float(turf.restitution_factor),
+        turf_resistance=float(turf.rolling_resistance),
+        start_height=float(start_height),
+        step=float(step),
+    )
 
 
 State = tuple[float, float, float, float, float, float, float]
@@ -238,14 +247,12 @@ State = tuple[float, float, float, float, float, float, float]
 
 
 @compiled
-def _derivative(state: State, axis: Vector, settings: Array) -> State:
-    s = settings[0]
+def _derivative(state: State, axis: Vector, settings: _Settings) -> State:
+    s = settings
     gain = 1.0
     if s.wind_exponent > 0.0:
         gain = (max(state[1], 0.0) / s.wind_height) ** s.wind_exponent
-    vx = state[3] - gain * s.wind_x
-    vy = state[4] - gain * s.wind_y
-    vz = state[5] - gain * s.wind_z
+    vx, vy, vz = added((state[3], state[4], state[5]), -gain, s.wind)
     omega = state[6]
     V = norm((vx, vy, vz))
     if V < 1e-9:
@@ -279,7 +286,7 @@ def _shifted(a: State, h: float, b: State) -> State:
 
 
 @compiled
-def _advanced(state: State, axis: Vector, h: float, settings: Array) -> State:
+def _advanced(state: State, axis: Vector, h: float, settings: _Settings) -> State:
     """One RK4 step of h seconds."""
     k1 = _derivative(state, axis, settings)
     k2 = _derivative(_shifted(state, h / 2.0, k1), axis, settings)
@@ -292,7 +299,7 @@ def _advanced(state: State, axis: Vector, h: float, settings: Array) -> State:
 
 
 @compiled
-def _event_time(state: State, axis: Vector, h: float, settings: Array, index: int) -> float:
+def _event_time(state: State, axis: Vector, h: float, settings: _Settings, index: int) -> float:
     """Time within a step of h at which state[index] falls through zero (bisection and secant, guarded)."""
     low, high = 0.0, h
     f_low = state[index]
@@ -324,24 +331,23 @@ def _recorded(path: Array, row: int, t: float, x: float, y: float, z: float) -> 
 
 @compiled
 def _airborne(
-    state: State, axis: Vector, t: float, settings: Array, path: Array, row: int
+    state: State, axis: Vector, t: float, settings: _Settings, path: Array, row: int
 ) -> tuple[State, float, float, int]:
     """Fly until the ball falls to height 0 (or the time limit); return state, time, apex and path row."""
-    h = settings[0].step
+    h = settings.step
     apex = state[1]
     while t < _LONGEST_FLIGHT:
         following = _advanced(state, axis, h, settings)
         if state[4] > 0.0 and following[4] <= 0.0:
             apex = max(apex, _advanced(state, axis, _event_time(state, axis, h, settings, 4), settings)[1])
         if following[1] <= 0.0 and following[4] < 0.0:
-            rest = _event_time(state, axis, h, settings, 1) if state[1] > 0.0 else h
-            if state[1] <= 0.0 and state[4] > 0.0:  # up and down again within this one step
-                top = _event_time(state, axis, h, settings, 4)
-                state = _advanced(state, axis, top, settings)
-                t += top
-                rest = _event_time(state, axis, h - top, settings, 1)
-            state = _advanced(state, axis, rest, settings)
-            t += rest
+            rise = 0.0
+            if state[1] <= 0.0:  # up and down again within this one step
+                rise = _event_time(state, axis, h, settings, 4)
+                state = _advanced(state, axis, rise, settings)
+            fall = _event_time(state, axis, h - rise, settings, 1)
+            state = _advanced(state, axis, fall, settings)
+            t += rise + fall
             state = (state[0], 0.0, state[2], state[3], state[4], state[5], state[6])
             return state, t, apex, _recorded(path, row, t, state[0], state[1], state[2])
         state = following
@@ -351,10 +357,9 @@ def _airborne(
 
 
 @compiled
-def _fly(launch: Array, settings: Array, result: Array, path: Array) -> int:
+def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     """Fill result[0] (`FLIGHT`) and `path` for launch (5,); return the number of path rows."""
-    s = settings[0]
-    r = result[0]
+    s, r = settings, result[0]
     speed, elevation, azimuth, omega, tilt = launch[0], launch[1], launch[2], launch[3], launch[4]
     axis = _spin_axis(elevation, azimuth, tilt)
     state = (
@@ -371,6 +376,10 @@ def _fly(launch: Array, settings: Array, result: Array, path: Array) -> int:
     r.apex = s.start_height
     if state[4] > 0.0 or state[1] > 0.0:
         state, t, r.apex, row = _airborne(state, axis, t, settings, path, row)
+    if t >= _LONGEST_FLIGHT:
+        r.carry = r.carry_side = r.total = r.total_side = r.apex = r.time = r.total_time = np.nan
+        r.landing_angle = r.landing_speed = r.landing_spin = np.nan
+        return row
     r.carry = hypot(state[0], state[2])
     r.carry_side = state[2]
     r.landing_angle = atan2(-state[4], hypot(state[3], state[5]))
@@ -385,12 +394,10 @@ def _fly(launch: Array, settings: Array, result: Array, path: Array) -> int:
             velocity, spin = bounce(
                 velocity, spin, s.radius, s.turf_friction, s.turf_tilt, s.turf_restitution
             )
-        if velocity[1] < _LOWEST_BOUNCE or t >= _LONGEST_FLIGHT:
+        if velocity[1] < _LOWEST_BOUNCE:
             break
-        omega = norm(spin)
-        if omega > 0.0:
-            axis = (spin[0] / omega, spin[1] / omega, spin[2] / omega)
-        state = (state[0], 0.0, state[2], velocity[0], velocity[1], velocity[2], omega)
+        axis = unit(spin)
+        state = (state[0], 0.0, state[2], velocity[0], velocity[1], velocity[2], norm(spin))
         state, t, _, row = _airborne(state, axis, t, settings, path, row)
         velocity = (state[3], state[4], state[5])
         spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
@@ -426,7 +433,7 @@ def _spin_axis(elevation: float, azimuth: float, tilt: float) -> Vector:
 
 
 @compiled
-def _fly_all(launches: Array, settings: Array, results: Array) -> None:
+def _fly_all(launches: Array, settings: _Settings, results: Array) -> None:
     no_path = np.empty((0, 4))
     for i in range(launches.shape[0]):
         _fly(launches[i], settings, results[i : i + 1], no_path)

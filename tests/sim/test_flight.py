@@ -131,7 +131,7 @@ def test_signs() -> None:
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(launch=launches, model=st.sampled_from(list(Aerodynamics)))
 def test_tenfold_finer_step_changes_nothing_that_matters(launch: Launch, model: Aerodynamics) -> None:
     coarse, fine = fly(launch, aerodynamics=model), fly(launch, aerodynamics=model, step=STEP / 10)
@@ -219,6 +219,13 @@ def test_path_runs_from_start_to_rest() -> None:
     assert flight.carry in x
 
 
+def test_hop_within_one_step_is_still_a_parabola() -> None:
+    flight = fly(Launch(0.02, 0.6, 0.0, 0.0), ball=NO_AIR)
+    assert flight.carry == pytest.approx(0.02**2 * sin(1.2) / 9.80665, rel=1e-6)
+    assert flight.time == pytest.approx(2 * 0.02 * sin(0.6) / 9.80665, rel=1e-6)
+    assert flight.apex == pytest.approx((0.02 * sin(0.6)) ** 2 / (2 * 9.80665), rel=1e-6)
+
+
 def test_topped_ball_carries_nothing_and_runs() -> None:
     flight = fly(Launch(20.0, -0.1, 0.0, 0.0))
     assert flight.carry == 0
@@ -277,6 +284,13 @@ def test_smits_smith_coefficients() -> None:
 def test_unphysical_launch_is_named(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"launch 0, {name}: found .* expected"):
         fly(DRIVE._replace(**{name: value}))
+
+
+def test_ball_that_never_lands_is_refused() -> None:
+    updraught = (0.0, 60.0, 0.0)
+    with pytest.raises(ValueError, match="still in the air after 60 s"):
+        fly(DRIVE, wind=updraught)
+    assert np.isnan(fly_many(np.array([DRIVE]), wind=updraught)["total"]).all()
 
 
 def test_bad_settings_are_named() -> None:

@@ -528,6 +528,11 @@ def test_bad_deliveries_are_named() -> None:
         strike(delivery_from_angles(45, 0, pi, 0, 0.2), DRIVER)
 
 
+def test_unusable_club_is_named() -> None:
+    with pytest.raises(ValueError, match="head_mass of club 'driver' or ball 'standard': found nan"):
+        impact_parameters(replace(DRIVER, head_mass=nan), BALL, LIE)
+
+
 def test_plain_and_compiled_code_agree() -> None:
     program = (
         "from sim.robot import Club; from sim.ball import Ball; from sim.flight import Launch, fly;"
