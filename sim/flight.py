@@ -202,8 +202,9 @@ def _checked(launches: Array) -> Array:
         bad = ~((values >= low) & (values <= high))  # NaN is bad too
         if bad.any():
             row = int(np.argmax(bad))
+            found = float(values[row])
             raise ValueError(
-                f"launch {row}, {name}: found {float(values[row])!r}, expected {low:.4g} to {high:.4g} {units}"
+                f"launch {row}, {name}: found {found!r}, expected {low:.4g} to {high:.4g} {units}"
             )
     return launches
 
