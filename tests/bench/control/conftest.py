@@ -67,8 +67,9 @@ def synthetic_swing(phase: float = 0.0, duration: float = 1.1) -> Swing:
     """
 
     def ramp(x: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        s: np.ndarray[Any, Any] = np.clip(x, 0.0, 1.0)
-        return s * s * (3.0 - 2.0 * s)
+        s = np.clip(x, 0.0, 1.0)
+        height: np.ndarray[Any, Any] = s * s * (3.0 - 2.0 * s)
+        return height
 
     step = PERIOD / _STEPS
     time = np.arange(round(duration / step)) * step

@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
@@ -238,9 +239,11 @@ def test_covariance_stays_positive_after_a_silence_of_seconds() -> None:
         estimate(state, parameters, np.zeros(3), np.zeros(3), ones if k < 10 else zeros, PERIOD, False)
     for k in range(200):
         estimate(state, parameters, np.full(3, 0.3), np.zeros(3), ones, PERIOD, False)
-        if k < 3:
-            continue
         c = state["covariance"][0]
+        assert np.all(c[:, [0, 3, 5]] > 0)
+        assert np.all(state["innovation_variance"][0] > 0)
+        if k < 3:  # angle, velocity and acceleration are not yet told apart
+            continue
         P = np.stack([c[:, [0, 1, 2]], c[:, [1, 3, 4]], c[:, [2, 4, 5]]], axis=1)
         scale = 1.0 / np.sqrt(np.einsum("nii->ni", P))
         assert np.linalg.eigvalsh(P * scale[:, :, None] * scale[:, None, :]).min() > 0
@@ -264,11 +267,11 @@ def test_an_aged_sample_is_worth_a_fresh_one_at_constant_acceleration() -> None:
 def test_consistent_with_its_own_model() -> None:
     """Monte Carlo: NEES averages 3, NIS 1, also after drop-outs and after jumps inside the window.
 
-    3 joints × 400 runs of signals drawn from the filter's model; jumps at a random instant of the
-    tick. The bounds hold 5 standard deviations of a mean of 1200 chi-square values.
+    3 joints × 400 runs (40 in slow plain Python) of signals drawn from the filter's model; jumps at a
+    random instant of the tick. The bounds are 5 standard deviations of a mean of that many chi-squares.
     """
     rng = np.random.default_rng(20)
-    runs, ticks = 400, 120
+    runs, ticks = (40 if numba.config.DISABLE_JIT else 400), 120
     parameters = designed(jitter=(0.0, 0.0, 0.0), acceleration_change=(80.0,) * 3, velocity_jump=(5.0,) * 3)
     noise = np.sqrt(parameters["quantisation"][0, 0])
     g = np.array([PERIOD**2 / 2, PERIOD, 1.0])
@@ -300,8 +303,8 @@ def test_consistent_with_its_own_model() -> None:
     assert np.all(np.abs(nees[late] - 3.0) < 5 * np.sqrt(6.0 / samples)), nees
     measured = np.array([k not in lost and k > 0 for k in range(ticks)])
     assert np.all(np.abs(nis[measured] - 1.0) < 5 * np.sqrt(2.0 / samples)), nis
-    assert abs(nees[late].mean() - 3.0) < 0.1
-    assert abs(nis[measured].mean() - 1.0) < 0.03
+    assert abs(nees[late].mean() - 3.0) < 3.5 / np.sqrt(samples)
+    assert abs(nis[measured].mean() - 1.0) < 1.0 / np.sqrt(samples)
 
 
 def test_club_speed_before_the_ball_is_right_and_late_by_less_than_a_twentieth_of_a_tick(

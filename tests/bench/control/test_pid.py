@@ -103,10 +103,10 @@ def test_the_integral_never_winds_up_and_the_output_never_leaves_its_limits(
         assert not pushed.any()
 
 
-def test_after_minutes_of_saturation_the_output_leaves_its_limit_at_once() -> None:
+def test_after_long_saturation_the_output_leaves_its_limit_at_once() -> None:
     parameters = designed()
     state = new_record(PID_STATE)
-    for _ in range(100_000):
+    for _ in range(10_000):
         control(state, parameters, np.full(3, 10.0), ZERO, ZERO, ZERO, ZERO, PERIOD)
     assert state["output"][0].tolist() == [1.0, 1.0, 1.0]
     control(state, parameters, np.full(3, -0.01), ZERO, ZERO, ZERO, ZERO, PERIOD)
@@ -139,6 +139,7 @@ def test_a_transfer_is_bumpless(
     assert np.all(np.abs(state["output"][0] - output) <= step + 1e-11)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # plain Python warns of 0 × inf
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", range(6))
 def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, place: int) -> None:
@@ -178,6 +179,7 @@ def test_a_reset_empties_everything() -> None:
     assert state.tobytes() == new_record(PID_STATE).tobytes()
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     rng = np.random.default_rng(9)
     parameters = designed(integral=(500.0, 20.0, 3.0))
