@@ -21,17 +21,20 @@ import numpy as np
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_COMPILED_FOLDERS = ("sim", "drivers", "bench/control", "bench/swing")
+_COMPILED = ("sim/*.py", "drivers/base.py", "bench/lifecycle.py", "bench/lockstep.py", "bench/*/*.py")
+"""Source files of compiled functions and of the constants and record layouts compiled into them."""
 
 
 def source_digest() -> str:
     """Return the digest of all source files that may hold compiled functions (16 hex digits)."""
     top = Path(__file__).resolve().parent.parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for folder in _COMPILED_FOLDERS:
-        for path in sorted((top / folder).glob("*.py")):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
+    for pattern in _COMPILED:
+        for path in sorted(top.glob(pattern)):
+            source = path.read_bytes()
+            if b"compiled" in source:
+                digest.update(path.name.encode())
+                digest.update(source)
     return digest.hexdigest()[:16]
 
 

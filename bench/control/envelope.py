@@ -1,0 +1,163 @@
+"""The envelope: the one layer between controller and driver that nothing gets around.
+
+`check` names the first cause to stop; `limit` bounds what may go to the valves. Both see only
+estimates, readings and the command: pure, compiled, no clock. A value that is not finite fails every
+comparison that would let it pass.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import Any
+
+import numpy as np
+
+from bench.lifecycle import Cause, Phase
+from sim.compiled import compiled
+
+PHASES = len(Phase)
+
+ENVELOPE_PARAMETERS = np.dtype(
+    [
+        ("lower", "f8", (3,)),
+        ("upper", "f8", (3,)),
+        ("greatest_speed", "f8", (3,)),
+        ("following", "f8", (PHASES, 3)),
+        ("stop_deceleration", "f8", (3,)),
+        ("stop_reserve", "f8", (3,)),
+        ("greatest_opening", "f8"),
+        ("greatest_slew", "f8"),
+        ("lost_time", "f8"),
+        ("greatest_gap", "f8"),
+        ("least_supply", "f8"),
+        ("ground", "f8"),
+        ("sole_depth", "f8"),
+        ("clearance", "f8"),
+        ("ball_x", "f8"),
+        ("ball_window", "f8"),
+        ("ball_clearance", "f8"),
+        ("frame_radius", "f8"),
+        ("least_lever", "f8"),
+    ],
+    align=True,
+)
+"""Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
+rad/s), following error per phase (rad), deceleration that braking can count on and the way kept in reserve;
+opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest tick while
+moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside and inside
+the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the wrist."""
+
+_EMERGENCY_STOP = int(Cause.EMERGENCY_STOP)
+_GUARD = int(Cause.GUARD)
+_NOT_FINITE = int(Cause.NOT_FINITE)
+_ENCODER = int(Cause.SHOULDER_ENCODER)
+_TICK_GAP = int(Cause.TICK_GAP)
+_SUPPLY = int(Cause.SUPPLY_PRESSURE)
+_RANGE = int(Cause.SHOULDER_RANGE)
+_SPEED = int(Cause.SHOULDER_SPEED)
+_GROUND = int(Cause.GROUND)
+_FRAME = int(Cause.FRAME)
+_FOLLOWING = int(Cause.SHOULDER_FOLLOWING)
+_STOP_DISTANCE = int(Cause.SHOULDER_STOP_DISTANCE)
+_LEVER = int(Cause.WRIST_LEVER)
+
+_STANDING = int(Phase.STANDING)
+_DOWNSWING = int(Phase.DOWNSWING)
+_IMPACT = int(Phase.IMPACT)
+_RETURN = int(Phase.RETURN)
+
+
+@compiled
+def joint_coordinates(robot: Any, angle: Any, velocity: Any, i: int) -> tuple[float, float]:
+    """Return position and speed of joint coordinate `i`: theta1, rod extension (m, m/s), theta3."""
+    r = robot[0]
+    if i != 1:
+        return angle[i], velocity[i]
+    dx, dy = r.l62 + r.l23 * cos(angle[1]), r.l23 * sin(angle[1])
+    length = sqrt(dx * dx + dy * dy)
+    return length - r.l56, -r.l62 * r.l23 * sin(angle[1]) / length * velocity[1]
+
+
+@compiled
+def interlock_cause(parameters: Any, readings: Any) -> int:
+    """Return the interlock that forbids motion now, or 0."""
+    p, r = parameters[0], readings[0]
+    if not r.emergency_stop_clear:
+        return _EMERGENCY_STOP
+    if not (r.guard_closed and r.guard_locked):
+        return _GUARD
+    return 0
+
+
+@compiled
+def readings_cause(parameters: Any, estimator: Any) -> int:
+    """Return the cause that makes the joint readings untrustworthy, or 0."""
+    p, e = parameters[0], estimator[0]
+    for i in range(3):
+        if e.started[i] == 0 or not e.without_sample[i] < p.lost_time:
+            return _ENCODER + i
+        if not np.isfinite(e.angle[i] + e.velocity[i] + e.acceleration[i]):
+            return _NOT_FINITE
+    return 0
+
+
+@compiled
+def motion_cause(
+    parameters: Any, robot: Any, estimator: Any, readings: Any, reference: Any, phase: int, measured_step: float
+) -> int:
+    """Return the first limit of motion that is broken in `phase`, or 0; readings are trusted here."""
+    p, e = parameters[0], estimator[0]
+    angle, velocity = e.angle, e.velocity
+    if not measured_step <= p.greatest_gap:
+        return _TICK_GAP
+    # Past the no-return instant a sagging supply cannot be helped by stopping sooner than planned.
+    if (phase <= _DOWNSWING or phase == _RETURN) and readings[0].supply_pressure < p.least_supply:
+        return _SUPPLY
+    for i in range(3):
+        position, speed = joint_coordinates(robot, angle, velocity, i)
+        if not (p.lower[i] <= position <= p.upper[i]):
+            return _RANGE + i
+        if not abs(speed) <= p.greatest_speed[i]:
+            return _SPEED + i
+        if phase <= _DOWNSWING or phase == _RETURN:
+            way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
+            if speed * speed > 2.0 * p.stop_deceleration[i] * (way + p.stop_reserve[i]):
+                return _STOP_DISTANCE + i
+        # The jump of the impact is in nobody's reference.
+        if phase != _IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
+            return _FOLLOWING + i
+    return _clearance_cause(p, robot, angle)
+
+
+@compiled
+def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
+    """Return the cause if the club is too near to ground, frame, or the wrist's dead point, or 0."""
+    r = robot[0]
+    a1 = angle[0]
+    a12 = a1 + angle[1]
+    theta = a12 + angle[2]
+    wrist_x, wrist_y = r.l12 * cos(a1) + r.l23 * cos(a12), r.l12 * sin(a1) + r.l23 * sin(a12)
+    along_x, along_y = cos(theta), sin(theta)
+    head_x, head_y = wrist_x + r.l3t * along_x, wrist_y + r.l3t * along_y
+    needed = p.ball_clearance if abs(head_x - p.ball_x) <= p.ball_window else p.clearance
+    if head_y - p.sole_depth - p.ground < needed:
+        return _GROUND
+    # Nearest point of the club to the shoulder axis.
+    nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)
+    x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
+    if x * x + y * y < p.frame_radius * p.frame_radius:
+        return _FRAME
+    if abs(sin(angle[2] - 1.5 * np.pi)) < p.least_lever:
+        return _LEVER
+    return 0
+
+
+@compiled
+def limit(parameters: Any, wanted: float, before: float, measured_step: float) -> float:
+    """Return the opening that may go to a valve: bounded, slew-limited; the centre if not finite."""
+    p = parameters[0]
+    if not np.isfinite(wanted):
+        return 0.0
+    step = p.greatest_slew * measured_step
+    bounded = min(max(wanted, -p.greatest_opening), p.greatest_opening)
+    return min(max(bounded, before - step), before + step)

@@ -1,0 +1,238 @@
+"""Settings of estimator, controllers and envelope, and the records they become."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from bench.control.encoder import design_encoders
+from bench.control.envelope import ENVELOPE_PARAMETERS
+from bench.control.estimator import design_estimator
+from bench.control.pid import design_pid
+from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
+from bench.lifecycle import Phase, reaction_table
+from bench.swing.profile import Profile
+from sim.compiled import new_record
+from sim.kinematics import right_arm_length
+from sim.plant import PlantParameters
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+Triple = tuple[float, float, float]
+PositiveTriple = tuple[Positive, Positive, Positive]
+NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """Kalman filters; joints in the order shoulder, arm, wrist."""
+
+    jitter: NotNegativeTriple = (0.0, 0.0, 0.0)
+    """Standard deviation of the sampling instant, s."""
+    acceleration_change: PositiveTriple = (50.0, 50.0, 100.0)
+    """Standard deviation of the acceleration's change in one tick, rad/s2."""
+    velocity_jump: NotNegativeTriple = (0.3, 0.3, 1.0)
+    """Standard deviation of the velocity's jumps in one tick of the impact window, rad/s."""
+
+
+@dataclass(frozen=True)
+class PidSettings:
+    """One PID per actuator on its joint angle; output is the valve opening."""
+
+    proportional: NotNegativeTriple = (1.5, 1.2, 0.7)
+    """Opening per rad."""
+    integral: NotNegativeTriple = (0.6, 1.0, 0.6)
+    """Opening per rad s."""
+    derivative: NotNegativeTriple = (0.15, 0.02, 0.03)
+    """Opening per rad/s, on reference less filtered velocity."""
+
+
+@dataclass(frozen=True)
+class ControlSettings:
+    """What is added to the PIDs, the BRAKE law and the times of moves and stops."""
+
+    pid: PidSettings = field(default_factory=PidSettings)
+    feed_forward: bool = True
+    """Use the profile's openings beside the PIDs."""
+    damping: NotNegativeTriple = (0.004, 0.0007, 0.0006)
+    """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
+    move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
+    """Opening per rad/s of reference speed in slow moves."""
+    brake_gain: NotNegativeTriple = (0.15, 0.12, 0.06)
+    """Opening per rad/s against the motion in BRAKE."""
+    brake_damping: NotNegativeTriple = (0.003, 0.0005, 0.0004)
+    still_speed: PositiveTriple = (0.05, 0.05, 0.10)
+    """Below it a joint rests, rad/s."""
+    still_time: Positive = 0.05
+    brake_time: Positive = 1.5
+    """A brake that takes longer ends in VENT all the same, s."""
+    blind_settle: NotNegative = 0.6
+    """Spools centred after a blind brake before the air is let out, s."""
+    precharge_time: Positive = 2.0
+    """Supply soft start and charging of the chambers before the first move, s."""
+    precharge_opening: Annotated[float, Gt(0), Le(1)] = 0.25
+    """Opening to either side of the centre while charging."""
+    precharge_period: Positive = 0.02
+    move_speed: PositiveTriple = (1.2, 0.6, 1.5)
+    """Greatest speed of slow moves, rad/s."""
+    move_timeout: Positive = 6.0
+    address_tolerance: PositiveTriple = (0.03, 0.02, 0.05)
+    """Error at address below which a swing may begin, rad."""
+    strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
+    """Share of head speed whose loss in the impact window says that a ball was struck."""
+
+
+@dataclass(frozen=True)
+class EnvelopeSettings:
+    """Limits that nothing gets around."""
+
+    greatest_speed: PositiveTriple = (26.0, 6.0, 48.0)
+    """Shoulder rad/s, rod m/s, wrist rad/s."""
+    following: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "hold": (0.10, 0.08, 0.15),
+            "backswing": (0.30, 0.15, 0.40),
+            "top": (0.15, 0.10, 0.25),
+            "downswing": (0.20, 0.12, 0.35),
+            "committed": (0.25, 0.15, 0.45),
+            "follow_through": (0.80, 0.40, 1.0),
+            "return": (0.35, 0.20, 0.50),
+        }
+    )
+    """Greatest following error by phase, rad."""
+    stop_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
+    """What braking can count on: rad/s2, m/s2, rad/s2."""
+    greatest_opening: Annotated[float, Gt(0), Le(1)] = 1.0
+    greatest_slew: Positive = 400.0
+    """Change of opening per second."""
+    lost_time: Positive = 0.0045
+    """Without a fresh reading for this long an encoder is lost (s); five ticks at 1 kHz."""
+    greatest_gap: Positive = 0.010
+    least_supply: Positive = 6.5e5
+    """Pa absolute."""
+    clearance: float = 0.015
+    """Head over ground outside the ball's window, m in the swing plane."""
+    ball_window: Positive = 0.60
+    """Half width of the ball's window along the target line, m."""
+    ball_clearance: float = 0.005
+    frame_radius: NotNegative = 0.10
+    least_lever: Annotated[float, Ge(0), Le(1)] = 0.15
+    """Least |sin beta| of the wrist."""
+    minimum_stop_margin: NotNegative = 0.9
+    """Share of the cushions' travel that counts as working range in the range check."""
+
+
+_FOLLOWED = {
+    "hold": Phase.HOLD,
+    "backswing": Phase.BACKSWING,
+    "top": Phase.TOP,
+    "downswing": Phase.DOWNSWING,
+    "committed": Phase.COMMITTED,
+    "follow_through": Phase.FOLLOW_THROUGH,
+    "return": Phase.RETURN,
+}
+
+
+def build_controller(
+    plant: PlantParameters,
+    profile: Profile,
+    control: ControlSettings | None = None,
+    envelope: EnvelopeSettings | None = None,
+    estimator: EstimatorSettings | None = None,
+) -> ControlParameters:
+    """Turn settings, the machine's data and a profile into the records that `step` takes.
+
+    Raises:
+        ValueError: an estimator, encoder or PID value is outside its meaning.
+    """
+    control, envelope = control or ControlSettings(), envelope or EnvelopeSettings()
+    estimator = estimator or EstimatorSettings()
+    robot, site, counts = plant.robot, plant.site, plant.encoders.counts_per_revolution
+    return ControlParameters(
+        control=_control_record(control),
+        encoder=design_encoders(
+            counts_per_revolution=(counts,) * 3,
+            zero_count=(0.0, 0.0, 0.0),
+            sign=(1, 1, 1),
+            travel=_angle_travel(plant),
+            greatest_speed=(60.0, 60.0, 120.0),
+        ),
+        estimator=design_estimator(
+            period=plant.tick,
+            counts_per_revolution=(counts,) * 3,
+            jitter=estimator.jitter,
+            acceleration_change=estimator.acceleration_change,
+            velocity_jump=estimator.velocity_jump,
+        ),
+        pid=design_pid(
+            proportional=control.pid.proportional,
+            integral=control.pid.integral,
+            derivative=control.pid.derivative,
+            lowest=(-1.0,) * 3,
+            highest=(1.0,) * 3,
+        ),
+        envelope=_envelope_record(envelope, plant, profile, site.ground, site.sole_depth),
+        robot=robot.record,
+        profile=_profile_record(profile),
+        angle=profile.angle,
+        velocity=profile.velocity,
+        valve=profile.valve,
+        phase=profile.phases,
+        blind_brake=profile.blind_brake,
+    )
+
+
+def _angle_travel(plant: PlantParameters) -> tuple[tuple[float, float], ...]:
+    """Return each joint's travel (rad) with its cushions, for the encoders' unwrapping."""
+    shoulder, _, wrist = plant.actuators
+    return (
+        (shoulder.lower - 2 * shoulder.stop.travel, shoulder.upper + 2 * shoulder.stop.travel),
+        (np.pi, 1.6 * np.pi),
+        (wrist.lower - 2 * wrist.stop.travel, wrist.upper + 2 * wrist.stop.travel),
+    )
+
+
+def _control_record(settings: ControlSettings) -> np.ndarray:
+    record = new_record(CONTROL_PARAMETERS)
+    for name in CONTROL_PARAMETERS.names or ():
+        if name != "reactions":
+            record[name] = getattr(settings, name)
+    record["reactions"] = reaction_table()
+    return record
+
+
+def _envelope_record(
+    settings: EnvelopeSettings, plant: PlantParameters, profile: Profile, ground: float, sole_depth: float
+) -> np.ndarray:
+    record = new_record(ENVELOPE_PARAMETERS)
+    for i, actuator in enumerate(plant.actuators):
+        margin = settings.minimum_stop_margin * actuator.stop.travel
+        record["lower"][0, i] = actuator.lower - margin
+        record["upper"][0, i] = actuator.upper + margin
+        record["stop_reserve"][0, i] = 0.0
+    record["following"] = inf
+    for name, errors in settings.following.items():
+        record["following"][0, _FOLLOWED[name]] = errors
+    for name in (
+        "greatest_speed", "stop_deceleration", "greatest_opening", "greatest_slew", "lost_time", "greatest_gap",
+        "least_supply", "clearance", "ball_window", "ball_clearance", "frame_radius", "least_lever",
+    ):  # fmt: skip
+        record[name] = getattr(settings, name)
+    record["ground"], record["sole_depth"], record["ball_x"] = ground, sole_depth, profile.ball[0]
+    return record
+
+
+def _profile_record(profile: Profile) -> np.ndarray:
+    record = new_record(PROFILE)
+    record["samples"], record["period"] = len(profile.angle), profile.period
+    record["blind_spacing"], record["blind_rows"] = profile.blind_spacing, len(profile.blind_brake)
+    return record
+
+
+def extension_of(plant: PlantParameters, theta2: float) -> float:
+    """Return the rod's extension (m) at `theta2` (rad)."""
+    return float(right_arm_length(plant.robot, theta2)) - plant.robot.l56

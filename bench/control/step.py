@@ -1,0 +1,458 @@
+"""The deciding part of the cycle: one compiled function from readings to command.
+
+`step` estimates, moves the swing on, computes reference, PID and feed-forward, asks the envelope, picks
+the reaction from the stopping table and limits the command. It reads no clock, allocates nothing, raises
+nothing; all it remembers is in the records of `ControlState`. The same function runs in the real-time
+loop, in lock-step simulation and in sweeps.
+"""
+
+from __future__ import annotations
+
+from math import floor, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.control.encoder import ENCODER_STATE, decode_encoders
+from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
+from bench.control.estimator import ESTIMATOR_STATE, estimate
+from bench.control.pid import PID_STATE, control, match_output, reset_integral
+from bench.lifecycle import EMERGENCY, LOST, TRUSTED, Cause, Phase, Reaction
+from sim.compiled import compiled, new_record
+from sim.kinematics import head_motion
+
+NO_REQUEST, ARM, SWING, DISARM, RESET, STOP = range(6)
+"""Requests, put into `state.control.request` before a tick; the step answers in `answer`."""
+
+ACCEPTED, REFUSED = 1, 2
+
+CONTROL_PARAMETERS = np.dtype(
+    [
+        ("damping", "f8", (3,)),
+        ("move_gain", "f8", (3,)),
+        ("brake_gain", "f8", (3,)),
+        ("brake_damping", "f8", (3,)),
+        ("feed_forward", "?"),
+        ("still_speed", "f8", (3,)),
+        ("still_time", "f8"),
+        ("brake_time", "f8"),
+        ("blind_settle", "f8"),
+        ("precharge_time", "f8"),
+        ("precharge_opening", "f8"),
+        ("precharge_period", "f8"),
+        ("move_speed", "f8", (3,)),
+        ("move_timeout", "f8"),
+        ("address_tolerance", "f8", (3,)),
+        ("strike_drop", "f8"),
+        ("reactions", "u1", (10, 3)),
+    ],
+    align=True,
+)
+"""Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's spring
+has hardly any damping of its own, and position and velocity feedback cannot add it. `move_gain` is the
+opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+
+CONTROL_STATE = np.dtype(
+    [
+        ("tick", "i8"),
+        ("time", "f8"),
+        ("started", "?"),
+        ("request", "u1"),
+        ("answer", "u1"),
+        ("tee", "?"),
+        ("phase", "u1"),
+        ("reaction", "u1"),
+        ("cause", "i4"),
+        ("latest_cause", "i4"),
+        ("swinging", "?"),
+        ("swing_start", "f8"),
+        ("swing_sample", "i8"),
+        ("armed_at", "f8"),
+        ("moving", "?"),
+        ("move_start", "f8"),
+        ("move_time", "f8"),
+        ("move_from", "f8", (3,)),
+        ("reaction_start", "f8"),
+        ("blind_row", "i8"),
+        ("still_since", "f8"),
+        ("reference", "f8", (3,)),
+        ("reference_velocity", "f8", (3,)),
+        ("reference_acceleration", "f8", (3,)),
+        ("feed_forward", "f8", (3,)),
+        ("desired", "f8", (3,)),
+        ("applied", "f8", (3,)),
+        ("head", "f8", (6,)),
+        ("fastest_head", "f8"),
+        ("struck", "?"),
+        ("swings", "i8"),
+    ],
+    align=True,
+)
+
+PROFILE = np.dtype(
+    [
+        ("samples", "i8"),
+        ("period", "f8"),
+        ("blind_spacing", "i8"),
+        ("blind_rows", "i8"),
+    ],
+    align=True,
+)
+
+_HOLD, _RETURN, _STANDING = int(Phase.HOLD), int(Phase.RETURN), int(Phase.STANDING)
+_IMPACT, _FOLLOW = int(Phase.IMPACT), int(Phase.FOLLOW_THROUGH)
+_NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(Reaction.BRAKE)
+_BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
+_OPERATOR, _EXCEPTION = int(Cause.OPERATOR_STOP), int(Cause.EXCEPTION)
+_E_STOP_CAUSE, _NO_FOLLOW = int(Cause.EMERGENCY_STOP), int(Cause.WRIST_FOLLOWING)
+
+
+class ControlState(NamedTuple):
+    """All that the step remembers, as records it changes in place."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+
+
+class ControlParameters(NamedTuple):
+    """All that the step is told beforehand: records and the profile's tables."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+    envelope: Any
+    robot: Any
+    profile: Any
+    angle: Any
+    """(n, 3) rad, reference at the profile's period."""
+    velocity: Any
+    valve: Any
+    phase: Any
+    """(n,) Phase of each sample."""
+    blind_brake: Any
+    """(m, 6) openings and durations (s)."""
+
+
+def new_control_state() -> ControlState:
+    """Return the state at power-up: standing, nothing read yet."""
+    return ControlState(
+        new_record(CONTROL_STATE), new_record(ENCODER_STATE), new_record(ESTIMATOR_STATE), new_record(PID_STATE)
+    )
+
+
+@compiled
+def _profile_at(parameters: Any, s: Any, time: float) -> bool:
+    """Set reference, feed-forward and phase of the swing at `time`; return False once it is over."""
+    profile = parameters.profile[0]
+    # A quarter of a nanosample guards the floor against rounding of exact ticks.
+    sample = (time - s.swing_start) / profile.period + 1e-7
+    k = int(floor(sample))
+    last = profile.samples - 1
+    over = k >= last
+    if over:
+        k, part = last - 1, 1.0
+    else:
+        part = max(sample - k - 1e-7, 0.0)
+    s.swing_sample = min(k + 1, last) if over else k
+    for i in range(3):
+        s.reference[i] = parameters.angle[k, i] + part * (parameters.angle[k + 1, i] - parameters.angle[k, i])
+        s.reference_velocity[i] = parameters.velocity[k, i] + part * (
+            parameters.velocity[k + 1, i] - parameters.velocity[k, i]
+        )
+        s.reference_acceleration[i] = (parameters.velocity[k + 1, i] - parameters.velocity[k, i]) / profile.period
+        s.feed_forward[i] = parameters.valve[k, i] + part * (parameters.valve[k + 1, i] - parameters.valve[k, i])
+    s.phase = parameters.phase[s.swing_sample]
+    return not over
+
+
+@compiled
+def _begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
+    """Begin a slow move from angles `start` to the address (the profile's first sample)."""
+    p = parameters.control[0]
+    s.move_time = 0.3
+    for i in range(3):
+        s.move_from[i] = start[i]
+        # A quintic's greatest speed is 15/8 of its mean.
+        s.move_time = max(s.move_time, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i])
+    s.move_start = time
+    s.moving = True
+    s.phase = _RETURN
+
+
+@compiled
+def _move_at(parameters: Any, s: Any, time: float) -> bool:
+    """Set the reference of the slow move at `time` (quintic: rest to rest); return False once it is over."""
+    p = parameters.control[0]
+    part = min(max((time - s.move_start) / s.move_time, 0.0), 1.0)
+    shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+    slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / s.move_time
+    bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (s.move_time * s.move_time)
+    for i in range(3):
+        way = parameters.angle[0, i] - s.move_from[i]
+        s.reference[i] = s.move_from[i] + way * shape
+        s.reference_velocity[i] = way * slope
+        s.reference_acceleration[i] = way * bend
+        s.feed_forward[i] = p.move_gain[i] * way * slope
+    return part < 1.0
+
+
+@compiled
+def _near_address(parameters: Any, estimator: Any) -> bool:
+    """Tell whether every joint is at the address within its tolerance and at rest."""
+    p, e = parameters.control[0], estimator[0]
+    for i in range(3):
+        if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
+            return False
+        if not abs(e.velocity[i]) <= 10.0 * p.still_speed[i]:
+            return False
+    return True
+
+
+@compiled
+def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, time: float) -> int:
+    """Carry out the request, if any, or refuse it; return the cause that an accepted stop gives, or 0."""
+    s, e = state.control[0], state.estimator[0]
+    request = s.request
+    s.request = NO_REQUEST
+    if request == NO_REQUEST:
+        return 0
+    s.answer = REFUSED
+    standing = s.phase == _STANDING
+    clear = trusted and interlock_cause(parameters.envelope, readings) == 0
+    if request == STOP:
+        s.answer = ACCEPTED
+        return 0 if standing else _OPERATOR
+    if request == RESET and standing and clear:
+        s.answer = ACCEPTED
+        s.cause = s.latest_cause = 0
+        s.reaction = _NONE
+    elif request == ARM and standing and clear and s.reaction == _NONE:
+        s.answer = ACCEPTED
+        reset_integral(state.pid)
+        # Set-point := measured; the move begins when the chambers are charged.
+        _begin_move(parameters, s, e.angle, time + parameters.control[0].precharge_time)
+    elif request == SWING and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
+        if _near_address(parameters, state.estimator):
+            s.answer = ACCEPTED
+            s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
+            s.swings += 1
+            before = s.desired.copy()
+            _profile_at(parameters, s, time)
+            match_output(
+                state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward,
+                before,
+            )  # fmt: skip
+    elif request == DISARM and s.phase == _HOLD and not s.swinging:
+        s.answer = ACCEPTED
+        s.phase = _STANDING
+    return 0
+
+
+@compiled
+def _note_impact(p: Any, s: Any) -> None:
+    """Notice the drop of head speed that only a struck ball gives; no drop seen is the event 'no ball'."""
+    speed = sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])
+    if s.phase == _IMPACT:
+        s.fastest_head = max(s.fastest_head, speed)
+        if speed < (1.0 - p.strike_drop) * s.fastest_head:
+            s.struck = True
+
+
+@compiled
+def _react(state: Any, parameters: Any, cause: int, column: int, time: float) -> None:
+    """Enter the table's reaction to `cause`, unless a more severe one is under way."""
+    s, p = state.control[0], parameters.control[0]
+    s.latest_cause = cause
+    reaction = p.reactions[s.phase, column]
+    if reaction <= s.reaction:
+        return
+    if s.reaction == _NONE:
+        s.cause = cause
+    s.reaction = reaction
+    s.reaction_start = time
+    s.still_since = time
+    if reaction == _BLIND:
+        profile = parameters.profile[0]
+        row = s.swing_sample // profile.blind_spacing
+        s.blind_row = min(row, profile.blind_rows - 1) if s.swinging else -1
+    if reaction == _VENT:
+        s.swinging = s.moving = False
+        s.phase = _STANDING
+
+
+@compiled
+def _stand(s: Any) -> None:
+    """Be at rest: whatever was under way is over, and the air is let out."""
+    s.swinging = s.moving = False
+    s.phase = _STANDING
+    if s.reaction != _NONE:
+        s.reaction = _VENT
+
+
+@compiled
+def _brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+    """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    still = trusted
+    for i in range(3):
+        s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
+        s.desired[i] = -p.brake_gain[i] * e.velocity[i] - p.brake_damping[i] * e.acceleration[i]
+        still = still and abs(e.velocity[i]) <= p.still_speed[i]
+    if not still:
+        s.still_since = time
+    if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
+        _stand(s)
+
+
+@compiled
+def _brake_blind(s: Any, parameters: Any, time: float) -> None:
+    """Set the desired openings of BLIND_BRAKE: the profile's pattern, by time alone."""
+    since = time - s.reaction_start
+    longest = 0.0
+    for i in range(3):
+        s.desired[i] = s.feed_forward[i] = 0.0
+        if s.blind_row >= 0:
+            duration = parameters.blind_brake[s.blind_row, 3 + i]
+            longest = max(longest, duration)
+            if since < duration:
+                s.desired[i] = parameters.blind_brake[s.blind_row, i]
+    if since >= longest + parameters.control[0].blind_settle:
+        _stand(s)
+
+
+@compiled
+def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> None:
+    """Move the swing, the slow move or the hold on and compute the desired openings."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    if s.swinging:
+        if not _profile_at(parameters, s, time):
+            s.swinging = False
+            if s.reaction == _COMPLETE:
+                s.reaction = _BRAKE  # the planned braking is done; BRAKE holds until rest is proven
+                s.reaction_start = s.still_since = time
+            else:
+                _begin_move(parameters, s, s.reference, time)
+    elif s.moving:
+        if not _move_at(parameters, s, time) and _near_address(parameters, state.estimator):
+            s.moving = False
+            s.phase = _HOLD
+    else:
+        for i in range(3):
+            s.reference[i] = parameters.angle[0, i]
+            s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
+    for i in range(3):
+        if not p.feed_forward:
+            s.feed_forward[i] = 0.0
+        # The impact's jump is no motion to be damped.
+        if s.phase != _IMPACT:
+            s.feed_forward[i] += p.damping[i] * (s.reference_acceleration[i] - e.acceleration[i])
+    control(
+        state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward,
+        measured_step,
+    )  # fmt: skip
+    push = 0.0
+    if _charging(s, time):
+        # A closed-centre spool fills one chamber while it empties the other. Swung around the centre it
+        # passes as much in as out of both, which ends at about three quarters of the supply in each.
+        part = (time - s.move_start) / p.precharge_period
+        push = p.precharge_opening if part - floor(part) < 0.5 else -p.precharge_opening
+    for i in range(3):
+        s.desired[i] = state.pid[0].output[i] + push
+
+
+@compiled
+def _charging(s: Any, time: float) -> bool:
+    """Tell whether the chambers are being charged before the first move."""
+    return s.moving and time < s.move_start
+
+
+@compiled
+def step(
+    state: ControlState, parameters: ControlParameters, readings: Any, time: float, command: Any, cycle: Any
+) -> None:
+    """Decide one tick at `time` (s): READINGS in, COMMAND and CYCLE records out, `state` moved on in place."""
+    s, e, c = state.control[0], state.estimator[0], command[0]
+    measured_step = time - s.time if s.started else 0.0
+    s.started, s.time = True, time
+    s.tick += 1
+
+    # Estimate.
+    decode_encoders(state.encoder, parameters.encoder, readings, time)
+    estimate(
+        state.estimator, parameters.estimator, state.encoder[0].angle, state.encoder[0].age,
+        state.encoder[0].fresh, measured_step, s.phase == _IMPACT,
+    )  # fmt: skip
+    s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
+        parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
+    )
+    lost = readings_cause(parameters.envelope, state.estimator)
+    _note_impact(parameters.control[0], s)
+
+    # Decide: request, then where the swing or move is, then the envelope, then the reaction.
+    asked = _answer_request(state, parameters, readings, lost == 0, time)
+    if s.phase != _STANDING and s.reaction <= _COMPLETE:
+        _follow(state, parameters, time, measured_step)
+    if s.phase != _STANDING:
+        interlock = interlock_cause(parameters.envelope, readings)
+        if lost != 0:
+            _react(state, parameters, lost, LOST, time)
+        elif interlock != 0:
+            _react(state, parameters, interlock, EMERGENCY if interlock == _E_STOP_CAUSE else TRUSTED, time)
+        elif asked != 0:
+            _react(state, parameters, asked, TRUSTED, time)
+        elif s.reaction == _NONE and not _charging(s, time):
+            broken = motion_cause(
+                parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
+                measured_step,
+            )  # fmt: skip
+            if broken != 0:
+                _react(state, parameters, broken, TRUSTED, time)
+    if s.reaction == _BRAKE:
+        _brake(state, parameters, lost == 0, time)
+    elif s.reaction == _BLIND:
+        _brake_blind(s, parameters, time)
+
+    # Limit and command.
+    powered = s.phase != _STANDING
+    for i in range(3):
+        if not powered:
+            s.desired[i] = 0.0
+            s.applied[i] = 0.0
+        else:
+            s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], measured_step)
+        c.valve[i] = s.applied[i]
+    c.supply_enable = c.exhaust_closed = c.beacon = powered
+    c.guard_lock = True
+    c.tee = s.tee
+    _record(state, readings, command, measured_step, cycle)
+
+
+@compiled
+def _record(state: ControlState, readings: Any, command: Any, measured_step: float, cycle: Any) -> None:
+    """Write the tick's CYCLE record; what only the plant knows is left to the plant's side."""
+    s, e, d, r, c, out = state.control[0], state.estimator[0], state.pid[0], readings[0], command[0], cycle[0]
+    out.tick, out.time, out.measured_step = s.tick, s.time, measured_step
+    out.phase, out.reaction, out.trip = s.phase, s.reaction, s.cause
+    for i in range(3):
+        out.encoder_count[i] = r.encoder_count[i]
+        out.encoder_valid[i] = r.encoder_valid[i]
+        out.encoder_age[i] = r.encoder_age[i]
+        out.angle[i], out.velocity[i] = e.angle[i], e.velocity[i]
+        out.angle_variance[i] = e.covariance[i, 0]
+        out.reference_angle[i], out.reference_velocity[i] = s.reference[i], s.reference_velocity[i]
+        out.proportional[i], out.integral[i], out.derivative[i] = d.proportional[i], d.integral[i], d.derivative[i]
+        out.feedforward[i] = s.feed_forward[i]
+        out.desired_valve[i], out.applied_valve[i] = s.desired[i], c.valve[i]
+    out.supply_enable, out.exhaust_closed, out.guard_lock = c.supply_enable, c.exhaust_closed, c.guard_lock
+    out.beacon, out.tee = c.beacon, c.tee
+    out.emergency_stop_clear, out.guard_closed, out.guard_locked = (
+        r.emergency_stop_clear, r.guard_closed, r.guard_locked,
+    )  # fmt: skip
+    out.ball_present, out.local_reset = r.ball_present, r.local_reset
+    out.supply_pressure = r.supply_pressure
+    for i in range(6):
+        out.chamber_pressure[i] = r.chamber_pressure[i]
+    out.head_position[0], out.head_position[1], out.head_orientation = s.head[0], s.head[1], s.head[2]
