@@ -19,10 +19,10 @@ class NotStored(BenchError):
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Yield a new file that takes the place of `path` only when the block has ended well.
+def whole_path(path: Path) -> Iterator[Path]:
+    """Yield the path of a file to write, which takes the place of `path` only when the block has ended well.
 
-    The bytes are written aside in the same folder (`.NAME.….partial`), synced to the disk, renamed, and
+    The file is written aside in the same folder (`.NAME.….partial`), synced to the disk, renamed, and
     the folder is synced: after a power cut `path` holds the old content or the new, never a part.
     Raises NotStored when the disk is full, the folder missing or read-only; whatever the exception,
     the partial file is removed.
@@ -30,9 +30,8 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         try:
-            with partial.open("xb") as stream:
-                yield stream
-                stream.flush()
+            with partial.open("xb") as stream:  # the folder is writable, and the file ours
+                yield partial
                 os.fsync(stream.fileno())
             partial.replace(path)
             _sync_folder(path.parent)
@@ -46,6 +45,13 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             "a folder that can be written, with space left on its disk",
             "make the folder, free some space or name another folder; nothing was stored",
         ) from error
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[BinaryIO]:
+    """Yield a stream to write, whose bytes appear at `path` all at once or never; see `whole_path`."""
+    with whole_path(path) as partial, partial.open("r+b") as stream:
+        yield stream
 
 
 def _sync_folder(folder: Path) -> None:
