@@ -14,7 +14,20 @@ _SWEEPS = 8
 
 
 @compiled
-def friction_impulse(m11, m12, m13, m22, m23, m33, u1, u2, u3, b1, b2, b3):  # type: ignore[no-untyped-def]
+def friction_impulse(
+    m11: float,
+    m12: float,
+    m13: float,
+    m22: float,
+    m23: float,
+    m33: float,
+    u1: float,
+    u2: float,
+    u3: float,
+    b1: float,
+    b2: float,
+    b3: float,
+) -> tuple[float, float, float]:
     """Return the joint speeds (rad/s) after dry friction has acted.
 
     `m` is the mass matrix (kg m2), `b` the bounds of the friction impulses (N m s). Projected

@@ -17,6 +17,7 @@ from d l46/d theta2), 7 (dot products: three equations, not nine).
 from __future__ import annotations
 
 from math import cos, sin, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,10 +26,26 @@ from sim.compiled import compiled
 from sim.robot import RobotParameters
 
 Array = NDArray[np.float64]
+KaneTerms = tuple[float, float, float, float, float, float, float, float, float, float]
+BodyTerms = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @compiled
-def _body(mass, inertia, spin_2, spin_3, spin_rate, px, py, p2x, p2y, p3x, p3y, ax, ay):  # type: ignore[no-untyped-def]
+def _body(
+    mass: float,
+    inertia: float,
+    spin_2: float,
+    spin_3: float,
+    spin_rate: float,
+    px: float,
+    py: float,
+    p2x: float,
+    p2y: float,
+    p3x: float,
+    p3y: float,
+    ax: float,
+    ay: float,
+) -> BodyTerms:
     """Return one body's part of the mass matrix and of the bias forces.
 
     `spin_r` are its partial angular velocities (that of u1 is 1), `p` its centre of mass in frame 1 and
@@ -50,7 +67,7 @@ def _body(mass, inertia, spin_2, spin_3, spin_rate, px, py, p2x, p2y, p3x, p3y, 
 
 
 @compiled
-def kane_terms(r, q1, q2, q3, u1, u2, u3):  # type: ignore[no-untyped-def]
+def kane_terms(r: Any, q1: float, q2: float, q3: float, u1: float, u2: float, u3: float) -> KaneTerms:
     """Return (m11, m12, m13, m22, m23, m33, h1, h2, h3, lever) with M du/dt + h = Q.
 
     `r` is a ROBOT record. h holds the velocity products and gravity. `lever` = d l46/d theta2 (m/rad), so
@@ -69,15 +86,15 @@ def kane_terms(r, q1, q2, q3, u1, u2, u3):  # type: ignore[no-untyped-def]
     l46 = sqrt(dx * dx + dy * dy)
     nx, ny = dx / l46, dy / l46
     lever = -r.l62 * r.l23 * s2 / l46
-    lever_slope = -(r.l62 * r.l23 * c2 + lever * lever) / l46
     turn = r.l23 * (r.l62 * c2 + r.l23) / (l46 * l46)  # d phi/d theta2
     turn_slope = lever * (1.0 - 2.0 * turn) / l46
     w_arm = u1 + turn * u2
     arm_rate = turn_slope * u2 * u2
-    slide = lever * u2  # d l46/dt
 
     # A: shoulder link.
-    a_b = _body(r.mass_a, r.inertia_a, 0.0, 0.0, 0.0, r.com_a, 0.0, 0.0, 0.0, 0.0, 0.0, gx - u11 * r.com_a, gy)
+    a_b = _body(
+        r.mass_a, r.inertia_a, 0.0, 0.0, 0.0, r.com_a, 0.0, 0.0, 0.0, 0.0, 0.0, gx - u11 * r.com_a, gy
+    )
     # B: left arm.
     bx, by = r.com_b * c2, r.com_b * s2
     b_b = _body(
@@ -127,7 +144,9 @@ def kane_terms(r, q1, q2, q3, u1, u2, u3):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def solve_symmetric(m11, m12, m13, m22, m23, m33, f1, f2, f3):  # type: ignore[no-untyped-def]
+def solve_symmetric(
+    m11: float, m12: float, m13: float, m22: float, m23: float, m33: float, f1: float, f2: float, f3: float
+) -> tuple[float, float, float]:
     """Return x with M x = f for a symmetric positive definite 3x3 matrix (Cholesky without roots)."""
     l21, l31 = m12 / m11, m13 / m11
     d2 = m22 - l21 * m12
@@ -142,16 +161,25 @@ def solve_symmetric(m11, m12, m13, m22, m23, m33, f1, f2, f3):  # type: ignore[n
 
 
 @compiled
-def accelerations(r, q1, q2, q3, u1, u2, u3, torque_a, force_e, torque_c):  # type: ignore[no-untyped-def]
+def accelerations(
+    r: Any,
+    q1: float,
+    q2: float,
+    q3: float,
+    u1: float,
+    u2: float,
+    u3: float,
+    torque_a: float,
+    force_e: float,
+    torque_c: float,
+) -> tuple[float, float, float]:
     """Return du/dt (rad/s2) as three floats; `r` a ROBOT record, efforts as in the module's text."""
     m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(r, q1, q2, q3, u1, u2, u3)
-    return solve_symmetric(
-        m11, m12, m13, m22, m23, m33, torque_a - h1, force_e * lever - h2, torque_c - h3
-    )
+    return solve_symmetric(m11, m12, m13, m22, m23, m33, torque_a - h1, force_e * lever - h2, torque_c - h3)
 
 
 @compiled
-def _forward_batch(robot, q, u, effort, out):  # type: ignore[no-untyped-def]
+def _forward_batch(robot: Any, q: Any, u: Any, effort: Any, out: Any) -> None:
     r = robot[0]
     for i in range(q.shape[0]):
         out[i, 0], out[i, 1], out[i, 2] = accelerations(
@@ -160,7 +188,7 @@ def _forward_batch(robot, q, u, effort, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _terms_batch(robot, q, u, matrix, bias, lever):  # type: ignore[no-untyped-def]
+def _terms_batch(robot: Any, q: Any, u: Any, matrix: Any, bias: Any, lever: Any) -> None:
     r = robot[0]
     for i in range(q.shape[0]):
         m11, m12, m13, m22, m23, m33, h1, h2, h3, slope = kane_terms(
@@ -177,7 +205,7 @@ def _rows(*arrays: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
     """Broadcast (..., 3) arrays together; return the common shape and contiguous (n, 3) copies."""
     common = np.broadcast_arrays(*(np.asarray(array, dtype=float) for array in arrays))
     shape = common[0].shape
-    if not shape or shape[-1] != 3:  # noqa: PLR2004
+    if not shape or shape[-1] != 3:
         raise ValueError(f"last axis is {shape[-1:] or 'absent'}, expected 3 (shoulder, arm, wrist)")
     return shape, [np.ascontiguousarray(array).reshape(-1, 3) for array in common]
 
@@ -217,7 +245,7 @@ def inverse_dynamics(robot: RobotParameters, q: ArrayLike, u: ArrayLike, u_dot: 
     """
     shape, (q_rows, u_rows, rate_rows) = _rows(q, u, u_dot)
     _, matrix, bias, lever = _terms(robot, q_rows, u_rows)
-    effort = np.einsum("nij,nj->ni", matrix, rate_rows) + bias
+    effort: Array = np.einsum("nij,nj->ni", matrix, rate_rows) + bias
     with np.errstate(divide="ignore", invalid="ignore"):
         effort[:, 1] /= lever
     return effort.reshape(shape)

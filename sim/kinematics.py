@@ -7,6 +7,7 @@ angle is theta1 + theta2 + theta4, pointing from R3 to R6).
 from __future__ import annotations
 
 from math import cos, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,9 +68,9 @@ def inverse_kinematics(robot: RobotParameters, pose: ArrayLike) -> Array:
 
 def right_arm_length(robot: RobotParameters, theta2: ArrayLike) -> Array:
     """Return l46, wrist R3 to right shoulder R6 (m), for `theta2` (rad, any shape); law of cosines."""
-    return np.sqrt(
-        robot.l62**2 + robot.l23**2 + 2 * robot.l62 * robot.l23 * np.cos(np.asarray(theta2, dtype=float))
-    )
+    cosine = np.cos(np.asarray(theta2, dtype=float))
+    length: Array = np.sqrt(robot.l62**2 + robot.l23**2 + 2 * robot.l62 * robot.l23 * cosine)
+    return length
 
 
 def theta2_from_right_arm(robot: RobotParameters, length: ArrayLike) -> Array:
@@ -106,7 +107,9 @@ def joint_positions(robot: RobotParameters, q: ArrayLike) -> Array:
 
 
 @compiled
-def head_motion(r, q1, q2, q3, u1, u2, u3):  # type: ignore[no-untyped-def]
+def head_motion(
+    r: Any, q1: float, q2: float, q3: float, u1: float, u2: float, u3: float
+) -> tuple[float, float, float, float, float, float]:
     """Return x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) of the face centre; `r` a ROBOT record."""
     w1, w2, w3 = u1, u1 + u2, u1 + u2 + u3
     a1, a2, a3 = q1, q1 + q2, q1 + q2 + q3

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import cos, floor, log, pi, sin, sqrt
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
 from sim.ball import Ball
 from sim.compiled import compiled, new_record
@@ -53,11 +53,12 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Site:
-    """Where ground and ball lie in the swing plane (m), and how deep the head reaches below its face centre."""
+    """Where ground and ball lie in the swing plane (m)."""
 
     ground: float = -1.62
     """y0 of the ground line."""
     sole_depth: NotNegative = 0.03
+    """How far the head reaches below its face centre (m)."""
     ball_x: float = 0.25
     ball_y: float = -1.56
     """Centre of the ball on its tee."""
@@ -221,6 +222,7 @@ PLANT_STATE = np.dtype(
     align=True,
 )
 
+Head = tuple[float, float, float, float, float, float]
 _STATES = 15  # angles, speeds, six pressures, manifold, flex, flex speed
 
 
@@ -333,13 +335,13 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
 
 
 @compiled
-def wrist_stroke(p, q3):  # type: ignore[no-untyped-def]
+def wrist_stroke(p: Any, q3: float) -> tuple[float, float]:
     """Return cylinder coordinate (m) and lever d stroke/d theta3 (m) of the wrist; thesis Figure 11."""
     return -p.wrist_lever * cos(q3 - 1.5 * pi), p.wrist_lever * sin(q3 - 1.5 * pi)
 
 
 @compiled
-def _stop(p, i, position, speed):  # type: ignore[no-untyped-def]
+def _stop(p: Any, i: int, position: float, speed: float) -> float:
     """Return the end stop's force on joint coordinate i (positive upwards)."""
     if position > p.upper[i]:
         return -stop_force(
@@ -353,7 +355,7 @@ def _stop(p, i, position, speed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def head_geometry(r, p, y):  # type: ignore[no-untyped-def]
+def head_geometry(r: Any, p: Any, y: Any) -> Head:
     """Return the face centre's x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) from state vector `y`.
 
     With a flexible shaft the face rides on the deflected head and turns with the shaft's end slope, 1.5
@@ -375,7 +377,19 @@ def head_geometry(r, p, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _derivative(r, p, y, x1, x2, x3, vents_open, supply_on, level, dy, effort):  # type: ignore[no-untyped-def]
+def _derivative(
+    r: Any,
+    p: Any,
+    y: Any,
+    x1: float,
+    x2: float,
+    x3: float,
+    vents_open: bool,
+    supply_on: bool,
+    level: float,
+    dy: Any,
+    effort: Any,
+) -> float:
     """Write dy/dt of the smooth part of the plant; `x` are the spools' openings."""
     q1, q2, q3, u1, u2, u3 = y[0], y[1], y[2], y[3], y[4], y[5]
     supply, atmosphere = y[12], p.atmosphere
@@ -432,7 +446,7 @@ def _derivative(r, p, y, x1, x2, x3, vents_open, supply_on, level, dy, effort): 
     dy[12] = p.exponent / p.manifold * (feed - taken)
 
     f1, f2, f3 = dy[3] - h1, dy[4] - h2, dy[5] - h3
-    x, h, _, vx, vy, _ = head_geometry(r, p, y)
+    x, h, _, _, vy, _ = head_geometry(r, p, y)
     a12 = q1 + q2
     jx2, jy2 = h - r.l12 * sin(q1), x - r.l12 * cos(q1)
     jx3, jy3 = jx2 - r.l23 * sin(a12), jy2 - r.l23 * cos(a12)
@@ -486,7 +500,7 @@ def _derivative(r, p, y, x1, x2, x3, vents_open, supply_on, level, dy, effort): 
 
 
 @compiled
-def _between(start, middle, end, fraction):  # type: ignore[no-untyped-def]
+def _between(start: float, middle: float, end: float, fraction: float) -> float:
     """Return the parabola through three equally spaced values at `fraction` 0..1."""
     return (
         start * (1.0 - fraction) * (1.0 - 2.0 * fraction)
@@ -496,7 +510,21 @@ def _between(start, middle, end, fraction):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _runge_kutta(r, p, y, nodes, begin, end, step, vents_open, supply_on, level, work, effort, out):  # type: ignore[no-untyped-def]
+def _runge_kutta(
+    r: Any,
+    p: Any,
+    y: Any,
+    nodes: Any,
+    begin: float,
+    end: float,
+    step: float,
+    vents_open: bool,
+    supply_on: bool,
+    level: float,
+    work: Any,
+    effort: Any,
+    out: Any,
+) -> None:
     """Write into `out` the state after the part begin..end (0..1) of a substep of `step` s from `y`."""
     h = (end - begin) * step
     middle = 0.5 * (begin + end)
@@ -522,32 +550,28 @@ def _runge_kutta(r, p, y, nodes, begin, end, step, vents_open, supply_on, level,
 
 
 @compiled
-def _rub(r, p, y, interval):  # type: ignore[no-untyped-def]
+def _rub(r: Any, p: Any, y: Any, interval: float) -> None:
     """Let dry friction act on the speeds in `y` for `interval` s."""
     q2, q3 = y[1], y[2]
     m11, m12, m13, m22, m23, m33, _, _, _, arm_lever = kane_terms(r, y[0], q2, q3, 0.0, 0.0, 0.0)
     _, wrist_lever = wrist_stroke(p, q3)
     b1 = friction_bound(p.coulomb[0], p.static[0], p.stribeck_speed[0], y[3])
-    b2 = abs(arm_lever) * friction_bound(
-        p.coulomb[1], p.static[1], p.stribeck_speed[1], arm_lever * y[4]
-    )
-    b3 = abs(wrist_lever) * friction_bound(
-        p.coulomb[2], p.static[2], p.stribeck_speed[2], wrist_lever * y[5]
-    )
+    b2 = abs(arm_lever) * friction_bound(p.coulomb[1], p.static[1], p.stribeck_speed[1], arm_lever * y[4])
+    b3 = abs(wrist_lever) * friction_bound(p.coulomb[2], p.static[2], p.stribeck_speed[2], wrist_lever * y[5])
     y[3], y[4], y[5] = friction_impulse(
         m11, m12, m13, m22, m23, m33, y[3], y[4], y[5], b1 * interval, b2 * interval, b3 * interval
     )
 
 
 @compiled
-def _gap(r, p, impact, y):  # type: ignore[no-untyped-def]
+def _gap(r: Any, p: Any, impact: Any, y: Any) -> float:
     """Return how far the ball is ahead of the face (m); below zero the face has passed it."""
     x, h, theta, _, _, _ = head_geometry(r, p, y)
     return face_gap(x, h, theta, p.ball_x, p.ball_y, impact)
 
 
 @compiled
-def _strike_ball(r, p, impact, s, y):  # type: ignore[no-untyped-def]
+def _strike_ball(r: Any, p: Any, impact: Any, s: Any, y: Any) -> None:
     """Let the club hit the ball: one impulse, on the ball and, reversed, on the robot."""
     x, h, theta, vx, vy, omega = head_geometry(r, p, y)
     s.impact_head[0], s.impact_head[1], s.impact_head[2] = x, h, theta
@@ -582,7 +606,21 @@ def _strike_ball(r, p, impact, s, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _find_impact(r, p, impact, y, nodes, step, vents_open, supply_on, level, work, effort, trial, gap_before):  # type: ignore[no-untyped-def]
+def _find_impact(
+    r: Any,
+    p: Any,
+    impact: Any,
+    y: Any,
+    nodes: Any,
+    step: float,
+    vents_open: bool,
+    supply_on: bool,
+    level: float,
+    work: Any,
+    effort: Any,
+    trial: Any,
+    gap_before: float,
+) -> float:
     """Return the fraction of the substep at which the face meets the ball; `trial` is the state there.
 
     Illinois method on partial steps; the gap is found to 1e-12 m, far below the 0.1 mm that matters.
@@ -610,7 +648,7 @@ def _find_impact(r, p, impact, y, nodes, step, vents_open, supply_on, level, wor
 
 
 @compiled
-def _contact(r, p, y, i):  # type: ignore[no-untyped-def]
+def _contact(r: Any, p: Any, y: Any, i: int) -> tuple[float, float]:
     """Return stop coordinate i (rad or m) and the stop's force on it at state vector `y`."""
     if i == 1:
         dx, dh = r.l62 + r.l23 * cos(y[1]), r.l23 * sin(y[1])
@@ -622,7 +660,7 @@ def _contact(r, p, y, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _note_stops(r, p, s, y, contact):  # type: ignore[no-untyped-def]
+def _note_stops(r: Any, p: Any, s: Any, y: Any, contact: Any) -> None:
     """Keep the energy that each cushion has taken and how deep it was pressed in."""
     for i in range(3):
         position, force = _contact(r, p, y, i)
@@ -632,14 +670,14 @@ def _note_stops(r, p, s, y, contact):  # type: ignore[no-untyped-def]
             # Work against the stop; what it gives back in the rebound is not taken off.
             s.stop_work[i] += max(-0.5 * (force + contact[i, 1]) * (position - contact[i, 0]), 0.0)
             s.stop_energy[i, side] = max(s.stop_energy[i, side], s.stop_work[i])
-            s.stop_depth[i, side] = max(s.stop_depth[i, side], max(below, above))
+            s.stop_depth[i, side] = max(s.stop_depth[i, side], below, above)
         else:
             s.stop_work[i] = 0.0
         contact[i, 0], contact[i, 1] = position, force
 
 
 @compiled
-def advance(robot, plant, impact, state, command):  # type: ignore[no-untyped-def]
+def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> None:
     """Move `state` (PLANT_STATE, in place) over one tick with `command` (COMMAND) held constant.
 
     Arguments are one-element arrays: ROBOT, PLANT_PARAMETERS, IMPACT, PLANT_STATE, COMMAND.
@@ -679,7 +717,9 @@ def advance(robot, plant, impact, state, command):  # type: ignore[no-untyped-de
                 s.spool[i] = c.valve[i] + p.spool[i, 0] * offset + p.spool[i, 1] * rate
                 s.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
                 nodes[half, i] = s.spool[i]
-        _runge_kutta(r, p, y, nodes, 0.0, 1.0, step, vents_open, supply_on, s.supply_level, work, effort, trial)
+        _runge_kutta(
+            r, p, y, nodes, 0.0, 1.0, step, vents_open, supply_on, s.supply_level, work, effort, trial
+        )
         start = 0.0
         if s.ball_present and _gap(r, p, impact, trial) <= 0.0:
             gap_before = _gap(r, p, impact, y)
@@ -693,7 +733,19 @@ def advance(robot, plant, impact, state, command):  # type: ignore[no-untyped-de
                 s.impact_time = s.time + (n + start) * step
                 _strike_ball(r, p, impact, s, y)
                 _runge_kutta(
-                    r, p, y, nodes, start, 1.0, step, vents_open, supply_on, s.supply_level, work, effort, trial
+                    r,
+                    p,
+                    y,
+                    nodes,
+                    start,
+                    1.0,
+                    step,
+                    vents_open,
+                    supply_on,
+                    s.supply_level,
+                    work,
+                    effort,
+                    trial,
                 )
         for k in range(_STATES):
             y[k] = trial[k]
@@ -722,7 +774,7 @@ def advance(robot, plant, impact, state, command):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _uniform(s):  # type: ignore[no-untyped-def]
+def _uniform(s: Any) -> float:
     """Return the next random number in (0, 1) of the state's own stream (SplitMix64, Steele 2014)."""
     s.random = s.random + np.uint64(0x9E3779B97F4A7C15)
     z = s.random
@@ -733,14 +785,14 @@ def _uniform(s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _normal(s):  # type: ignore[no-untyped-def]
+def _normal(s: Any) -> float:
     """Return the next normally distributed number (Box and Muller 1958)."""
     return sqrt(-2.0 * log(_uniform(s))) * cos(2.0 * pi * _uniform(s))
 
 
 @compiled
-def sense(plant, state, readings):  # type: ignore[no-untyped-def]
-    """Write what the sensors show of `state` into `readings` (READINGS); noise draws on the state's stream."""
+def sense(plant: Any, state: Any, readings: Any) -> None:
+    """Write what the sensors show of `state` into `readings` (READINGS); noise is drawn from its stream."""
     p, s, out = plant[0], state[0], readings[0]
     substep = p.tick / p.substeps
     out.time = s.time
@@ -756,7 +808,7 @@ def sense(plant, state, readings):  # type: ignore[no-untyped-def]
         angle = newer + part * (older - newer)
         if p.noise > 0.0:
             angle += p.noise * _normal(s)
-        out.encoder_count[i] = int(floor(angle * p.encoder_scale)) % p.encoder_counts
+        out.encoder_count[i] = floor(angle * p.encoder_scale) % p.encoder_counts
         out.encoder_time[i] = s.time - p.latency
         out.encoder_valid[i] = 1
         out.encoder_age[i] = p.latency

@@ -30,7 +30,7 @@ Fraction = Annotated[float, Ge(0), Lt(1)]
 
 
 @compiled
-def flow(conductance, upstream, downstream, critical_ratio):  # type: ignore[no-untyped-def]
+def flow(conductance: float, upstream: float, downstream: float, critical_ratio: float) -> float:
     """Return m' R T (W) through an orifice, positive from `upstream` to `downstream`; ISO 6358.
 
     `conductance` m3/(s Pa); pressures Pa absolute; choked below `critical_ratio`, elliptic above it,
@@ -152,22 +152,20 @@ class Supply:
 
 
 @compiled
-def friction_bound(coulomb, static, stribeck_speed, speed):  # type: ignore[no-untyped-def]
+def friction_bound(coulomb: float, static: float, stribeck_speed: float, speed: float) -> float:
     """Return the largest dry-friction force at `speed`: Coulomb plus Stribeck's rise towards standstill."""
     relative = speed / stribeck_speed
     return coulomb + (static - coulomb) * exp(-relative * relative)
 
 
 @compiled
-def stop_force(stiffness, travel, damping_speed, depth, speed):  # type: ignore[no-untyped-def]
+def stop_force(stiffness: float, travel: float, damping_speed: float, depth: float, speed: float) -> float:
     """Return the force of a cushion pressed in by `depth` (> 0) at `speed` (positive inwards).
 
     Spring with position-dependent damping (Hunt & Crossley 1975), so that force and energy are continuous
     and it never pulls. Behind the cushion's travel the structure is twenty times as stiff.
     """
-    factor = 1.0 + speed / damping_speed
-    if factor < 0.0:
-        factor = 0.0
+    factor = max(1.0 + speed / damping_speed, 0.0)
     force = stiffness * depth
     if depth > travel:
         force += 20.0 * stiffness * (depth - travel)

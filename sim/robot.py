@@ -205,7 +205,9 @@ class RobotParameters:
             "inertia_c": self.club.inertia,
             "gravity": self.in_plane_gravity,
         }
-        for letter, body in zip("abde", (self.shoulder_link, self.left_arm, self.rod, self.cylinder), strict=True):
+        for letter, body in zip(
+            "abde", (self.shoulder_link, self.left_arm, self.rod, self.cylinder), strict=True
+        ):
             values |= {
                 f"mass_{letter}": body.mass,
                 f"com_{letter}": body.centre_of_mass,
