@@ -40,7 +40,7 @@ def blueprint() -> rrb.Blueprint:
         _series("Angle error (reference − actual), °", False, "angle_error_deg"),
         _series("Valve opening, −1 … 1", False, "valve/applied"),
         _series("Chamber pressure, bar absolute", False, "pressure_bar"),
-        _series("Club head speed, m/s", False, "head_speed_mps"),
+        _series("Speed of club head and ball, m/s", True, "head_speed_mps", "ball_speed_mps"),
     )
     phases = rrb.StateTimelineView(
         name="Phase and reaction", origin="/signals", contents=["/signals/phase", "/signals/reaction"],
@@ -63,7 +63,7 @@ def blueprint() -> rrb.Blueprint:
             row_shares=[5, 1],
         ),
         rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, playback_speed=0.25, play_state="paused", loop_mode="all"
+            state="collapsed", timeline=TIMELINE, playback_speed=0.25, play_state="playing", loop_mode="all"
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

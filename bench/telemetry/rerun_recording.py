@@ -46,6 +46,14 @@ _PHASE_COLOURS = {
     Phase.FOLLOW_THROUGH: (249, 146, 60),
     Phase.RETURN: (120, 130, 145),
 }
+_REACTION_COLOURS = {
+    Reaction.NONE: (75, 85, 99),
+    Reaction.COMPLETE: (234, 179, 8),
+    Reaction.BRAKE: (249, 115, 22),
+    Reaction.BLIND_BRAKE: (220, 38, 38),
+    Reaction.PASSIVE: (168, 85, 247),
+    Reaction.VENT: (14, 165, 233),
+}
 _QUICK = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _BAR = 1e5
 
@@ -167,10 +175,12 @@ def _log_signals(
     for name, names in (("phase", Phase), ("reaction", Reaction)):
         codes = cycles[name].astype(int)
         changes = np.concatenate([[0], np.flatnonzero(np.diff(codes)) + 1])
-        states = rr.StateChange.columns(
-            state=[names(code).name.lower().replace("_", " ") for code in codes[changes]]
-        )
+        states = rr.StateChange.columns(state=[_state(names(code)) for code in codes[changes]])
         recording.send_columns(f"signals/{name}", [_time(time[changes])], states)
+
+
+def _state(code: Phase | Reaction) -> str:
+    return code.name.lower().replace("_", " ")
 
 
 def _head_velocity(robot: RobotParameters, cycles: np.ndarray[Any, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -214,11 +224,16 @@ def _log_ball(recording: rr.RecordingStream, time: np.ndarray, position: np.ndar
 def _log_flight(
     recording: rr.RecordingStream, record: ShotRecord, time: np.ndarray, colour: tuple[int, int, int]
 ) -> None:
-    """Log the path, the moving ball and where it landed."""
+    """Log the path, the moving ball with its speed, and where it landed."""
     if record.flight is None:
         return
     path = record.flight.path
     shot = f"range/shots/{record.shot.shot:03d}"
+    speed = np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1)
+    gap = np.append(time, time[-1] + 1e-3)  # not a number: no line from this flight to the next
+    recording.send_columns(
+        "signals/ball_speed_mps", [_time(gap)], rr.Scalars.columns(scalars=[*speed, np.nan])
+    )
     sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
     recording.send_columns(
         f"{shot}/path",
@@ -295,15 +310,13 @@ def _log_styles(recording: rr.RecordingStream) -> None:
     lines("valve/applied", JOINTS, joint)
     lines("valve/wanted", [f"{name} wanted" for name in JOINTS], joint, 1.0)
     lines("pressure_bar", [*CHAMBERS, "supply"], [*chamber, (150, 155, 165)])
-    lines("head_speed_mps", ["club head"], [(200, 40, 60)], 2.0)
-    recording.log(
-        "signals/phase",
-        rr.StateConfiguration(
-            values=[phase.name.lower().replace("_", " ") for phase in _PHASE_COLOURS],
-            colors=list(_PHASE_COLOURS.values()),
-        ),
-        static=True,
-    )
+    lines("head_speed_mps", ["club head"], [(220, 50, 60)], 2.0)
+    lines("ball_speed_mps", ["ball"], [(235, 235, 235)], 2.0)
+    for name, colour_of in (("phase", _PHASE_COLOURS), ("reaction", _REACTION_COLOURS)):
+        states = rr.StateConfiguration(
+            values=[_state(code) for code in colour_of], colors=[*colour_of.values()]
+        )
+        recording.log(f"signals/{name}", states, static=True)
     recording.log(
         "range/ball",
         rr.Points3D.from_fields(radii=rr.Radius.ui_points(4.0), colors=(255, 255, 255)),

@@ -105,6 +105,9 @@ def test_the_ball_rests_on_its_tee_and_flies_its_flight(three: Recording, make_r
     first = time < time[0] + record.flight.total_time + 1e-6
     assert np.allclose(np.array(rows)[first, 0], record.flight.path[:, 1:], atol=1e-4)
     assert time[0] == pytest.approx(1.186, abs=2e-3)  # the head crosses the ball then
+    _, speed = three.read("/signals/ball_speed_mps", "Scalars:scalars")
+    assert record.shot.ball_speed_mps is not None
+    assert speed[0][0] == pytest.approx(record.shot.ball_speed_mps, rel=0.01)
     _, near = three.read("/scene/ball", "Points3D:positions")
     assert near[0][0][1] == pytest.approx((1.57 - 1.514) * sin(radians(53)) + RADIUS * sin(radians(10.5)))
 
