@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, sqrt
+from typing import Annotated
 
 from sim.ranges import Range, check_ranges
 
@@ -24,12 +25,12 @@ class Air:
     A value outside its physical range raises ValueError.
     """
 
-    temperature: float = 298.15
-    pressure: float = _STANDARD_PRESSURE
-    relative_humidity: float = 0.5
+    temperature: Annotated[float, Range(233.15, 333.15, "K")] = 298.15
+    pressure: Annotated[float, Range(20_000.0, 120_000.0, "Pa")] = _STANDARD_PRESSURE
+    relative_humidity: Annotated[float, Range(0.0, 1.0, "as a fraction (0.5 is 50 %)")] = 0.5
 
     def __post_init__(self) -> None:
-        check_ranges(self, _RANGES)
+        check_ranges(self)
 
     @classmethod
     def at_altitude(cls, altitude: float, temperature: float = 298.15, relative_humidity: float = 0.5) -> Air:
@@ -65,9 +66,3 @@ class Air:
         ratio = self.temperature / _ZERO_CELSIUS
         return 1.716e-5 * ratio * sqrt(ratio) * (_ZERO_CELSIUS + 110.4) / (self.temperature + 110.4)
 
-
-_RANGES = {
-    "temperature": Range(233.15, 333.15, "K"),
-    "pressure": Range(20_000.0, 120_000.0, "Pa"),
-    "relative_humidity": Range(0.0, 1.0, "as a fraction (0.5 is 50 %)"),
-}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from sim.ranges import Range, check_ranges
 
@@ -17,32 +18,20 @@ class Ball:
     """
 
     name: str = "standard"
-    mass: float = 0.04593
-    """kg"""
-    radius: float = 0.021335
-    """m"""
-    inertia_factor: float = 0.4
-    restitution_factor: float = 1.0
-    friction: float = 0.4
+    mass: Annotated[float, Range(0.02, 0.06, "kg")] = 0.04593
+    radius: Annotated[float, Range(0.015, 0.03, "m")] = 0.021335
+    inertia_factor: Annotated[float, Range(0.2, 2.0 / 3.0, "(hollow shell at most)")] = 0.4
+    restitution_factor: Annotated[float, Range(0.3, 1.2, "")] = 1.0
+    friction: Annotated[float, Range(0.0, 2.0, "")] = 0.4
     """Coulomb coefficient of cover on club face; sliding starts only far above a driver's loft."""
-    drag_factor: float = 1.0
-    lift_factor: float = 1.0
+    drag_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
+    lift_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
 
     def __post_init__(self) -> None:
-        check_ranges(self, _RANGES)
+        check_ranges(self)
 
     @property
     def inertia(self) -> float:
         """Moment of inertia (kg m2)."""
         return self.inertia_factor * self.mass * self.radius**2
 
-
-_RANGES = {
-    "mass": Range(0.02, 0.06, "kg"),
-    "radius": Range(0.015, 0.03, "m"),
-    "inertia_factor": Range(0.2, 2.0 / 3.0, "(hollow shell at most)"),
-    "restitution_factor": Range(0.3, 1.2, ""),
-    "friction": Range(0.0, 2.0, ""),
-    "drag_factor": Range(0.0, 3.0, ""),
-    "lift_factor": Range(0.0, 3.0, ""),
-}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import atan2, cos, hypot, isfinite, pi, sin
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -46,11 +46,11 @@ class Wind:
     """
 
     velocity: Vector = (0.0, 0.0, 0.0)
-    reference_height: float = 10.0
-    exponent: float = 0.0
+    reference_height: Annotated[float, Range(0.1, 1000.0, "m")] = 10.0
+    exponent: Annotated[float, Range(0.0, 1.0, "")] = 0.0
 
     def __post_init__(self) -> None:
-        check_ranges(self, _WIND_RANGES)
+        check_ranges(self)
         if np.shape(self.velocity) != (3,) or not np.all(np.abs(self.velocity) <= 60.0):
             raise ValueError(f"Wind.velocity: found {self.velocity!r}, expected 3 values, -60 to 60 m/s")
 
@@ -59,8 +59,6 @@ class Wind:
         """Return wind of `speed` (m/s) towards `direction` (rad): 0 a tail wind, pi/2 to the right."""
         return cls((speed * cos(direction), 0.0, speed * sin(direction)), exponent=exponent)
 
-
-_WIND_RANGES = {"reference_height": Range(0.1, 1000.0, "m"), "exponent": Range(0.0, 1.0, "")}
 
 FLIGHT = np.dtype(
     [

@@ -14,7 +14,6 @@ from math import cos, floor, log, pi, sin, sqrt
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from sim.ball import Ball
 from sim.compiled import compiled, new_record
@@ -22,7 +21,8 @@ from sim.friction import friction_impulse
 from sim.impact import face_gap, impact_in_plane, impact_parameters
 from sim.kane import kane_terms, solve_symmetric
 from sim.pneumatics import Actuator, EndStop, Friction, Supply, flow, friction_bound, stop_force
-from sim.robot import Club, NotNegative, Positive, RobotParameters
+from sim.ranges import Range
+from sim.robot import Club, Length, RobotParameters
 
 HISTORY = 64
 """Substeps of joint angles kept for the encoders' latency."""
@@ -32,12 +32,12 @@ HISTORY = 64
 class Encoders:
     """Three absolute single-turn rotary encoders on R1, R2, R3."""
 
-    counts_per_revolution: Annotated[int, Ge(256), Le(2**24)] = 2**17
-    latency: Annotated[float, Ge(0), Le(0.005)] = 0.0001
+    counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")] = 2**17
+    latency: Annotated[float, Range(0.0, 0.005, "s")] = 0.0001
     """From the shaft's position to the reading, s."""
-    jitter: NotNegative = 0.0
+    jitter: Annotated[float, Range(0.0, 0.001, "s")] = 0.0
     """Standard deviation of the sampling instant, s."""
-    noise: NotNegative = 0.0
+    noise: Annotated[float, Range(0.0, 0.1, "rad")] = 0.0
     """Standard deviation, rad."""
 
 
@@ -46,23 +46,23 @@ class Shaft:
     """In-plane bending of the shaft: the head's mass on a spring across the shaft line."""
 
     flexible: bool = False
-    frequency: Positive = 4.5
+    frequency: Annotated[float, Range(0.5, 100.0, "Hz")] = 4.5
     """First clamped mode with the head, Hz."""
-    damping_ratio: Annotated[float, Ge(0), Le(1)] = 0.03
+    damping_ratio: Annotated[float, Range(0.0, 1.0, "")] = 0.03
 
 
 @dataclass(frozen=True)
 class Site:
     """Where ground and ball lie in the swing plane (m)."""
 
-    ground: float = -1.62
+    ground: Annotated[float, Range(-3.0, 0.0, "m")] = -1.62
     """y0 of the ground line."""
-    sole_depth: NotNegative = 0.03
+    sole_depth: Annotated[float, Range(0.0, 0.2, "m")] = 0.03
     """How far the head reaches below its face centre (m)."""
-    ball_x: float = 0.25
-    ball_y: float = -1.56
+    ball_x: Annotated[float, Range(-1.5, 1.5, "m")] = 0.25
+    ball_y: Annotated[float, Range(-3.0, 0.0, "m")] = -1.56
     """Centre of the ball on its tee."""
-    ground_stiffness: Positive = 2.0e5
+    ground_stiffness: Annotated[float, Range(1e3, 1e8, "N/m")] = 2.0e5
     """N/m."""
 
 
@@ -110,16 +110,16 @@ class PlantParameters:
     shoulder: Actuator = field(default_factory=_shoulder)
     right_arm: Actuator = field(default_factory=_right_arm)
     wrist: Actuator = field(default_factory=_wrist)
-    wrist_lever: Positive = 0.06
+    wrist_lever: Length = 0.06
     supply: Supply = field(default_factory=Supply)
     encoders: Encoders = field(default_factory=Encoders)
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
-    tick: Positive = 0.001
+    tick: Annotated[float, Range(1e-4, 0.02, "s")] = 0.001
     """Time between two commands, s."""
-    substeps: Annotated[int, Ge(1), Le(256)] = 4
-    seed: Annotated[int, Ge(0)] = 1
+    substeps: Annotated[int, Range(1, 256, "")] = 4
+    seed: Annotated[int, Range(0, 2**63 - 1, "")] = 1
 
     @property
     def actuators(self) -> tuple[Actuator, Actuator, Actuator]:

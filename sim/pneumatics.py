@@ -11,9 +11,9 @@ from math import exp, pi, sqrt
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
 
 from sim.compiled import compiled
+from sim.ranges import Range
 
 REFERENCE_TEMPERATURE = 293.15
 GAS_CONSTANT = 287.05
@@ -24,9 +24,8 @@ FLOW_TO_PRESSURE = GAS_CONSTANT * REFERENCE_TEMPERATURE * REFERENCE_DENSITY
 LAMINAR_RATIO = 0.98
 """Pressure ratio above which the flow is taken as linear; removes the infinite slope at equal pressures."""
 
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
-Fraction = Annotated[float, Ge(0), Lt(1)]
+Conductance = Annotated[float, Range(1e-12, 1e-5, "m3/(s Pa)")]
+Area = Annotated[float, Range(1e-6, 0.05, "m2, vane m3/rad")]
 
 
 @compiled
@@ -56,15 +55,15 @@ def flow(conductance: float, upstream: float, downstream: float, critical_ratio:
 class Valve:
     """A 5/3 proportional valve, centre closed (MPYE type; golf.md 8.2)."""
 
-    conductance: Positive = 7.9e-8
+    conductance: Conductance = 7.9e-8
     """Sonic conductance of one metering edge fully open, m3/(s Pa)."""
-    critical_ratio: Annotated[float, Gt(0), Lt(0.9)] = 0.3
-    natural_frequency: Positive = 2 * pi * 100.0
+    critical_ratio: Annotated[float, Range(0.05, 0.9, "")] = 0.3
+    natural_frequency: Annotated[float, Range(10.0, 1e4, "rad/s")] = 2 * pi * 100.0
     """Spool, rad/s (assumption: critical frequency about 100 Hz)."""
-    damping_ratio: Annotated[float, Gt(0), Le(2)] = 0.8
-    dead_band: Fraction = 0.02
+    damping_ratio: Annotated[float, Range(0.05, 2.0, "")] = 0.8
+    dead_band: Annotated[float, Range(0.0, 0.5, "")] = 0.02
     """Overlap on each side of the centre, share of the stroke."""
-    leakage: Fraction = 0.001
+    leakage: Annotated[float, Range(0.0, 0.1, "")] = 0.001
     """Opening that remains at a closed edge, share of the full one."""
 
     def half_step_matrix(self, half_step: float) -> np.ndarray:
@@ -80,13 +79,13 @@ class Valve:
 class Friction:
     """Joint friction in the actuator's coordinate: viscous, and Coulomb with Stribeck's static rise."""
 
-    viscous: NotNegative
+    viscous: Annotated[float, Range(0.0, 1e4, "N s/m, vane N m s/rad")]
     """N s/m or N m s/rad."""
-    coulomb: NotNegative
+    coulomb: Annotated[float, Range(0.0, 2000.0, "N, vane N m")]
     """N or N m."""
-    static: NotNegative
+    static: Annotated[float, Range(0.0, 2000.0, "N, vane N m")]
     """N or N m; at least `coulomb`."""
-    stribeck_speed: Positive = 0.05
+    stribeck_speed: Annotated[float, Range(1e-4, 2.0, "m/s, vane rad/s")] = 0.05
     """m/s or rad/s."""
 
 
@@ -94,11 +93,11 @@ class Friction:
 class EndStop:
     """A stop with a cushion: `travel` beyond the working range takes `energy` at most."""
 
-    energy: Positive
+    energy: Annotated[float, Range(0.1, 1000.0, "J")]
     """Rated energy, J."""
-    travel: Positive
+    travel: Annotated[float, Range(1e-4, 1.0, "rad, rod m")]
     """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
-    damping_speed: Positive = 2.0
+    damping_speed: Annotated[float, Range(0.01, 1000.0, "rad/s, rod m/s")] = 2.0
     """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
 
     @property
@@ -115,18 +114,18 @@ class Actuator:
     coordinate: theta1 (rad), rod extension (m), theta3 (rad).
     """
 
-    area_a: Positive
-    area_b: Positive
-    dead_volume: Positive
+    area_a: Area
+    area_b: Area
+    dead_volume: Annotated[float, Range(1e-7, 0.01, "m3")]
     """Of each chamber with its hose, m3."""
-    lower: float
-    upper: float
+    lower: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
+    upper: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
     friction: Friction
     stop: EndStop
     valve: Valve = field(default_factory=Valve)
-    cross_leakage: NotNegative = 2e-11
+    cross_leakage: Annotated[float, Range(0.0, 1e-8, "m3/(s Pa)")] = 2e-11
     """Conductance between the chambers past the seals, m3/(s Pa)."""
-    pressure_rating: Positive = 1.2e6
+    pressure_rating: Annotated[float, Range(2e5, 5e6, "Pa absolute")] = 1.2e6
     """Pa absolute."""
 
 
@@ -134,21 +133,21 @@ class Actuator:
 class Supply:
     """Regulator, manifold, dump valve, and the throttled, normally open chamber vents."""
 
-    pressure: Positive = 8.0e5
+    pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
     """Regulated, Pa absolute."""
-    feed_conductance: Positive = 8.0e-8
+    feed_conductance: Conductance = 8.0e-8
     """Regulator and feed line, m3/(s Pa)."""
-    volume: Positive = 0.010
+    volume: Annotated[float, Range(1e-5, 1.0, "m3")] = 0.010
     """Manifold and its reservoir behind the soft-start valve, m3."""
-    dump_conductance: Positive = 2.0e-7
-    soft_start_time: Positive = 0.3
+    dump_conductance: Conductance = 2.0e-7
+    soft_start_time: Annotated[float, Range(0.001, 30.0, "s")] = 0.3
     """From shut to fully open, s."""
-    vent_conductance: Positive = 5.0e-9
+    vent_conductance: Conductance = 5.0e-9
     """Of one chamber vent, m3/(s Pa)."""
-    vent_delay: NotNegative = 0.5
+    vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
     """From loss of energy to open vents (pneumatic timer), s."""
-    atmosphere: Positive = 1.013e5
-    polytropic_exponent: Annotated[float, Ge(1.0), Le(1.4)] = 1.2
+    atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
+    polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2
 
 
 @compiled

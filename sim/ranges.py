@@ -1,10 +1,10 @@
-"""Physical ranges of values that come from configuration, checked when the value is made."""
+"""Physical ranges of values that come from outside; each stands in the annotation of its field."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import cache
 from math import isfinite
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
 
 class Range(NamedTuple):
@@ -14,11 +14,26 @@ class Range(NamedTuple):
     high: float
     unit: str
 
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
-def check_ranges(value: object, ranges: Mapping[str, Range]) -> None:
+
+@cache
+def ranges_of(kind: type) -> dict[str, Range]:
+    """Return the range of every field of dataclass `kind` that is annotated with one."""
+    return {
+        name: mark
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+        if get_origin(hint) is Annotated
+        for mark in hint.__metadata__
+        if isinstance(mark, Range)
+    }
+
+
+def check_ranges(value: object) -> None:
     """Raise ValueError naming class, field, found and expected when a field of `value` leaves its range."""
-    for name, (low, high, unit) in ranges.items():
+    kind: type[Any] = type(value)
+    for name, span in ranges_of(kind).items():
         found = getattr(value, name)
-        if not (isfinite(found) and low <= found <= high):
-            expected = f"expected {low:g} to {high:g} {unit}".rstrip()
-            raise ValueError(f"{type(value).__name__}.{name}: found {found!r}, {expected}")
+        if not (isfinite(found) and span.low <= found <= span.high):
+            raise ValueError(f"{kind.__name__}.{name}: found {found!r}, expected {span}")

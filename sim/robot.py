@@ -15,17 +15,18 @@ from math import pi, radians, sin
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, Lt
 
 from sim.compiled import new_record
+from sim.ranges import Range
 
 _INCH = 0.0254
 _POUND_PER_CUBIC_INCH = 0.45359237 / 0.00001639  # as in the thesis, kg/m3
 _STEEL = 0.283 * _POUND_PER_CUBIC_INCH
 _ALUMINIUM = 0.098 * _POUND_PER_CUBIC_INCH
 
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
+Length = Annotated[float, Range(0.01, 2.0, "m")]
+HeadInertia = Annotated[float, Range(1e-5, 2e-3, "kg m2")]
+FaceRadius = Annotated[float, Range(0.05, 1e6, "m")]
 
 
 @dataclass(frozen=True, slots=False)
@@ -36,30 +37,30 @@ class Club:
     for a modern driver; head inertias and depth from golf.md 3.3 (4,000-5,900 g cm2; depth 35 mm).
     """
 
-    head_mass: Positive = 0.2
-    shaft_mass: Positive = 0.065
-    mount_mass: NotNegative = 0.4
-    shaft_length: Positive = 1.0668
+    head_mass: Annotated[float, Range(0.02, 0.6, "kg")] = 0.2
+    shaft_mass: Annotated[float, Range(0.02, 0.5, "kg")] = 0.065
+    mount_mass: Annotated[float, Range(0.0, 3.0, "kg")] = 0.4
+    shaft_length: Annotated[float, Range(0.3, 1.5, "m")] = 1.0668
     """R3 to the head's mass point (m); 42 in as in the thesis."""
-    shaft_radius: Positive = 0.0075
-    length_to_face: Positive = 1.09
+    shaft_radius: Annotated[float, Range(0.001, 0.03, "m")] = 0.0075
+    length_to_face: Annotated[float, Range(0.3, 1.5, "m")] = 1.09
     """R3 to the centre of the face (m), l3T of the thesis."""
     name: str = "driver"
-    loft: Annotated[float, Ge(0), Lt(radians(70))] = radians(10.5)
-    lie: Annotated[float, Gt(radians(35)), Lt(radians(80))] = radians(53.0)
-    face_angle: Annotated[float, Gt(-0.2), Lt(0.2)] = 0.0
+    loft: Annotated[float, Range(0.0, radians(70.0), "rad")] = radians(10.5)
+    lie: Annotated[float, Range(radians(35.0), radians(80.0), "rad")] = radians(53.0)
+    face_angle: Annotated[float, Range(radians(-10.0), radians(10.0), "rad")] = 0.0
     """Face angle in the mount at zero shaft lean (rad, positive open)."""
-    head_inertia_horizontal: Positive = 4.8e-4
+    head_inertia_horizontal: HeadInertia = 4.8e-4
     """About the vertical axis through the head's centre of mass (kg m2)."""
-    head_inertia_vertical: Positive = 2.9e-4
+    head_inertia_vertical: HeadInertia = 2.9e-4
     """About the heel-toe axis (kg m2)."""
-    head_depth: NotNegative = 0.035
+    head_depth: Annotated[float, Range(0.0, 0.12, "m")] = 0.035
     """Depth of the centre of mass behind the face (m)."""
-    restitution: Annotated[float, Gt(0), Le(1)] = 0.83
-    tangential_factor: Annotated[float, Ge(0), Le(1)] = 0.75
+    restitution: Annotated[float, Range(0.1, 1.0, "")] = 0.83
+    tangential_factor: Annotated[float, Range(0.0, 1.0, "")] = 0.75
     """Share of the rolling-contact spin that a modern face gives (golf.md 3.1, a start value)."""
-    bulge_radius: Positive = 0.305
-    roll_radius: Positive = 0.305
+    bulge_radius: FaceRadius = 0.305
+    roll_radius: FaceRadius = 0.305
 
     @classmethod
     def thesis(cls) -> Club:
@@ -96,9 +97,9 @@ class Club:
 class Body:
     """A rigid body: mass (kg), distance of its centre of mass on its axis (m), central inertia (kg m2)."""
 
-    mass: Positive
-    centre_of_mass: float
-    inertia: Positive
+    mass: Annotated[float, Range(0.01, 100.0, "kg")]
+    centre_of_mass: Annotated[float, Range(-1.0, 1.0, "m")]
+    inertia: Annotated[float, Range(1e-6, 10.0, "kg m2")]
 
 
 def _bar(mass: float, length: float, width: float) -> float:
@@ -166,18 +167,18 @@ class RobotParameters:
     `cylinder` from R6 towards R3. The swing plane is tilted by `lie` (rad) from the horizontal.
     """
 
-    l12: Positive = 0.25
-    l16: Positive = 0.09
-    l23: Positive = 0.56
-    l56: Positive = 0.34
-    stroke: Positive = 0.22
+    l12: Length = 0.25
+    l16: Length = 0.09
+    l23: Length = 0.56
+    l56: Length = 0.34
+    stroke: Length = 0.22
     shoulder_link: Body = field(default_factory=_shoulder_link)
     left_arm: Body = field(default_factory=_left_arm)
     rod: Body = field(default_factory=_rod)
     cylinder: Body = field(default_factory=_right_arm_cylinder)
     club: Club = field(default_factory=Club.driver)
-    gravity: NotNegative = 9.82
-    lie: Annotated[float, Gt(0), Le(pi / 2)] = radians(53.0)
+    gravity: Annotated[float, Range(0.0, 20.0, "m/s2")] = 9.82
+    lie: Annotated[float, Range(radians(20.0), pi / 2, "rad")] = radians(53.0)
 
     @property
     def l62(self) -> float:

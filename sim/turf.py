@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import acos, cos, hypot, radians, sin
+from typing import Annotated
 
 from sim.compiled import compiled
 from sim.ranges import Range, check_ranges
@@ -27,24 +28,16 @@ class Turf:
     """
 
     name: str = "fairway"
-    friction: float = 0.40
-    tilt: float = radians(15.4)
+    friction: Annotated[float, Range(0.0, 2.0, "")] = 0.40
+    tilt: Annotated[float, Range(0.0, 0.6, "rad")] = radians(15.4)
     """Lean of the effective surface at 18.6 m/s, 44.4 degrees (rad); smaller on firmer turf."""
-    restitution_factor: float = 1.0
-    rolling_resistance: float = 0.131
+    restitution_factor: Annotated[float, Range(0.0, 2.0, "")] = 1.0
+    rolling_resistance: Annotated[float, Range(0.01, 2.0, "(deceleration over gravity)")] = 0.131
 
     model = "Penner 2002"
 
     def __post_init__(self) -> None:
-        check_ranges(self, _RANGES)
-
-
-_RANGES = {
-    "friction": Range(0.0, 2.0, ""),
-    "tilt": Range(0.0, 0.6, "rad"),
-    "restitution_factor": Range(0.0, 2.0, ""),
-    "rolling_resistance": Range(0.01, 2.0, "(deceleration over gravity)"),
-}
+        check_ranges(self)
 
 
 @compiled
