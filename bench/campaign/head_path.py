@@ -2,7 +2,7 @@
 
 At 1 kHz the head moves over 40 mm from one record to the next. Between two records the joint angles
 follow the cubic through both angles and both velocities; across the impact, where velocities jump, the
-last record before it is carried on with its own velocity.
+last record before it is carried on with its own velocity and acceleration.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from sim.kinematics import forward_kinematics
 from sim.robot import RobotParameters
 
 _DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
+
+_EARLIEST_CONTACT = 0.004
+"""How far (m) before the ball's position an off-centre strike may begin."""
 
 
 class HeadPath(NamedTuple):
@@ -43,14 +46,19 @@ def path_to_ball(
         (down["plant_angle"], down["plant_velocity"]) if simulated else (down["angle"], down["velocity"])
     )
     x = forward_kinematics(robot, angle)[:, 0]
-    crossings = np.flatnonzero((x[:-1] < x_end) & (x[1:] >= x_end))
-    if not crossings.size:
+    # Off its centre the face meets the ball up to some millimetres early: a record there may be after impact.
+    before = x < x_end - _EARLIEST_CONTACT
+    crossings = np.flatnonzero(before[:-1] & ~before[1:])
+    if not crossings.size or not crossings[-1]:
         return None
     last = int(crossings[-1])
-    step = down["time"][last + 1] - down["time"][last]
-    times = np.append(down["time"][: last + 1], down["time"][last] + step)
-    angles = np.vstack([angle[: last + 1], angle[last] + step * velocity[last]])
-    velocities = np.vstack([velocity[: last + 1], velocity[last]])
+    times = down["time"][: last + 2].copy()
+    acceleration = (velocity[last] - velocity[last - 1]) / (times[last] - times[last - 1])
+    step = 1.25 * (times[last + 1] - times[last])
+    times[last + 1] = times[last] + step
+    ahead = angle[last] + step * (velocity[last] + step / 2 * acceleration)
+    angles = np.vstack([angle[: last + 1], ahead])
+    velocities = np.vstack([velocity[: last + 1], velocity[last] + step * acceleration])
     spline = CubicHermiteSpline(times, angles, velocities)
     start = max(0, last - 60)
     fine = np.linspace(times[start], times[-1], 50 * (len(times) - start))
