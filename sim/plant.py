@@ -72,7 +72,7 @@ def _shoulder() -> Actuator:
         area_b=4.0e-4,
         dead_volume=6.0e-5,
         lower=-1.7,
-        upper=2.5,
+        upper=2.7,
         friction=Friction(viscous=0.3, coulomb=6.0, static=8.0),
         stop=EndStop(energy=60.0, travel=0.10),
     )
@@ -207,6 +207,7 @@ PLANT_STATE = np.dtype(
         ("guard_closed", "?"),
         ("guard_locked", "?"),
         ("local_reset", "?"),
+        ("encoder_valid", "u1", (3,)),
         ("ball_present", "?"),
         ("tee_before", "?"),
         ("struck", "?"),
@@ -327,6 +328,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     state["supply_pressure"] = supply.pressure if pressurised else supply.atmosphere
     state["supply_level"] = 1.0 if pressurised else 0.0
     state["emergency_stop_clear"] = state["guard_closed"] = state["guard_locked"] = True
+    state["encoder_valid"] = 1
     state["history"] = angle
     state["lowest_clearance"] = np.inf
     state["peak_pressure"] = state["pressure"]
@@ -810,7 +812,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
             angle += p.noise * _normal(s)
         out.encoder_count[i] = floor(angle * p.encoder_scale) % p.encoder_counts
         out.encoder_time[i] = s.time - p.latency
-        out.encoder_valid[i] = 1
+        out.encoder_valid[i] = s.encoder_valid[i]
         out.encoder_age[i] = p.latency
     out.emergency_stop_clear = s.emergency_stop_clear
     out.guard_closed = s.guard_closed
