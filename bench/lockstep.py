@@ -12,21 +12,10 @@ import numpy as np
 
 from bench.control.step import ControlParameters, ControlState, new_control_state, step
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, READINGS
+from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
 from sim.compiled import compiled, new_record
 from sim.plant import Plant, advance, initial_state, sense
-
-
-@compiled
-def note_truth(plant_state: Any, cycle: Any) -> None:
-    """Write what only the plant knows into a CYCLE record."""
-    s, out = plant_state[0], cycle[0]
-    for i in range(3):
-        out.plant_angle[i], out.plant_velocity[i], out.plant_effort[i] = s.angle[i], s.speed[i], s.effort[i]
-    for i in range(6):
-        out.plant_pressure[i] = s.pressure[i]
-    out.plant_head_position[0], out.plant_head_position[1] = s.head[0], s.head[1]
-    out.plant_head_speed = np.sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])
+from sim.truth import note_truth
 
 
 @compiled
@@ -63,10 +52,14 @@ class Lockstep:
         requests = np.zeros(ticks, np.uint8)
         if ticks:
             requests[0] = request
-        cycles = np.zeros(ticks, CYCLE)
+        cycles = new_record(CYCLE, ticks)
         run(
             *self.plant.records, self.plant_state, self.state, self.parameters, self.readings, self.command,
             requests, self.tick, cycles,
         )  # fmt: skip
         self.tick += ticks
         return cycles
+
+    def make_passive(self) -> None:
+        """Hold the passive command until the next tick."""
+        pack_command(PASSIVE, self.command)

@@ -58,11 +58,11 @@ def compiled(function: _Function) -> _Function:
     return cast(_Function, decorate(function))
 
 
-def new_record(dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
-    """Return a zeroed one-element array of a structured `dtype`, the form compiled functions take.
+def new_record(dtype: np.dtype[Any], count: int = 1) -> np.ndarray[Any, Any]:
+    """Return a zeroed array of `count` records of a structured `dtype`: one is the form functions take.
 
     One-element arrays cross into compiled code in 0.4 us; numpy's record scalars need 13 us. In plain
     Python the fields must be attributes as well, hence the view.
     """
-    record = np.zeros(1, dtype)
+    record = np.zeros(count, dtype)
     return record.view(np.recarray) if numba.config.DISABLE_JIT else record

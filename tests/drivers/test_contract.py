@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from drivers.base import PASSIVE, READINGS, Command, Driver, DriverError, Readings, pack_readings
 from drivers.mock import MockDriver
 from sim.compiled import new_record
+from sim.driver import SimDriver
 
 PERIOD = 1e-3
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
@@ -34,6 +35,7 @@ def _applied(driver: Driver) -> Command:
 
 DRIVERS: dict[str, Case] = {
     "mock": Case(MockDriver, _applied),
+    "sim": Case(lambda: SimDriver(angle=(0.2, 4.3, 6.0)), _applied),
 }
 
 

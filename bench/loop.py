@@ -1,0 +1,218 @@
+"""The cycle: read, decide, write, publish. Around it a driver, inside it one compiled function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from bench.clock import Clock
+from bench.control.step import STOP, ControlParameters, ControlState, new_control_state, step
+from bench.lifecycle import Cause, Phase, Reaction
+from bench.telemetry.cycle_record import CYCLE, FIELDS
+from drivers.base import (
+    ABSENT,
+    COMMAND,
+    PASSIVE,
+    READINGS,
+    Command,
+    Driver,
+    DriverError,
+    pack_readings,
+    unpack_command,
+)
+from sim.compiled import new_record
+
+Cycles = np.ndarray[Any, Any]
+"""Records of CYCLE."""
+
+_BETWEEN_LOOKS = 10
+"""Ticks between two looks at the phase."""
+
+Publish = Callable[[Cycles], None]
+"""Takes the record of one tick (a one-element array, overwritten in the next tick)."""
+
+
+class Cycle:
+    """One driver, one controller, one record; `run_tick` is everything that happens in a tick.
+
+    Requests are put with `request`; `state` holds the answer. `read_error` and `publish_error` keep the
+    first exception of their kind: neither ends a tick, both forbid to arm again.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        parameters: ControlParameters,
+        publish: Publish,
+        *,
+        name: str,
+        note_truth: Publish | None = None,
+    ) -> None:
+        """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
+        self.driver, self.parameters, self.publish, self.name = driver, parameters, publish, name
+        self.state = new_control_state()
+        self.record = new_record(CYCLE)
+        self.read_error: Exception | None = None
+        self.publish_error: Exception | None = None
+        self._note_truth = note_truth
+        self._readings, self._command = new_record(READINGS), new_record(COMMAND)
+        for field in FIELDS:
+            if field.name.startswith("plant_"):
+                self.record[field.name] = ABSENT
+
+    def request(self, request: int) -> None:
+        """Put one of the requests of `bench.control.step` to the next tick."""
+        self.state.control["request"] = request
+
+    @property
+    def phase(self) -> Phase:
+        """Where in a swing the robot is."""
+        return Phase(int(self.state.control["phase"][0]))
+
+    def run_tick(self, time: float) -> None:
+        """Do the tick at `time` (s).
+
+        Readings that fail count as lost in this very tick. Whatever else fails makes the driver passive in
+        this tick, latches Cause.EXCEPTION and is raised again with the driver's name.
+        """
+        decided = False
+        try:
+            trusted = self._read(time)
+            before = 0 if trusted else int(self.state.control["cause"][0])
+            step(self.state, self.parameters, self._readings, time, self._command, self.record)
+            decided = True
+            if not trusted and before == 0:
+                self._blame_exception()
+            wanted = unpack_command(self._command)
+            applied = self.driver.write(wanted)
+            if applied != wanted:
+                self._note_applied(applied)
+            if self._note_truth is not None:
+                self._note_truth(self.record)
+        except BaseException as error:
+            self._give_up(decided)
+            where = f"driver {self.name!r}, tick {int(self.state.control['tick'][0])}"
+            if isinstance(error, DriverError):
+                raise DriverError(f"{where}: {error}; the passive command was sent") from error
+            error.add_note(f"{where}: the passive command was sent")
+            raise
+        self._publish()
+
+    def _read(self, time: float) -> bool:
+        """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
+        try:
+            pack_readings(self.driver.read(time), self._readings)
+            return True
+        except Exception as error:  # a driver may fail in any way
+            self.read_error = self.read_error or error
+        r = self._readings
+        for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "local_reset", "ball_present"):
+            r[name] = False
+        r["encoder_valid"] = 0
+        r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = ABSENT
+        # A driver that raises is no single lost sample: the stopping table is not to wait for more.
+        self.state.estimator["without_sample"] = np.inf
+        return False
+
+    def _blame_exception(self) -> None:
+        """Name the exception, not the encoder, as the cause of a stop that began in this tick."""
+        control = self.state.control
+        if control["cause"][0] != 0:
+            control["cause"] = control["latest_cause"] = self.record["trip"] = Cause.EXCEPTION
+
+    def _give_up(self, decided: bool) -> None:
+        """Make the driver passive, latch the exception, and publish the tick if it was decided."""
+        self.driver.make_passive()
+        control = self.state.control
+        if control["cause"][0] == 0:
+            control["cause"] = Cause.EXCEPTION
+        control["latest_cause"] = Cause.EXCEPTION
+        control["reaction"], control["phase"] = Reaction.PASSIVE, Phase.STANDING
+        control["swinging"] = control["moving"] = False
+        if decided:
+            self.record["trip"], self.record["reaction"] = control["cause"], Reaction.PASSIVE
+            self._note_applied(PASSIVE)
+            self._publish()
+
+    def _note_applied(self, applied: Command) -> None:
+        """Write into the record what the driver made of the command."""
+        self.record["applied_valve"] = applied.valve
+        for name in ("supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"):
+            self.record[name] = getattr(applied, name)
+
+    def _publish(self) -> None:
+        """Hand the record on; a publisher that fails lets the swing complete and is not asked again."""
+        if self.publish_error is None:
+            try:
+                self.publish(self.record)
+            except Exception as error:  # a publisher may fail in any way
+                self.publish_error = error
+
+
+class CycleArray:
+    """A publisher that keeps the records in memory, all of it allocated beforehand."""
+
+    def __init__(self, capacity: int) -> None:
+        self._cycles = np.zeros(capacity, CYCLE)
+        self._bytes = self._cycles.view(np.uint8).reshape(capacity, CYCLE.itemsize)
+        self._count = 0
+
+    def __call__(self, record: Cycles) -> None:
+        """Keep a copy of `record`; IndexError when there is no room left."""
+        self._bytes[self._count] = record.view(np.ndarray).view(np.uint8)
+        self._count += 1
+
+    @property
+    def cycles(self) -> Cycles:
+        """The records kept so far."""
+        return self._cycles[: self._count]
+
+
+class Stepper(Protocol):
+    """What runs ticks: this module's `Loop`, or the compiled `bench.lockstep.Lockstep`."""
+
+    state: ControlState
+
+    def advance(self, ticks: int, request: int = 0) -> Cycles:
+        """Run `ticks` ticks, `request` put at the first; return their records."""
+
+    def make_passive(self) -> None:
+        """Send the passive command, outside of any tick."""
+
+
+class Loop:
+    """A cycle on a clock."""
+
+    def __init__(self, cycle: Cycle, clock: Clock) -> None:
+        self.cycle, self.clock, self.state = cycle, clock, cycle.state
+
+    def advance(self, ticks: int, request: int = 0) -> Cycles:
+        """Run `ticks` ticks, `request` put at the first; return their records."""
+        kept = CycleArray(ticks)
+        self.cycle.publish = kept
+        if request:
+            self.cycle.request(request)
+        for _ in range(ticks):
+            self.cycle.run_tick(self.clock.wait())
+        return kept.cycles
+
+    def make_passive(self) -> None:
+        """Send the passive command several times: a frame on a bus may be lost."""
+        for _ in range(3):
+            self.cycle.driver.make_passive()
+
+
+def bring_to_rest(stepper: Stepper, longest: int) -> list[Cycles]:
+    """Stop as the stopping table says, then send the passive command; return the records of that time.
+
+    Takes at most `longest` ticks: what does not rest by then is left to the passive command.
+    """
+    records = [stepper.advance(1, STOP)]
+    left = longest - 1
+    while left > 0 and stepper.state.control["phase"][0] != Phase.STANDING:
+        records.append(stepper.advance(min(left, _BETWEEN_LOOKS)))
+        left -= _BETWEEN_LOOKS
+    stepper.make_passive()
+    return records

@@ -1,0 +1,158 @@
+"""The plant behind the driver contract, in lock-step: it moves only when it is read, to the time it is given.
+
+Time is counted in ticks of the plant, never added up and never read from a clock, so the same calls give
+the same readings, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drivers.base import (
+    COMMAND,
+    PASSIVE,
+    READINGS,
+    Command,
+    DriverError,
+    Readings,
+    device_limited,
+    pack_command,
+    unpack_readings,
+)
+from sim.compiled import new_record
+from sim.kane import bias_forces
+from sim.kinematics import theta2_from_right_arm
+from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state, sense
+from sim.truth import Contact, contact_in, note_truth
+
+_NEAR = 1e-6
+"""Share of a tick by which a time may fall short of it, for rounding."""
+
+
+def hanging_pose(parameters: PlantParameters) -> NDArray[np.float64]:
+    """Return the joint angles (3,) rad of the vented robot: lowest potential energy inside its stops."""
+    robot = parameters.robot
+    short, long = (
+        float(theta2_from_right_arm(robot, robot.l56 + extension))
+        for extension in (parameters.right_arm.lower, parameters.right_arm.upper)
+    )
+    lower = np.array([parameters.shoulder.lower, min(short, long), parameters.wrist.lower])
+    upper = np.array([parameters.shoulder.upper, max(short, long), parameters.wrist.upper])
+    angle: NDArray[np.float64] = (lower + upper) / 2
+    for _ in range(400):  # steepest descent; the gradient is what gravity asks of the actuators
+        angle = np.clip(angle - 0.02 * bias_forces(robot, angle, np.zeros(3)), lower, upper)
+    return angle
+
+
+class SimDriver:
+    """A bench made of software: `read` moves the plant on, with the command that was written last.
+
+    `plant_state` (PLANT_STATE) is open to tests and fault injection.
+    """
+
+    def __init__(self, plant: Plant | PlantParameters | None = None, angle: ArrayLike | None = None) -> None:
+        """Stand vented at joint angles `angle` (3,) rad, by default as the robot hangs.
+
+        Raises:
+            ValueError: `angle` is not three finite numbers.
+        """
+        self.plant = plant if isinstance(plant, Plant) else build_plant(plant or PlantParameters())
+        start = np.asarray(hanging_pose(self.plant.parameters) if angle is None else angle, dtype=float)
+        if start.shape != (3,) or not np.all(np.isfinite(start)):
+            raise ValueError(f"sim driver: start angles are {angle!r}, expected three finite numbers in rad")
+        self.plant_state = initial_state(self.plant, start)
+        self.applied = PASSIVE
+        """The command in force."""
+        self._period = self.plant.parameters.tick
+        self._readings, self._command = new_record(READINGS), new_record(COMMAND)
+        pack_command(PASSIVE, self._command)
+        self._first_time: float | None = None
+        """Loop's time of the first reading after opening."""
+        self._offset = 0.0
+        """Loop's time less plant's."""
+        self._ticks = 0
+        """Ticks since the first reading."""
+        self._is_open = False
+
+    def open(self) -> None:
+        """Start with the passive command where the plant stands; DriverError when it is open already."""
+        if self._is_open:
+            raise DriverError("sim driver: open() found it open already; call close() first")
+        self._apply(PASSIVE)
+        self._first_time, self._ticks = None, 0
+        self._is_open = True
+
+    def read(self, time: float) -> Readings:
+        """Move the plant on to the last whole tick at or before `time` (s) and return what its sensors show.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or before the last one.
+        """
+        self._require_open("read")
+        if self._first_time is None and math.isfinite(time):
+            self._first_time = time
+            self._offset = time - float(self.plant_state["time"][0])
+        first = self._first_time or 0.0
+        part = (time - first) / self._period + _NEAR
+        if not self._ticks <= part < math.inf:
+            raise DriverError(
+                f"sim driver: read() found time {time} s, expected a finite one from "
+                f"{first + self._ticks * self._period} s on; give it the loop's monotonic time"
+            )
+        due = int(part)
+        for _ in range(due - self._ticks):
+            advance(*self.plant.records, self.plant_state, self._command)
+        self._ticks = due
+        sense(self.plant.plant, self.plant_state, self._readings)
+        readings = unpack_readings(self._readings)
+        return readings if self._offset == 0.0 else _moved(readings, self._offset)
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` within the device's limits from here on and return what is applied.
+
+        Raises:
+            DriverError: not open.
+        """
+        self._require_open("write")
+        return self._apply(device_limited(command))
+
+    def make_passive(self) -> None:
+        """Apply the passive command, in any state."""
+        self._apply(PASSIVE)
+
+    def close(self) -> None:
+        """Leave the device passive and closed, in any state."""
+        self.make_passive()
+        self._is_open = False
+
+    def place_ball(self) -> None:
+        """Put a ball on the tee by hand."""
+        self.plant_state["ball_present"], self.plant_state["struck"] = True, False
+
+    @property
+    def contact(self) -> Contact | None:
+        """How the ball that was last on the tee was struck; None when it was not."""
+        return contact_in(self.plant_state)
+
+    def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
+        """Write the fields `plant_*` of a CYCLE record (a one-element array)."""
+        note_truth(self.plant_state, cycle)
+
+    def _apply(self, command: Command) -> Command:
+        self.applied = command
+        pack_command(command, self._command)
+        return command
+
+    def _require_open(self, call: str) -> None:
+        if not self._is_open:
+            raise DriverError(f"sim driver: {call}() found it closed, expected it open; call open() first")
+
+
+def _moved(readings: Readings, offset: float) -> Readings:
+    """Return `readings` with their times moved by `offset` s."""
+    a, b, c = readings.encoder_time
+    return readings._replace(time=readings.time + offset, encoder_time=(a + offset, b + offset, c + offset))
