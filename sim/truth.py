@@ -24,7 +24,7 @@ def note_truth(plant_state: Any, cycle: Any) -> None:
 
 
 class Contact(NamedTuple):
-    """Club and ball at contact, found between ticks: the club in the swing plane, the ball in the golf frame."""
+    """Club and ball at contact, found between ticks: club in the swing plane, ball in the golf frame."""
 
     time: float
     """s on the plant's clock."""
