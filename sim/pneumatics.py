@@ -97,7 +97,7 @@ class EndStop:
     """Rated energy, J."""
     travel: Annotated[float, Range(1e-4, 1.0, "rad, rod m")]
     """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
-    damping_speed: Annotated[float, Range(0.01, 1000.0, "rad/s, rod m/s")] = 2.0
+    damping_speed: Annotated[float, Range(0.01, 1000.0, "rod m/s, else rad/s")] = 2.0
     """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
 
     @property

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from functools import cache
 from math import isfinite
-from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, cast, get_origin, get_type_hints
 
 
 class Range(NamedTuple):
@@ -15,7 +16,12 @@ class Range(NamedTuple):
     unit: str
 
     def __str__(self) -> str:
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+        return f"{short(self.low)} to {short(self.high)} {self.unit}".rstrip()
+
+
+def short(value: float) -> str:
+    """Return `value` with at most six digits and no padded exponent: 1.2e6, not 1.2e+06."""
+    return f"{value:g}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
 
 
 @cache
@@ -33,7 +39,7 @@ def ranges_of(kind: type) -> dict[str, Range]:
 def check_ranges(value: object) -> None:
     """Raise ValueError naming class, field, found and expected when a field of `value` leaves its range."""
     kind: type[Any] = type(value)
-    for name, span in ranges_of(kind).items():
+    for name, span in ranges_of(cast(Hashable, kind)).items():
         found = getattr(value, name)
         if not (isfinite(found) and span.low <= found <= span.high):
             raise ValueError(f"{kind.__name__}.{name}: found {found!r}, expected {span}")

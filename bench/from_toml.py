@@ -1,0 +1,313 @@
+"""Frozen dataclasses from TOML tables: every key known, of its type, finite and in its range, or told.
+
+A key is its field's name; the value is in the field's SI unit. Where people think in other units a suffix
+says so: `loft_deg` for a field in rad, `rate_hz` for one in Hz or rad/s. Mistakes are collected, not
+raised, so that one run names them all.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from difflib import get_close_matches
+from math import pi
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+from annotated_types import Ge, Gt, Le, Lt
+
+from bench.errors import BenchError
+from sim.ranges import Range, short
+
+SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
+"""Suffix of a key -> unit of its field -> what the value is multiplied by."""
+
+GREATEST = sys.float_info.max
+"""What any finite number lies within; NaN does not."""
+
+_SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
+_BAD = object()
+
+
+class Leaf(NamedTuple):
+    """A value as it stands in a file."""
+
+    value: Any
+    file: Path
+    key: str
+    """The last part of its key as written."""
+    suffix: str = ""
+
+
+Tree = dict[str, "Tree | Leaf"]
+"""Tables of a file; values under the name of their field, without suffix."""
+
+
+def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:
+    """Return the parsed file.
+
+    Raises:
+        BenchError: it is missing, cannot be read, or is no TOML; `expected` and `cure` go into the message.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BenchError(str(path), "no such file", expected, cure) from None
+    except OSError as error:
+        raise BenchError(str(path), error.strerror or str(error), "a file that can be read", cure) from None
+    except UnicodeDecodeError as error:
+        raise BenchError(
+            str(path), f"a byte that is not UTF-8 at offset {error.start}", "UTF-8 text", "Save it as UTF-8."
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise BenchError(str(path), f"no TOML: {error}", "TOML", "Mend that line.") from None
+
+
+def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], path: str = "") -> Tree:
+    """Return `tables` of `file` with suffixes taken off; a value written twice is a fault."""
+    tree: Tree = {}
+    for key, value in tables.items():
+        if isinstance(value, dict):
+            tree[key] = as_tree(value, file, faults, f"{path}{key}.")
+            continue
+        match = _SUFFIXED.fullmatch(key)
+        name, suffix = match.groups() if match else (key, "")
+        if isinstance(before := tree.get(name), Leaf):
+            faults.append(
+                BenchError(f"{file}: {path}{key}", f"also {before.key}", "one of the two", "Delete one.")
+            )
+        tree[name] = Leaf(value, file, key, suffix)
+    return tree
+
+
+def laid_over(base: Tree, over: Tree) -> Tree:
+    """Return `base` with what `over` says instead."""
+    merged = dict(base)
+    for name, node in over.items():
+        below = merged.get(name)
+        merged[name] = laid_over(below, node) if isinstance(below, dict) and isinstance(node, dict) else node
+    return merged
+
+
+def place_of(tree: Tree, file: Path, path: str) -> str:
+    """Return file and key of dotted `path` as its author wrote it; `file` when the tree does not have it."""
+    *above, last = path.split(".")
+    node: Tree | Leaf | None = tree
+    for name in above:
+        node = node.get(name) if isinstance(node, dict) else None
+    leaf = node.get(last) if isinstance(node, dict) else None
+    if isinstance(leaf, Leaf):
+        return f"{leaf.file}: {'.'.join([*above, leaf.key])}"
+    return f"{next(_leaves(leaf)).file if leaf else file}: {path}"
+
+
+def _leaves(tree: Tree) -> Iterator[Leaf]:
+    for node in tree.values():
+        if isinstance(node, dict):
+            yield from _leaves(node)
+        else:
+            yield node
+
+
+def shown(value: Any) -> str:
+    """Return `value` about as a TOML file has it, cut when long."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+@dataclass
+class Builder:
+    """Builds values from one tree; `faults` collects what does not hold.
+
+    Fields whose dotted path is in `left_out` are no keys and keep their defaults.
+    """
+
+    tree: Tree
+    file: Path
+    """Named when something is missing."""
+    cure: str
+    add: str
+    """What to do about a missing key."""
+    left_out: frozenset[str] = frozenset()
+    faults: list[BenchError] = field(default_factory=list)
+
+    def build(self, kind: type[Any]) -> Any:
+        """Return the value of dataclass `kind`, or None when there were faults.
+
+        Raises:
+            TypeError: a field's type has no form in TOML.
+        """
+        value = self._value(kind, self.tree, "")
+        return None if self.faults else value
+
+    def _value(self, hint: Any, node: Tree | Leaf, path: str) -> Any:
+        if is_dataclass(hint):
+            if isinstance(node, dict):
+                return self._dataclass(hint, node, path, {})
+            return self._fault(path, shown(node.value), "a table")
+        if get_origin(hint) is dict:
+            if isinstance(node, dict):
+                return self._named(get_args(hint)[1], node, path)
+            return self._fault(path, shown(node.value), "a table")
+        if isinstance(node, dict):
+            return self._fault(path, "a table", expected(hint))
+        if node.suffix and node.suffix not in suffixes(hint):
+            name = f"{node.key} ({path.rsplit('.', 1)[-1]})"
+            return self._fault(path, name, expected(hint), f"It cannot be given in {node.suffix}.")
+        return self._leaf(hint, node.value, node.suffix, path)
+
+    def _dataclass(self, kind: Any, node: Tree, path: str, given: dict[str, Any]) -> Any:
+        hints = get_type_hints(kind, include_extras=True)
+        prefix = f"{path}." if path else ""
+        keys = {
+            f.name: hints[f.name]
+            for f in fields(kind)
+            if f.init and f.name not in given and f"{prefix}{f.name}" not in self.left_out
+        }
+        faults_before = len(self.faults)
+        self._unknown(set(node) - set(keys), node, prefix, keys)
+        values = dict(given)
+        for name, hint in keys.items():
+            if name in node:
+                values[name] = self._value(hint, node[name], f"{prefix}{name}")
+            else:
+                self._fault(f"{prefix}{name}", "nothing", expected(hint), self.add)
+        if len(self.faults) > faults_before:
+            return _BAD
+        try:
+            return kind(**values)
+        except ValueError as error:
+            return self._fault(path, "values that do not go together", str(error))
+
+    def _named(self, hint: Any, node: Tree, path: str) -> Any:
+        """Return a dictionary; an entry that is a dataclass gets its key as its `name`."""
+        built = {}
+        for name, entry in node.items():
+            below = f"{path}.{name}"
+            has_name = is_dataclass(hint) and any(f.name == "name" for f in fields(hint))
+            if has_name and isinstance(entry, dict):
+                built[name] = self._dataclass(hint, entry, below, {"name": name})
+            else:
+                built[name] = self._value(hint, entry, below)
+        return built
+
+    def _leaf(self, hint: Any, value: Any, suffix: str, path: str) -> Any:
+        bare, marks = _parts(hint)
+        if get_origin(bare) is tuple:
+            parts = get_args(bare)
+            if not isinstance(value, list) or len(value) != len(parts):
+                return self._fault(path, shown(value), expected(hint))
+            pairs = enumerate(zip(parts, value, strict=True))
+            return tuple(self._leaf(part, item, suffix, f"{path}[{i}]") for i, (part, item) in pairs)
+        if get_origin(bare) is Literal:
+            ok = value in get_args(bare) and isinstance(value, str)
+        elif bare is Path:
+            ok = isinstance(value, str) and value != ""
+        elif bare is float:
+            ok = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= GREATEST
+        elif bare in (int, bool, str):
+            ok = type(value) is bare
+        else:
+            raise TypeError(f"{path}: {hint} has no form in TOML")
+        if not ok:
+            return self._fault(path, shown(value), expected(hint, suffix))
+        if bare is Path:
+            return Path(value)
+        if bare is float:
+            value = float(value)
+        factor = _factor(marks, suffix)
+        if not all(_holds(mark, value * factor if suffix else value) for mark in marks):
+            return self._fault(path, shown(value), expected(hint, suffix))
+        return value * factor if suffix else value
+
+    def _unknown(self, names: set[str], node: Tree, prefix: str, keys: Mapping[str, Any]) -> None:
+        writable = [spelling for name, hint in keys.items() for spelling in _spellings(name, hint)]
+        for name in sorted(names):
+            entry = node[name]
+            key = entry.key if isinstance(entry, Leaf) else name
+            near = get_close_matches(key, writable, n=1)
+            cure = f"Did you mean {near[0]}?" if near else "Delete it, or put it under its own table."
+            self._fault(f"{prefix}{name}", "an unknown key", f"one of {', '.join(keys)}", cure)
+
+    def _fault(self, path: str, found: str, wanted: str, cure: str = "") -> Any:
+        path, bracket, index = path.partition("[")
+        place = place_of(self.tree, self.file, path) + bracket + index
+        self.faults.append(BenchError(place, found, wanted, cure or self.cure))
+        return _BAD
+
+
+def expected(hint: Any, suffix: str = "") -> str:
+    """Return in words what values `hint` allows, in the unit of `suffix`."""
+    bare, marks = _parts(hint)
+    if is_dataclass(bare) or get_origin(bare) is dict:
+        return "a table"
+    if get_origin(bare) is tuple:
+        parts = get_args(bare)
+        return f"{len(parts)} values in brackets, each {expected(parts[0], suffix)}"
+    if get_origin(bare) is Literal:
+        return " or ".join(json.dumps(choice) for choice in get_args(bare))
+    names = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
+    text = names.get(bare, "a path in quotes")
+    factor = _factor(marks, suffix)
+    for mark in marks:
+        match mark:
+            case Range(low, high, unit):
+                text += f", {Range(low / factor, high / factor, suffix or unit)}"
+            case Gt(gt=bound):
+                text += f" above {short(bound)}"  # type: ignore[arg-type]
+            case Ge(ge=bound):
+                text += f" of at least {short(bound)}"  # type: ignore[arg-type]
+            case Lt(lt=bound):
+                text += f" below {short(bound)}"  # type: ignore[arg-type]
+            case Le(le=bound):
+                text += f" up to {short(bound)}"  # type: ignore[arg-type]
+    return text
+
+
+def suffixes(hint: Any) -> Mapping[str, float]:
+    """Return the suffixes that `hint` may be written with, and their factors."""
+    unit = _unit(_parts(hint)[1])
+    return {suffix: table[unit] for suffix, table in SUFFIXES.items() if unit in table}
+
+
+def _spellings(name: str, hint: Any) -> list[str]:
+    return [name, *(f"{name}_{suffix}" for suffix in suffixes(hint))]
+
+
+def _factor(marks: tuple[Any, ...], suffix: str) -> float:
+    return SUFFIXES[suffix].get(_unit(marks), 1.0) if suffix else 1.0
+
+
+def _unit(marks: tuple[Any, ...]) -> str:
+    """Return the unit of a field; of one that depends on the joint ("rad, rod m") the first."""
+    return next((mark.unit.split(",")[0] for mark in marks if isinstance(mark, Range)), "")
+
+
+def _parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    if get_origin(hint) is Annotated:
+        return get_args(hint)[0], hint.__metadata__
+    return hint, ()
+
+
+def _holds(mark: Any, value: Any) -> bool:
+    match mark:
+        case Range(low, high):
+            # A value at the end of a range may be rounded when it is turned into the field's unit.
+            slack = 1e-12 * max(abs(low), abs(high)) if isinstance(value, float) else 0
+            return bool(low - slack <= value <= high + slack)
+        case Gt(gt=bound):
+            return bool(value > bound)
+        case Ge(ge=bound):
+            return bool(value >= bound)
+        case Lt(lt=bound):
+            return bool(value < bound)
+        case Le(le=bound):
+            return bool(value <= bound)
+        case _:
+            return True
