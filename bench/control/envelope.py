@@ -24,7 +24,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("greatest_speed", "f8", (3,)),
         ("following", "f8", (PHASES, 3)),
         ("stop_deceleration", "f8", (3,)),
-        ("stop_reserve", "f8", (3,)),
+        ("stop_speed", "f8", (3,)),
         ("greatest_opening", "f8"),
         ("greatest_slew", "f8"),
         ("lost_time", "f8"),
@@ -42,8 +42,8 @@ ENVELOPE_PARAMETERS = np.dtype(
     align=True,
 )
 """Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
-rad/s), following error per phase (rad), deceleration that braking can count on and the way kept in reserve;
-opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest tick while
+rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion takes
+alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest tick while
 moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside and inside
 the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the wrist."""
 
@@ -121,7 +121,7 @@ def motion_cause(
             return _SPEED + i
         if phase <= _DOWNSWING or phase == _RETURN:
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
-            if speed * speed > 2.0 * p.stop_deceleration[i] * (way + p.stop_reserve[i]):
+            if not speed * speed <= p.stop_speed[i] * p.stop_speed[i] + 2.0 * p.stop_deceleration[i] * way:
                 return _STOP_DISTANCE + i
         # The jump of the impact is in nobody's reference.
         if phase != _IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:

@@ -25,6 +25,7 @@ NotNegative = Annotated[float, Ge(0)]
 Triple = tuple[float, float, float]
 PositiveTriple = tuple[Positive, Positive, Positive]
 NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
+_Span = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class ControlSettings:
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""
-    brake_gain: NotNegativeTriple = (0.15, 0.12, 0.06)
+    brake_gain: NotNegativeTriple = (0.040, 0.026, 0.150)
     """Opening per rad/s against the motion in BRAKE."""
-    brake_damping: NotNegativeTriple = (0.003, 0.0005, 0.0004)
+    brake_damping: NotNegativeTriple = (0.0055, 0.0065, 0.0020)
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05
@@ -106,6 +107,8 @@ class EnvelopeSettings:
     """Greatest following error by phase, rad."""
     stop_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
     """What braking can count on: rad/s2, m/s2, rad/s2."""
+    stop_speed: PositiveTriple = (9.0, 5.2, 34.0)
+    """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
     greatest_opening: Annotated[float, Gt(0), Le(1)] = 1.0
     greatest_slew: Positive = 400.0
     """Change of opening per second."""
@@ -186,7 +189,7 @@ def build_controller(
     )
 
 
-def _angle_travel(plant: PlantParameters) -> tuple[tuple[float, float], ...]:
+def _angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
     """Return each joint's travel (rad) with its cushions, for the encoders' unwrapping."""
     shoulder, _, wrist = plant.actuators
     return (
@@ -213,12 +216,11 @@ def _envelope_record(
         margin = settings.minimum_stop_margin * actuator.stop.travel
         record["lower"][0, i] = actuator.lower - margin
         record["upper"][0, i] = actuator.upper + margin
-        record["stop_reserve"][0, i] = 0.0
     record["following"] = inf
     for name, errors in settings.following.items():
         record["following"][0, _FOLLOWED[name]] = errors
     for name in (
-        "greatest_speed", "stop_deceleration", "greatest_opening", "greatest_slew", "lost_time", "greatest_gap",
+        "greatest_speed", "stop_deceleration", "stop_speed", "greatest_opening", "greatest_slew", "lost_time", "greatest_gap",
         "least_supply", "clearance", "ball_window", "ball_clearance", "frame_radius", "least_lever",
     ):  # fmt: skip
         record[name] = getattr(settings, name)

@@ -293,13 +293,23 @@ def _stand(s: Any) -> None:
 
 
 @compiled
+def _brake_openings(s: Any, p: Any, e: Any) -> None:
+    """Set the openings that brake: air against the motion, eased off as the joint slows down.
+
+    The same law brakes the planned follow-through, with or without a ball, and every stop.
+    """
+    for i in range(3):
+        s.desired[i] = -p.brake_gain[i] * e.velocity[i] - p.brake_damping[i] * e.acceleration[i]
+
+
+@compiled
 def _brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
     """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    _brake_openings(s, p, e)
     still = trusted
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
-        s.desired[i] = -p.brake_gain[i] * e.velocity[i] - p.brake_damping[i] * e.acceleration[i]
         still = still and abs(e.velocity[i]) <= p.still_speed[i]
     if not still:
         s.still_since = time
@@ -334,7 +344,9 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
                 s.reaction = _BRAKE  # the planned braking is done; BRAKE holds until rest is proven
                 s.reaction_start = s.still_since = time
             else:
-                _begin_move(parameters, s, s.reference, time)
+                reset_integral(state.pid)
+                _begin_move(parameters, s, e.angle, time)
+                _move_at(parameters, s, time)
     elif s.moving:
         if not _move_at(parameters, s, time) and _near_address(parameters, state.estimator):
             s.moving = False
@@ -343,6 +355,9 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
         for i in range(3):
             s.reference[i] = parameters.angle[0, i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
+    if s.phase == _FOLLOW:
+        _brake_openings(s, p, e)
+        return
     for i in range(3):
         if not p.feed_forward:
             s.feed_forward[i] = 0.0

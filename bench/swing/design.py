@@ -9,20 +9,19 @@ the nominal plant, and the openings are its feed-forward: on that plant the PIDs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cma
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings, build_controller
+from bench.control.settings import ControlSettings, EnvelopeSettings, build_controller
 from bench.control.step import ARM, SWING
-from bench.lifecycle import Phase
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
-from drivers.base import COMMAND
-from sim.compiled import compiled, new_record
+from sim.compiled import compiled
 from sim.kinematics import theta2_from_right_arm
 from sim.plant import Plant, PlantParameters, advance, build_plant
 
@@ -32,6 +31,11 @@ Progress = Callable[[str, float], None]
 _SHAFT_DOWN = 3.5 * np.pi  # theta_t with the shaft straight down, in the range the joints have there
 _UNTIL_WRIST_STOPS = 0.03
 _WATCHED = 0.08  # s after the ball that the downswing's search looks at
+_BEFORE_CONTACT, _AFTER_CONTACT = 3, 5  # ticks of the impact window
+_LEAST_LEVER = 0.19  # |sin beta| the plan keeps to; the envelope trips at 0.15
+_BLIND_SPACING = 20
+_BLIND_WATCHED = 0.9  # s
+_LONGEST_BLIND = 0.4  # s
 
 
 @dataclass(frozen=True)
@@ -58,13 +62,14 @@ class Demand:
     address_extension: float = 0.200
     top_shoulder: float = -1.30
     top_extension: float = 0.02
-    top_cock: float = np.deg2rad(72.0).item()
+    top_cock: float = np.deg2rad(68.0).item()
     knot: float = 0.03
     """Time between valve knots, s."""
     downswing_knots: int = 11
-    follow_knots: int = 16
-    settle_time: float = 0.25
-    """Spools at rest after the follow-through, s."""
+    follow_time: float = 0.7
+    """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
+    no_return_time: float = 0.06
+    """Before the impact window: later than this the ball is struck whatever is done, s."""
 
 
 @dataclass(frozen=True)
@@ -228,6 +233,7 @@ def _design_downswing(
     ratings = np.array([[a.stop.energy] for a in parameters.actuators]) * demand.greatest_stop_share
     miss_ratings = ratings * demand.greatest_miss_share / demand.greatest_stop_share
     begin = float(start.plant_state["time"][0])
+    least_wrist = 1.5 * np.pi + np.arcsin(_LEAST_LEVER)
     last = start.valve[-1]
 
     def openings(point: Array) -> Array:
@@ -243,6 +249,7 @@ def _design_downswing(
                 float(np.abs(shooter.trace[:played, 9] - site.ball_y).min()), 1.0
             )  # fmt: skip
         head = state["impact_head"]
+        total += 300 * max(least_wrist - float(shooter.trace[:played, 2].min()), 0.0)
         total += 8.0 * abs(float(np.hypot(head[3], head[4])) - demand.head_speed)
         total += 120 * max(abs(head[2] - _SHAFT_DOWN - demand.lean) - 0.01, 0.0)
         total += 120 * max(abs(float(np.arctan2(head[4], head[3])) - demand.slope) - 0.01, 0.0)
@@ -265,88 +272,29 @@ def _design_downswing(
     return openings(best), int((float(state["impact_time"]) - float(start.plant_state["time"][0])) / period)
 
 
-def _design_follow_through(
-    plant: Plant, demand: Demand, start: _Start, downswing: Array, contact: int, seed: int, evaluations: int,
-    progress: Progress,
-) -> Array:  # fmt: skip
-    """Return openings (n, 3) from the ball to rest that brake the robot with and without a ball."""
-    parameters, period = plant.parameters, plant.parameters.tick
-    ratings = np.array([[a.stop.energy] for a in parameters.actuators]) * demand.greatest_stop_share
-    n = round((demand.follow_knots * demand.knot + demand.settle_time) / period)
-    cases = []
-    for ball in (True, False):
-        lead = _Shooter(plant, start.plant_state.copy(), start.command, contact)
-        state, _ = lead.shoot(downswing[:contact], ball=ball)
-        at_ball = start.plant_state.copy()
-        at_ball[0] = state
-        cases.append(_Shooter(plant, at_ball, start.command, n))
-    rest = np.zeros((round(demand.settle_time / period), 3))
-    shoulder = parameters.shoulder
-    first = downswing[contact]
-
-    def openings(point: Array) -> Array:
-        return np.vstack([_table(point.reshape(-1, 3), first, demand.knot, period), rest])
-
-    def cost(point: Array) -> float:
-        valve, total = openings(point), 0.05 * float(np.sum(np.diff(point.reshape(-1, 3), axis=0) ** 2))
-        for shooter, ball in zip(cases, (True, False), strict=True):
-            state, _ = shooter.shoot(valve, ball=ball)
-            trace = shooter.trace
-            total += 0.5 * _excess(state["stop_energy"], ratings)
-            total += 30 * max(float(trace[:, 0].max()) - (shoulder.upper - 0.1), 0.0)
-            total += 200 * max(0.02 - float(state["lowest_clearance"]), 0.0)
-            total += 5e-5 * _excess(state["peak_pressure"], 1.1e6)
-            total += 3.0 * float(np.mean(np.abs(trace[-300:, 3:6]))) + 0.2 * float(np.mean(np.abs(trace[120:, 3])))
-            total += 2.0 * float(np.abs(trace[-1, 3:6]).sum())
-        return total
-
-    guess = np.zeros((demand.follow_knots, 3))
-    guess[1:9, 0] = -0.8
-    best = _search(cost, guess.ravel(), 0.3, evaluations, seed, progress, "follow-through")
-    return openings(best)
-
-
-def design_swing(
-    parameters: PlantParameters,
-    demand: Demand,
-    name: str,
-    *,
-    control: ControlSettings | None = None,
-    seed: int = 1,
-    evaluations: int = 9000,
-    progress: Progress = lambda what, part: None,
+def _assemble(
+    plant: Plant, demand: Demand, start: _Start, downswing: Array, contact: int, name: str
 ) -> Profile:
-    """Return a profile that meets `demand` on the plant of `parameters`, without blind-brake patterns.
-
-    Raises:
-        RuntimeError: the backswing trips the envelope, or no downswing reaches the ball.
-    """
-    plant = build_plant(parameters)
-    period = parameters.tick
-    start = _swing_up(plant, demand, control or ControlSettings())
-    downswing, contact = _design_downswing(plant, demand, start, seed, evaluations, progress)
-    follow = _design_follow_through(plant, demand, start, downswing, contact, seed, evaluations, progress)
-    valve = np.vstack([downswing[:contact], follow])
-    shooter = _Shooter(plant, start.plant_state.copy(), start.command, len(valve))
-    state, _ = shooter.shoot(valve, ball=True)
-    top = len(start.angle)
-    # The impact window: from two ticks before planned contact until the jump has been followed.
-    begins = (*start.begins, top, top + contact - 60, top + contact - 3, top + contact + 12)
-    head = state["impact_head"]
-    spacing = 10
-    n = top + len(valve)
+    """Return the profile up to the ball, with the robot left where it is for the follow-through."""
+    parameters, period = plant.parameters, plant.parameters.tick
+    shooter = _Shooter(plant, start.plant_state.copy(), start.command, contact + _AFTER_CONTACT)
+    state, _ = shooter.shoot(downswing[: contact + _AFTER_CONTACT], ball=True)
+    head, top = state["impact_head"], len(start.angle)
+    follow = round(demand.follow_time / period)
+    angle = np.vstack([start.angle, shooter.trace[:, :3], np.tile(state["angle"], (follow, 1))])
+    begins = (*start.begins, top, 0, top + contact - _BEFORE_CONTACT, top + contact + _AFTER_CONTACT)
     return Profile(
         name=name,
         text=f"{float(np.hypot(head[3], head[4])):.1f} m/s at the ball, found by shooting on the nominal plant",
         golfer="robot",
         club=parameters.robot.club.name,
         period=period,
-        begins=begins,
-        angle=np.vstack([start.angle, shooter.trace[:, :3]]),
-        velocity=np.vstack([start.velocity, shooter.trace[:, 3:6]]),
-        valve=np.vstack([start.valve, valve]),
-        blind_spacing=spacing,
-        blind_brake=np.zeros(((n - 1) // spacing + 1, 6)),
+        begins=(*begins[:4], begins[5] - round(demand.no_return_time / period), *begins[5:]),
+        angle=angle,
+        velocity=np.vstack([start.velocity, shooter.trace[:, 3:6], np.zeros((follow, 3))]),
+        valve=np.vstack([start.valve, shooter.trace[:, 6:9], np.zeros((follow, 3))]),
+        blind_spacing=_BLIND_SPACING,
+        blind_brake=np.zeros(((len(angle) - 1) // _BLIND_SPACING + 1, 6)),
         ball=(parameters.site.ball_x, parameters.site.ball_y),
         impact_time=top * period + float(state["impact_time"]) - float(start.plant_state["time"][0]),
         delivery={
@@ -358,14 +306,126 @@ def design_swing(
         limits={
             "supply_pressure_pa": parameters.supply.pressure,
             "greatest_opening": demand.greatest_opening,
-            "wrist_stop_energy_j": float(state["stop_energy"][2].max()),
-            "peak_pressure_pa": float(state["peak_pressure"].max()),
         },
     )
 
 
-def new_command() -> NDArray[Any]:
-    """Return the command of a powered bench with centred spools."""
-    command = new_record(COMMAND)
-    command["supply_enable"] = command["exhaust_closed"] = command["guard_lock"] = True
-    return command
+class _Rehearsal:
+    """The profile under closed loop on the nominal plant, from vented to the end of the follow-through."""
+
+    def __init__(self, plant: Plant, profile: Profile, control: ControlSettings, *, ball: bool) -> None:
+        free = EnvelopeSettings(following={})  # the follow-through's reference is what is being found
+        self.bench = Lockstep(plant, build_controller(plant.parameters, profile, control, free), profile.angle[0])
+        self.bench.advance(round(6.0 / profile.period), ARM)
+        self.bench.state.control["tee"] = ball
+        self.first = True
+
+    def advance(self, ticks: int) -> NDArray[Any]:
+        """Return the CYCLE records of the next `ticks` ticks of the swing."""
+        cycles = self.bench.advance(ticks, SWING if self.first else 0)
+        self.first = False
+        cause = Cause(int(self.bench.state.control["cause"][0]))
+        if cause:
+            raise RuntimeError(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
+        return cycles
+
+
+def _with_follow_through(plant: Plant, profile: Profile, control: ControlSettings) -> Profile:
+    """Return `profile` with the follow-through that the braking law gives after a ball."""
+    cycles = _Rehearsal(plant, profile, control, ball=True).advance(len(profile.angle))
+    angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
+    follow = profile.begins[-1]
+    angle[follow:], velocity[follow:] = cycles["plant_angle"][follow:], cycles["plant_velocity"][follow:]
+    valve[follow:] = cycles["applied_valve"][follow:]
+    return replace(profile, angle=angle, velocity=velocity, valve=valve)
+
+
+@compiled
+def play_blind(
+    robot: Any, plant: Any, impact: Any, state: Any, command: Any, pattern: Any, ticks: int
+) -> tuple[float, float, float]:
+    """Apply a blind-brake `pattern` (6,): openings, durations (s); then spools centred.
+
+    Returns lowest and highest theta1 (rad) and the mean speed over the last fifth (rad/s).
+    """
+    period = plant[0].tick
+    lowest, highest, speed, counted = 1e9, -1e9, 0.0, 0
+    for k in range(ticks):
+        s = state[0]
+        for i in range(3):
+            command[0].valve[i] = pattern[i] if k * period < pattern[3 + i] else 0.0
+        advance(robot, plant, impact, state, command)
+        lowest, highest = min(lowest, s.angle[0]), max(highest, s.angle[0])
+        if k >= ticks - ticks // 5:
+            speed += abs(s.speed[0]) + abs(s.speed[1]) + abs(s.speed[2])
+            counted += 1
+    return lowest, highest, speed / max(counted, 1)
+
+
+def _design_blind_brake(
+    plant: Plant, profile: Profile, control: ControlSettings, seed: int, evaluations: int, progress: Progress
+) -> Array:
+    """Return a blind-brake pattern for each instant, found from the nominal states there."""
+    parameters, spacing = plant.parameters, profile.blind_spacing
+    ratings = np.array([[a.stop.energy] for a in parameters.actuators])
+    shoulder = parameters.shoulder
+    ticks = round(_BLIND_WATCHED / profile.period)
+    rehearsals = [_Rehearsal(plant, profile, control, ball=ball) for ball in (True, False)]
+    patterns = np.zeros((len(profile.blind_brake), 6))
+    guess = np.array([0.0, 0.0, 0.0, 0.3, 0.3, 0.3])
+    for row in range(len(patterns)):
+        states = []
+        for rehearsal in rehearsals:
+            state = rehearsal.bench.plant_state.copy()
+            state["stop_energy"] = state["stop_work"] = 0.0
+            state["lowest_clearance"] = np.inf
+            states.append((state, rehearsal.bench.command.copy()))
+            rehearsal.advance(min(spacing, len(profile.angle) - row * spacing))
+        past_contact = row * spacing * profile.period > profile.impact_time - 0.01
+        considered = states if past_contact else states[1:]
+
+        def cost(point: Array, considered: list[Any] = considered) -> float:
+            pattern = np.concatenate([np.clip(point[:3], -1, 1), _LONGEST_BLIND * np.clip(np.abs(point[3:]), 0, 1)])
+            total = 0.02 * float(np.sum(np.abs(point)))
+            for state, command in considered:
+                trial, applied = state.copy(), command.copy()
+                low, high, speed = play_blind(*plant.records, trial, applied, pattern, ticks)
+                total += 40 * _excess(trial["stop_energy"][0] / ratings, 0.5)
+                total += 10 * max(high - shoulder.upper, 0.0) + 10 * max(shoulder.lower - low, 0.0)
+                total += 5e-5 * _excess(trial["peak_pressure"], 1.1e6) + 0.5 * speed
+                total += 50 * max(-float(trial["lowest_clearance"][0]), 0.0)
+            return total
+
+        best = _search(cost, guess, 0.4, evaluations, seed, lambda what, part: None, "")
+        best = min((best, np.zeros(6)), key=cost)
+        patterns[row] = [*np.clip(best[:3], -1, 1), *(_LONGEST_BLIND * np.clip(np.abs(best[3:]), 0, 1))]
+        guess = np.clip(best, -0.95, 0.95)
+        progress("blind brakes", (row + 1) / len(patterns))
+    return patterns
+
+
+def design_swing(
+    parameters: PlantParameters,
+    demand: Demand,
+    name: str,
+    *,
+    control: ControlSettings | None = None,
+    seed: int = 1,
+    evaluations: int = 9000,
+    blind_evaluations: int = 160,
+    progress: Progress = lambda what, part: None,
+) -> Profile:
+    """Return a profile that meets `demand` on the plant of `parameters`.
+
+    Raises:
+        RuntimeError: the backswing trips the envelope, or no downswing reaches the ball.
+    """
+    plant = build_plant(parameters)
+    control = control or ControlSettings()
+    start = _swing_up(plant, demand, control)
+    downswing, contact = _design_downswing(plant, demand, start, seed, evaluations, progress)
+    profile = _assemble(plant, demand, start, downswing, contact, name)
+    profile = _with_follow_through(plant, profile, control)
+    return replace(
+        profile, blind_brake=_design_blind_brake(plant, profile, control, seed, blind_evaluations, progress)
+    )
