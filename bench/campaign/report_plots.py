@@ -282,9 +282,13 @@ def _strike(axes: Axes, records: Sequence[ShotRecord], look: Look, ball_radius: 
     )
 
 
+def _since_start(cycles: np.ndarray[Any, Any]) -> np.ndarray:
+    return cycles["time"] - cycles["time"][0]
+
+
 def _shade(axes: Axes, cycles: np.ndarray[Any, Any]) -> None:
     """Shade the phases of the swing."""
-    phase, time = cycles["phase"], cycles["time"]
+    phase, time = cycles["phase"], _since_start(cycles)
     edges = np.flatnonzero(np.diff(phase.astype(int)))
     starts, ends = np.concatenate([[0], edges + 1]), np.concatenate([edges + 1, [len(phase) - 1]])
     for start, end in zip(starts, ends, strict=True):
@@ -305,7 +309,7 @@ def tracking(cycles: np.ndarray[Any, Any]) -> Figure:
     """Reference against actual joint angles, and their difference, phases shaded."""
     figure = styled(5.0)
     grid = figure.subplots(3, 2, sharex=True, width_ratios=[1.5, 1])
-    time = cycles["time"]
+    time = _since_start(cycles)
     for joint, name in enumerate(JOINTS):
         angle, error = grid[joint]
         reference = np.degrees(cycles["reference_angle"][:, joint])
@@ -329,7 +333,7 @@ def valves_and_efforts(cycles: np.ndarray[Any, Any]) -> Figure:
     """Valve openings wanted and applied, and, in simulation, the efforts of the actuators."""
     figure = styled(5.0)
     grid = figure.subplots(3, 2, sharex=True)
-    time = cycles["time"]
+    time = _since_start(cycles)
     units = ("N m", "N", "N m")
     for joint, name in enumerate(ACTUATORS):
         valve, effort = grid[joint]
@@ -357,7 +361,7 @@ def pressures(cycles: np.ndarray[Any, Any]) -> Figure:
     """Absolute pressures of all chambers and of the supply; the plant's where none are fitted."""
     figure = styled(2.6)
     row = figure.subplots(1, 3, sharey=True, sharex=True)
-    time = cycles["time"]
+    time = _since_start(cycles)
     fitted = np.isfinite(cycles["chamber_pressure"]).any()
     chambers = cycles["chamber_pressure" if fitted else "plant_pressure"] / 1e5
     for joint, (axes, name) in enumerate(zip(row, ACTUATORS, strict=True)):
