@@ -73,10 +73,28 @@ def kane_terms(r: Any, q1: float, q2: float, q3: float, u1: float, u2: float, u3
     `r` is a ROBOT record. h holds the velocity products and gravity. `lever` = d l46/d theta2 (m/rad), so
     Q = (M_A, F_E lever, M_C).
     """
-    c2, s2 = cos(q2), sin(q2)
-    c23, s23 = cos(q2 + q3), sin(q2 + q3)
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever, _ = kane_terms_at(
+        r, cos(q1), sin(q1), cos(q2), sin(q2), cos(q2 + q3), sin(q2 + q3), u1, u2, u3
+    )
+    return m11, m12, m13, m22, m23, m33, h1, h2, h3, lever
+
+
+@compiled
+def kane_terms_at(
+    r: Any,
+    c1: float,
+    s1: float,
+    c2: float,
+    s2: float,
+    c23: float,
+    s23: float,
+    u1: float,
+    u2: float,
+    u3: float,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:
+    """`kane_terms` from cosines and sines of theta1, theta2, theta2 + theta3; appends the arm's l46 (m)."""
     # Gravity taken as an upward acceleration of the frame: minus g along -y0, written in frame 1.
-    gx, gy = r.gravity * sin(q1), r.gravity * cos(q1)
+    gx, gy = r.gravity * s1, r.gravity * c1
     u11, w2 = u1 * u1, u1 + u2
     w2w2 = w2 * w2
     w3w3 = (w2 + u3) * (w2 + u3)
@@ -140,6 +158,7 @@ def kane_terms(r: Any, q1: float, q2: float, q3: float, u1: float, u2: float, u3
         a_b[7] + b_b[7] + c_b[7] + d_b[7] + e_b[7],
         a_b[8] + b_b[8] + c_b[8] + d_b[8] + e_b[8],
         lever,
+        l46,
     )
 
 

@@ -7,7 +7,7 @@ q = m' R T, because p' = (n / V) (q - p V') for a polytropic exponent n.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import exp, pi, sqrt
+from math import pi, sqrt
 from typing import Annotated
 
 import numpy as np
@@ -39,16 +39,16 @@ def flow(conductance: float, upstream: float, downstream: float, critical_ratio:
         high, low, sign = upstream, downstream, 1.0
     else:
         high, low, sign = downstream, upstream, -1.0
-    ratio = low / high
-    if ratio <= critical_ratio:
-        fraction = 1.0
-    elif ratio < LAMINAR_RATIO:
-        relative = (ratio - critical_ratio) / (1.0 - critical_ratio)
-        fraction = sqrt(1.0 - relative * relative)
+    spread = 1.0 - 2.0 * critical_ratio
+    if low <= critical_ratio * high:
+        driving = high
+    elif low < LAMINAR_RATIO * high:
+        # high sqrt(1 - ((low / high - b) / (1 - b))^2) with one division less
+        driving = sqrt((high - low) * (low + spread * high)) / (1.0 - critical_ratio)
     else:
-        relative = (LAMINAR_RATIO - critical_ratio) / (1.0 - critical_ratio)
-        fraction = sqrt(1.0 - relative * relative) * (1.0 - ratio) / (1.0 - LAMINAR_RATIO)
-    return sign * conductance * high * FLOW_TO_PRESSURE * fraction
+        slope = sqrt((LAMINAR_RATIO + spread) / (1.0 - LAMINAR_RATIO)) / (1.0 - critical_ratio)
+        driving = slope * (high - low)
+    return sign * conductance * FLOW_TO_PRESSURE * driving
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,11 @@ class Valve:
     def half_step_matrix(self, half_step: float) -> np.ndarray:
         """Return the exact 2x2 propagation of (opening - command, rate) over `half_step` s."""
         omega, zeta = self.natural_frequency, self.damping_ratio
-        system = np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])
-        values, vectors = np.linalg.eig(system.astype(complex) + np.diag([0.0, 1e-9j]))
-        matrix: np.ndarray = np.real(vectors @ np.diag(np.exp(values * half_step)) @ np.linalg.inv(vectors))
-        return matrix
+        root = omega * np.emath.sqrt(zeta**2 - 1.0)
+        decay = np.exp(-zeta * omega * half_step)
+        even = decay * np.cosh(root * half_step).real
+        odd = decay * half_step * np.sinc(1j * root * half_step / pi).real  # sinh(root t) / root, also at 0
+        return np.array([[even + zeta * omega * odd, odd], [-(omega**2) * odd, even - zeta * omega * odd]])
 
 
 @dataclass(frozen=True)
@@ -148,13 +149,6 @@ class Supply:
     """From loss of energy to open vents (pneumatic timer), s."""
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
     polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2
-
-
-@compiled
-def friction_bound(coulomb: float, static: float, stribeck_speed: float, speed: float) -> float:
-    """Return the largest dry-friction force at `speed`: Coulomb plus Stribeck's rise towards standstill."""
-    relative = speed / stribeck_speed
-    return coulomb + (static - coulomb) * exp(-relative * relative)
 
 
 @compiled

@@ -1,0 +1,62 @@
+"""What the bench sees of the plant: encoders with latency, jitter, noise and resolution, and the inputs."""
+
+from __future__ import annotations
+
+from math import cos, floor, log, pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from sim.compiled import compiled
+
+HISTORY = 64
+"""Substeps of joint angles kept for the encoders' latency."""
+
+
+@compiled
+def _uniform(s: Any) -> float:
+    """Return the next random number in (0, 1) of the state's own stream (SplitMix64, Steele 2014)."""
+    s.random = s.random + np.uint64(0x9E3779B97F4A7C15)
+    z = s.random
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return (float(z >> np.uint64(11)) + 0.5) / 9007199254740992.0
+
+
+@compiled
+def _normal(s: Any) -> float:
+    """Return the next normally distributed number (Box and Muller 1958)."""
+    return sqrt(-2.0 * log(_uniform(s))) * cos(2.0 * pi * _uniform(s))
+
+
+@compiled
+def sense(plant: Any, state: Any, readings: Any) -> None:
+    """Write what the sensors show of `state` into `readings` (READINGS); noise is drawn from its stream."""
+    p, s, out = plant[0], state[0], readings[0]
+    substep = p.tick / p.substeps
+    out.time = s.time
+    for i in range(3):
+        age = p.latency
+        if p.jitter > 0.0:
+            age = max(age + p.jitter * _normal(s), 0.0)
+        back = min(age / substep, HISTORY - 2.0)
+        whole = int(back)
+        part = back - whole
+        newer = s.history[(s.history_index - whole + HISTORY) % HISTORY, i]
+        older = s.history[(s.history_index - whole - 1 + HISTORY) % HISTORY, i]
+        angle = newer + part * (older - newer)
+        if p.noise > 0.0:
+            angle += p.noise * _normal(s)
+        out.encoder_count[i] = floor(angle * p.encoder_scale) % p.encoder_counts
+        out.encoder_time[i] = s.time - p.latency
+        out.encoder_valid[i] = s.encoder_valid[i]
+        out.encoder_age[i] = p.latency
+    out.emergency_stop_clear = s.emergency_stop_clear
+    out.guard_closed = s.guard_closed
+    out.guard_locked = s.guard_locked
+    out.supply_pressure = s.supply_pressure
+    out.local_reset = s.local_reset
+    out.ball_present = s.ball_present
+    for i in range(6):
+        out.chamber_pressure[i] = s.pressure[i]
