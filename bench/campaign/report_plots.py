@@ -109,7 +109,7 @@ def styled(height: float) -> Figure:
 def dispersion(records: Sequence[ShotRecord], look: Look) -> Figure:
     """Landing points seen from above with a 95 % ellipse a ball, and carry shot by shot."""
     figure = styled(3.6)
-    above, run = figure.subplots(1, 2, width_ratios=[1, 1.15])
+    above, run = figure.subplots(1, 2, width_ratios=[1, 1.15], gridspec_kw={"wspace": 0.1})
     _landing(above, records, look)
     _run_chart(run, records, look)
     return figure
@@ -283,7 +283,14 @@ def _strike(axes: Axes, records: Sequence[ShotRecord], look: Look, ball_radius: 
 
 
 def _since_start(cycles: np.ndarray[Any, Any]) -> np.ndarray:
-    return cycles["time"] - cycles["time"][0]
+    since: np.ndarray = cycles["time"] - cycles["time"][0]
+    return since
+
+
+def _without_return(cycles: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return the cycles up to the slow return, all of them when they have none."""
+    returning = np.flatnonzero(cycles["phase"] == Phase.RETURN)
+    return cycles[: returning[0] + 1] if returning.size and returning[0] > 0 else cycles
 
 
 def _shade(axes: Axes, cycles: np.ndarray[Any, Any]) -> None:
@@ -307,9 +314,11 @@ def _phase_legend(figure: Figure, cycles: np.ndarray[Any, Any]) -> None:
 
 def tracking(cycles: np.ndarray[Any, Any]) -> Figure:
     """Reference against actual joint angles, and their difference, phases shaded."""
-    figure = styled(5.0)
+    figure = styled(4.3)
     grid = figure.subplots(3, 2, sharex=True, width_ratios=[1.5, 1])
+    cycles = _without_return(cycles)
     time = _since_start(cycles)
+    to_ball = cycles["phase"] <= Phase.IMPACT
     for joint, name in enumerate(JOINTS):
         angle, error = grid[joint]
         reference = np.degrees(cycles["reference_angle"][:, joint])
@@ -322,6 +331,9 @@ def tracking(cycles: np.ndarray[Any, Any]) -> Figure:
         error.plot(time, reference - actual, color=COLOURS[1], linewidth=1.0)
         error.axhline(0, color=_GREY, linewidth=0.6)
         error.set(title="reference − actual", ylabel="degrees")
+        if to_ball.any():
+            largest = max(1.15 * float(np.abs(reference - actual)[to_ball].max()), 0.01)
+            error.set_ylim(-largest, largest)
     grid[0, 0].legend(loc="best")
     for axes in grid[2]:
         axes.set(xlabel="time, s", xlim=(time[0], time[-1]))
@@ -331,8 +343,9 @@ def tracking(cycles: np.ndarray[Any, Any]) -> Figure:
 
 def valves_and_efforts(cycles: np.ndarray[Any, Any]) -> Figure:
     """Valve openings wanted and applied, and, in simulation, the efforts of the actuators."""
-    figure = styled(5.0)
+    figure = styled(4.3)
     grid = figure.subplots(3, 2, sharex=True)
+    cycles = _without_return(cycles)
     time = _since_start(cycles)
     units = ("N m", "N", "N m")
     for joint, name in enumerate(ACTUATORS):
@@ -361,6 +374,7 @@ def pressures(cycles: np.ndarray[Any, Any]) -> Figure:
     """Absolute pressures of all chambers and of the supply; the plant's where none are fitted."""
     figure = styled(2.6)
     row = figure.subplots(1, 3, sharey=True, sharex=True)
+    cycles = _without_return(cycles)
     time = _since_start(cycles)
     fitted = np.isfinite(cycles["chamber_pressure"]).any()
     chambers = cycles["chamber_pressure" if fitted else "plant_pressure"] / 1e5
