@@ -1,0 +1,301 @@
+"""Is a swing possible on this machine? Everything that can be known before anything moves.
+
+Each check is a pure function of the plan and tells what it looked at, so that a user sees what was
+checked and not only what failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import hypot, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.control.settings import EnvelopeSettings
+from bench.errors import BenchError
+from bench.swing.air_limits import Array, force_bounds, needed_force, steady_speed, stop_forces
+from bench.swing.motion import Motion
+from bench.swing.profile import Profile
+from drivers.base import JOINTS
+from sim.kinematics import forward_kinematics, joint_positions
+from sim.plant import PlantParameters
+
+PRESSURE_TOLERANCE = 0.01
+"""Share by which the supply may differ from the one the swing was designed for."""
+BALL_TOLERANCE = 0.0005
+"""m; the same for the ball's place."""
+SLOPE_TOLERANCE = 0.5
+"""rad/s between the table of velocities and the slope of the angles."""
+CONTACT_TOLERANCE = (0.08, 0.02)
+"""m along the path and in height between face and ball at the planned contact: it moves 4 cm in a tick."""
+EXCESS_SHARE = 0.05
+EXCESS_TIME = 0.005
+"""Force may exceed the air's bound by this share of the actuator's greatest, and by more for this long (s):
+the tables are rounded, and differentiated here."""
+
+_KEYS = ("shoulder", "right_arm", "wrist")
+_POSITION, _SPEED, _FORCE = ("rad", "m", "rad"), ("rad/s", "m/s", "rad/s"), ("N m", "N", "N")
+
+
+class Check(NamedTuple):
+    """One thing looked at."""
+
+    name: str
+    found: str
+    allowed: str
+    faults: list[BenchError]
+
+
+class Plan(NamedTuple):
+    """A swing on a machine."""
+
+    profile: Profile
+    plant: PlantParameters
+    envelope: EnvelopeSettings
+    motion: Motion
+    place: str
+    """The profile's file, for messages."""
+
+    def key(self, name: str, found: str, expected: str, cure: str) -> BenchError:
+        """Return a fault of one key of the profile."""
+        return BenchError(f"{self.place}: {name}", found, expected, cure)
+
+    def row(self, where: tuple[str, int, int | None], found: str, expected: str, cure: str) -> BenchError:
+        """Return a fault of one row or value of a table: table, sample, joint."""
+        table, sample, joint = where
+        column, name = ("", "") if joint is None else (f"[{joint}]", f", {JOINTS[joint]}")
+        at = f"{table}[{sample}]{column} ({sample * self.profile.period:.3f} s{name})"
+        return self.key(at, found, expected, cure)
+
+
+def check_profile(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> list[Check]:
+    """Return every check of `profile` on the machine; `place` names its file in the faults."""
+    plan = Plan(profile, plant, envelope, Motion(profile, plant), place or profile.name)
+    done = [check(plan) for check in _CHECKS]
+    # What the air must do follows from the tables' slopes.
+    return done if _tables(plan).faults else [*done, _air(plan)]
+
+
+def profile_faults(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> list[BenchError]:
+    """Return every reason why `profile` may not be swung on the machine."""
+    return [fault for check in check_profile(profile, plant, envelope, place) for fault in check.faults]
+
+
+def require_possible(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> None:
+    """Refuse a swing that cannot be done.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each reason.
+    """
+    if faults := profile_faults(profile, plant, envelope, place):
+        raise ExceptionGroup(f"{place or profile.name} cannot be swung here", faults)
+
+
+def _peak(values: Array) -> tuple[int, int]:
+    """Return sample and joint of the greatest of `values` (n, 3)."""
+    sample, joint = np.unravel_index(int(values.argmax()), values.shape)
+    return int(sample), int(joint)
+
+
+def _machine(plan: Plan) -> Check:
+    """Compare what the profile was made for with the machine: club, period, supply."""
+    profile, plant, faults = plan.profile, plan.plant, []
+    club, supply = plant.robot.club.name, plant.supply.pressure
+    designed = profile.limits.get("supply_pressure_pa", 0.0)
+    if profile.club != club:
+        cure = f'Set swing.club = "{profile.club}", or choose a profile for this club.'
+        faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', cure))
+    if abs(profile.period - plant.tick) > 1e-9:
+        wanted, cure = f"{plant.tick:g} s, the loop's tick", "Set loop.rate_hz to its inverse."
+        faults.append(plan.key("period_s", f"{profile.period:g} s", wanted, cure))
+    if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
+        found = f"{designed:.4g} Pa" if designed else "nothing"
+        wanted = f"{supply:.4g} Pa absolute, plant.supply.pressure, within 1 %"
+        cure = "Choose another profile, or design one for this supply."
+        faults.append(plan.key("limits.supply_pressure_pa", found, wanted, cure))
+    found = f"{profile.club}, {1e3 * profile.period:g} ms, {designed / 1e5:.2f} bar"
+    return Check("made for", found, f"{club}, {1e3 * plant.tick:g} ms, {supply / 1e5:.2f} bar", faults)
+
+
+def _tables(plan: Plan) -> Check:
+    """Ask the tables to hold together: velocity is the angle's slope, and the swing begins at rest."""
+    angle, velocity, faults = plan.profile.angle, plan.profile.velocity, []
+    slope = np.diff(angle, axis=0) / plan.profile.period
+    # A tick in which the speed jumps, as at the ball, may have any slope between.
+    jump = np.abs(np.diff(velocity, axis=0)) / 2
+    error = np.maximum(np.abs(slope - (velocity[1:] + velocity[:-1]) / 2) - jump, 0.0)
+    k, joint = _peak(error)
+    if error[k, joint] > SLOPE_TOLERANCE:
+        found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
+        wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
+        cure = "Mend the table; angles are in rad, one row a period."
+        faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, cure))
+    _, joint = _peak(np.abs(velocity[:1]))
+    if abs(velocity[0, joint]) > 0.1:
+        found, cure = f"{velocity[0, joint]:.3f} rad/s", "Begin the swing at rest at address."
+        faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", cure))
+    return Check("tables agree", f"{error.max():.2f} rad/s", f"{SLOPE_TOLERANCE:g} rad/s", faults)
+
+
+def _range(plan: Plan) -> Check:
+    """Keep the swing off the end stops: within the envelope's share of the cushion and its rated energy."""
+    share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
+    for i, actuator in enumerate(plan.plant.actuators):
+        position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
+        beyond = np.maximum(actuator.lower - position, position - actuator.upper)
+        k = int(beyond.argmax())
+        force = stop_forces(actuator, position, plan.motion.speed[:, i])
+        energy = _greatest_visit(-force * plan.motion.speed[:, i] * plan.profile.period)
+        if beyond[k] > share * stop.travel:
+            low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
+            found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
+            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{_KEYS[i]} with {share:.0%} of its cushions"
+            cure = "Choose a profile made for these stops, or correct the range."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+        elif energy > stop.energy:
+            found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.energy:g} J"
+            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop.energy is the cushion's rating."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+        texts.append(f"{energy:.0f}")
+        ratings.append(f"{stop.energy:g}")
+    return Check("end stops", " · ".join(texts) + " J", " · ".join(ratings) + " J", faults)
+
+
+def _greatest_visit(work: Array) -> float:
+    """Return the largest sum of positive `work` (n,) in one visit, that is between samples without force."""
+    greatest = energy = 0.0
+    for part in work:
+        energy = energy + max(float(part), 0.0) if part else 0.0
+        greatest = max(greatest, energy)
+    return greatest
+
+
+def _speed(plan: Plan) -> Check:
+    """Compare with the envelope's limits of speed."""
+    limits, faults = plan.envelope.greatest_speed, []
+    speed = np.abs(plan.motion.speed)
+    for i, limit in enumerate(limits):
+        k = int(speed[:, i].argmax())
+        if speed[k, i] > limit:
+            found, wanted = f"{speed[k, i]:.2f} {_SPEED[i]}", f"at most {limit:g} {_SPEED[i]}"
+            cure = "Slow the swing; envelope.greatest_speed is the limit."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+    found = " · ".join(f"{value:.1f}" for value in speed.max(axis=0))
+    return Check("speeds, rad/s · m/s · rad/s", found, " · ".join(f"{v:g}" for v in limits), faults)
+
+
+def _clearance(plan: Plan) -> Check:
+    """Keep the club off ground and frame as the envelope will."""
+    robot, site, envelope, faults = plan.plant.robot, plan.plant.site, plan.envelope, []
+    head = forward_kinematics(robot, plan.profile.angle)
+    height = head[:, 1] - site.sole_depth - site.ground
+    by_ball = np.abs(head[:, 0] - plan.profile.ball[0]) <= envelope.ball_window
+    needed = np.where(by_ball, envelope.ball_clearance, envelope.clearance)
+    k = int((height - needed).argmin())
+    if height[k] < needed[k]:
+        found, wanted = f"sole {1e3 * height[k]:.1f} mm over ground", f"at least {1e3 * needed[k]:g} mm"
+        cure = "Raise the path, or correct plant.site.ground."
+        faults.append(plan.row(("angle_rad", k, None), found, wanted, cure))
+    points = joint_positions(robot, plan.profile.angle)
+    wrist, along = points[:, 2], (points[:, 4] - points[:, 2]) / robot.club.length_to_face
+    nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, robot.club.length_to_face)
+    distance = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
+    j = int(distance.argmin())
+    if distance[j] < envelope.frame_radius:
+        found, wanted = f"club {distance[j]:.3f} m from R1", f"at least {envelope.frame_radius:g} m"
+        faults.append(plan.row(("angle_rad", j, None), found, wanted, "Keep the club off the frame."))
+    found = f"ground {1e3 * height[k]:.0f} mm · frame {1e3 * distance[j]:.0f} mm"
+    return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
+
+
+def _lever(plan: Plan) -> Check:
+    """Keep the wrist where its cylinder has a lever (thesis figure 11)."""
+    authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
+    k, least, faults = int(authority.argmin()), plan.envelope.least_lever, []
+    if authority[k] < least:
+        cure = "Fold the wrist less; envelope.least_lever is the limit."
+        found = f"|sin beta| = {authority[k]:.3f}"
+        faults.append(plan.row(("angle_rad", k, 2), found, f"at least {least:g}", cure))
+    return Check("wrist lever |sin beta|", f"{authority[k]:.2f}", f"at least {least:g}", faults)
+
+
+def _valves(plan: Plan) -> Check:
+    """Compare the feed-forward with what the envelope passes."""
+    opening, envelope, faults = np.abs(plan.profile.valve), plan.envelope, []
+    slew = np.abs(np.diff(plan.profile.valve, axis=0)) / plan.profile.period
+    for values, limit, unit, name in (
+        (opening, envelope.greatest_opening, "", "greatest_opening"),
+        (slew, envelope.greatest_slew, " per s", "greatest_slew"),
+    ):
+        k, joint = _peak(values)
+        if values[k, joint] > limit:
+            found, wanted = f"{values[k, joint]:.3g}{unit}", f"at most {limit:g}{unit}, envelope.{name}"
+            faults.append(plan.row(("valve", k, joint), found, wanted, "Ask the valves for less."))
+    allowed = f"{envelope.greatest_opening:g} · {envelope.greatest_slew:g} per s"
+    return Check("valve openings", f"{opening.max():.2f} · {slew.max():.0f} per s", allowed, faults)
+
+
+def _ball(plan: Plan) -> Check:
+    """Compare the place of the ball, and whether the head is there at the planned contact."""
+    profile, site, faults = plan.profile, plan.plant.site, []
+    x, y = profile.ball
+    off = hypot(x - site.ball_x, y - site.ball_y)
+    if off > BALL_TOLERANCE:
+        found = f"({x:.4f}, {y:.4f}) m, {1e3 * off:.1f} mm off"
+        wanted = f"({site.ball_x:.4f}, {site.ball_y:.4f}) m, plant.site, within {1e3 * BALL_TOLERANCE:g} mm"
+        faults.append(plan.key("ball_m", found, wanted, "Move the tee to where the swing is aimed."))
+    time = np.arange(len(profile.angle)) * profile.period
+    angle = [np.interp(profile.impact_time, time, profile.angle[:, i]) for i in range(3)]
+    head = forward_kinematics(plan.plant.robot, angle)
+    behind, above = x - float(head[0]), float(head[1]) - y
+    if abs(behind) > CONTACT_TOLERANCE[0] or abs(above) > CONTACT_TOLERANCE[1]:
+        found = f"the face {behind:.3f} m behind the ball and {above:.3f} m above it"
+        wanted = "within {:g} and {:g} m".format(*CONTACT_TOLERANCE)
+        cure = "Correct impact_time_s; else the swing misses the ball."
+        faults.append(plan.key("impact_time_s", found, wanted, cure))
+    found = f"tee {1e3 * off:.1f} mm off · face {1e3 * above:+.1f} mm in height"
+    allowed = f"{1e3 * BALL_TOLERANCE:g} · {1e3 * CONTACT_TOLERANCE[1]:g} mm"
+    return Check("ball", found, allowed, faults)
+
+
+def _air(plan: Plan) -> Check:
+    """Compare the force the motion needs with what valves and supply can give at its speed."""
+    plant, period, faults, texts, rated = plan.plant, plan.profile.period, [], [], []
+    need = needed_force(plan.motion)
+    bounds = force_bounds(plan.motion)[:-1]
+    excess = np.maximum(need - bounds[..., 1], bounds[..., 0] - need)
+    # At the ball the speeds jump; no actuator makes that.
+    contact = round(plan.profile.impact_time / period)
+    excess[max(contact - 2, 0) : contact + 3] = 0.0
+    lasting = min(round(EXCESS_TIME / period), len(excess) - 1) + 1
+    steady = np.lib.stride_tricks.sliding_window_view(excess, lasting, axis=0).min(axis=-1)
+    for i, actuator in enumerate(plant.actuators):
+        greatest = (plant.supply.pressure - plant.supply.atmosphere) * actuator.area_a
+        k = int(steady[:, i].argmax())
+        if steady[k, i] > EXCESS_SHARE * greatest:
+            side = int(need[k, i] > bounds[k, i, 1])
+            at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
+            found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"
+            wanted = (
+                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, all that its valve of "
+                f"{actuator.valve.conductance:g} m3/(s Pa) and {plant.supply.pressure:g} Pa of supply give"
+            )
+            cure = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+        lever = plant.wrist_lever if i == 2 else 1.0
+        texts.append(f"{np.abs(plan.motion.speed[:, i]).max():.1f}")
+        rated.append(f"{steady_speed(actuator, plant.supply) / lever:.1f}")
+    allowed = f"force the valves give; steady {' · '.join(rated)}"
+    return Check("air at speeds", " · ".join(texts), allowed, faults)
+
+
+_CHECKS: tuple[Callable[[Plan], Check], ...] = (
+    _machine, _tables, _range, _speed, _clearance, _lever, _valves, _ball,
+)  # fmt: skip
