@@ -1,7 +1,8 @@
 """The plant between events: robot, air, shaft and ground as differential equations, and one step of them.
 
 State vector `y`, `STATES` numbers: three joint angles (rad) and speeds (rad/s), six chamber pressures and
-the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s).
+the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s), and the energy that each
+end stop has taken (J).
 
 Dry friction is no regularised force, which would let a loaded joint crawl. For the length of a step each
 joint has a mode, `slip`: it slides in one direction (+1, -1; friction is then a smooth force) or is held
@@ -21,7 +22,7 @@ from sim.friction import friction_bound, friction_impulse
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
 
-STATES = 15
+STATES = 18
 SCRATCH = (5, 18)
 """Shape of the work space of `move`."""
 
@@ -31,6 +32,8 @@ _WEIGHT = (1.0, 2.0, 2.0, 1.0)
 _PART = (0.0, 0.5, 0.5, 1.0)
 FEED_RATIO = 0.3
 """Critical pressure ratio of regulator and dump valve."""
+_TURF_DAMPING_SPEED = 5.0
+"""Speed at which the turf's damping doubles its spring force (m/s, assumption)."""
 
 
 @compiled
@@ -146,12 +149,14 @@ def _derivative(
     force1, taken1 = _chambers(p, 0, y, dy, x1, q1, u1, vent)
     force2, taken2 = _chambers(p, 1, y, dy, x2, extension, arm_speed, vent)
     force3, taken3 = _chambers(p, 2, y, dy, x3, stroke, wrist_speed, vent)
-    f1 = force1 - p.viscous[0] * u1 + stop_push(p, 0, stop_depth(p, 0, q1), u1) - h1
-    f2 = (
-        force2 - p.viscous[1] * arm_speed + stop_push(p, 1, stop_depth(p, 1, extension), arm_speed)
-    ) * arm_lever - h2
-    f3 = (force3 - p.viscous[2] * wrist_speed) * wrist_lever
-    f3 += stop_push(p, 2, stop_depth(p, 2, q3), u3) - h3
+    stop1 = stop_push(p, 0, stop_depth(p, 0, q1), u1)
+    stop2 = stop_push(p, 1, stop_depth(p, 1, extension), arm_speed)
+    stop3 = stop_push(p, 2, stop_depth(p, 2, q3), u3)
+    f1 = force1 - p.viscous[0] * u1 + stop1 - h1
+    f2 = (force2 - p.viscous[1] * arm_speed + stop2) * arm_lever - h2
+    f3 = (force3 - p.viscous[2] * wrist_speed) * wrist_lever + stop3 - h3
+    # What a stop gives back in the rebound is not taken off.
+    dy[15], dy[16], dy[17] = max(-stop1 * u1, 0.0), max(-stop2 * arm_speed, 0.0), max(-stop3 * u3, 0.0)
     supply = y[12]
     if feed > 0.0:
         fed = max(flow(feed, p.regulated, supply, FEED_RATIO), 0.0)
@@ -175,7 +180,11 @@ def _derivative(
         x2t = x3t + r.l23 * c12
         x1t = x2t + r.l12 * c1
         push = stop_force(
-            p.ground_stiffness, inf, 1.0, depth, -(x1t * u1 + x2t * u2 + x3t * u3 + c123 * flex_speed)
+            p.ground_stiffness,
+            inf,
+            _TURF_DAMPING_SPEED,
+            depth,
+            -(x1t * u1 + x2t * u2 + x3t * u3 + c123 * flex_speed),
         )
         f1 += x1t * push
         f2 += x2t * push
@@ -341,10 +350,10 @@ def move(
 
 
 @compiled
-def stop_coordinate(r: Any, y: Any, i: int) -> tuple[float, float]:
-    """Return the coordinate that stop i limits, and its rate: theta1, the rod's extension (m), theta3."""
+def stop_coordinate(r: Any, y: Any, i: int) -> float:
+    """Return the coordinate that stop i limits: theta1 (rad), the rod's extension (m), theta3 (rad)."""
     if i != 1:
-        return y[i], y[3 + i]
+        angle: float = y[i]
+        return angle
     x, h = r.l62 + r.l23 * cos(y[1]), r.l23 * sin(y[1])
-    length = sqrt(x * x + h * h)
-    return length - r.l56, -r.l62 * h / length * y[4]
+    return sqrt(x * x + h * h) - float(r.l56)

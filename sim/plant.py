@@ -26,7 +26,6 @@ from sim.motion import (
     move,
     stop_coordinate,
     stop_depth,
-    stop_push,
 )
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply, flow
 from sim.ranges import Range
@@ -356,24 +355,16 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
 
 
 @compiled
-def _note_stops(r: Any, p: Any, s: Any, y: Any, contact: Any) -> None:
-    """Keep the energy that each cushion has taken and how deep it was pressed in.
-
-    `contact` (3, 2) holds depth (m, rad) and force (N, N m) of the substep before.
-    """
+def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
+    """Keep the energy that each cushion has taken and how deep it was pressed in."""
     for i in range(3):
-        position, speed = stop_coordinate(r, y, i)
-        signed = stop_depth(p, i, position)
-        depth, force = abs(signed), abs(stop_push(p, i, signed, speed))
-        if depth > 0.0:
-            side = 1 if signed > 0.0 else 0
-            # Work against the stop; what it gives back in the rebound is not taken off.
-            s.stop_work[i] += max(0.5 * (force + contact[i, 1]) * (depth - contact[i, 0]), 0.0)
-            s.stop_energy[i, side] = max(s.stop_energy[i, side], s.stop_work[i])
-            s.stop_depth[i, side] = max(s.stop_depth[i, side], depth)
+        depth = stop_depth(p, i, stop_coordinate(r, y, i))
+        if depth == 0.0:
+            y[15 + i] = 0.0
         else:
-            s.stop_work[i] = 0.0
-        contact[i, 0], contact[i, 1] = depth, force
+            side = 1 if depth > 0.0 else 0
+            s.stop_energy[i, side] = max(s.stop_energy[i, side], y[15 + i])
+            s.stop_depth[i, side] = max(s.stop_depth[i, side], abs(depth))
 
 
 @compiled
@@ -385,7 +376,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     r, p, s, c = robot[0], plant[0], state[0], command[0]
     scratch = np.empty(SCRATCH)
     y, trial = np.empty(STATES), np.empty(STATES)
-    nodes, contact = np.empty((3, 3)), np.empty((3, 2))
+    nodes = np.empty((3, 3))
     step = p.tick / p.substeps
     if c.tee and not s.tee_before:
         s.ball_present, s.struck = True, False
@@ -397,14 +388,10 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     vent = p.vent_conductance if s.vent_timer > p.vent_delay else 0.0
 
     for i in range(3):
-        y[i], y[3 + i] = s.angle[i], s.speed[i]
+        y[i], y[3 + i], y[15 + i] = s.angle[i], s.speed[i], s.stop_work[i]
     for i in range(6):
         y[6 + i] = s.pressure[i]
     y[12], y[13], y[14] = s.supply_pressure, s.flex, s.flex_speed
-    for i in range(3):
-        position, speed = stop_coordinate(r, y, i)
-        depth = stop_depth(p, i, position)
-        contact[i, 0], contact[i, 1] = abs(depth), abs(stop_push(p, i, depth, speed))
 
     for n in range(p.substeps):
         for i in range(3):
@@ -425,13 +412,13 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
                 move(r, p, y, nodes, part, 1.0, step, feed, vent, scratch, trial)
         for k in range(STATES):
             y[k] = trial[k]
-        _note_stops(r, p, s, y, contact)
+        _note_stops(r, p, s, y)
         s.history_index = (s.history_index + 1) % HISTORY
         for i in range(3):
             s.history[s.history_index, i] = y[i]
     s.time += p.tick
     for i in range(3):
-        s.angle[i], s.speed[i], s.effort[i] = y[i], y[3 + i], scratch[4, 15 + i]
+        s.angle[i], s.speed[i], s.stop_work[i], s.effort[i] = y[i], y[3 + i], y[15 + i], scratch[4, 15 + i]
     for i in range(6):
         s.pressure[i] = y[6 + i]
         s.peak_pressure[i] = max(s.peak_pressure[i], y[6 + i])
