@@ -1,0 +1,341 @@
+"""The cycle around a driver: what reaches the record, and what happens in the tick that fails."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bench.loop
+from bench.clock import FreeClock, PacedClock
+from bench.control.settings import ControlSettings, PidSettings, build_controller
+from bench.control.step import ACCEPTED, ARM, REFUSED, RESET, SWING, ControlParameters
+from bench.interrupt import deferred_interrupt
+from bench.lifecycle import Cause, Phase, Reaction
+from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
+from bench.swing.profile import Profile
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import PASSIVE, Command, DriverError, Readings
+from drivers.mock import MockDriver
+from sim.compiled import new_record
+from sim.plant import PlantParameters
+
+ADDRESS = np.array([0.1, 4.05, 6.1])
+TOP = np.array([-0.7, 3.8, 5.4])
+PERIOD = 1e-3
+PLANT = PlantParameters()
+WEIGHTLESS = ControlSettings(
+    pid=PidSettings((1.0,) * 3, (0.0,) * 3, (0.0,) * 3),
+    damping=(0.0,) * 3,
+    brake_gain=(0.02,) * 3,
+    brake_damping=(0.0,) * 3,
+    move_gain=(1 / 12, 1 / 10, 1 / 30),
+    precharge_opening=0.01,
+)
+"""Gains for a robot whose joints have the speed that the valves say, at once."""
+
+
+class Faulty(MockDriver):
+    """A mock whose next call may fail, and that applies less than it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__(start=(0.05, 4.0, 6.0))
+        self.fail_read: BaseException | None = None
+        self.fail_write: BaseException | None = None
+        self.readings: object = None
+        self.strongest = 1.0
+        self.passive = 0
+
+    def read(self, time: float) -> Readings:
+        if self.fail_read:
+            raise self.fail_read
+        taken = super().read(time)
+        return taken if self.readings is None else self.readings  # type: ignore[return-value]
+
+    def write(self, command: Command) -> Command:
+        if self.fail_write:
+            raise self.fail_write
+        bounded = tuple(max(-self.strongest, min(self.strongest, v)) for v in command.valve)
+        return super().write(command._replace(valve=bounded))  # type: ignore[arg-type]
+
+    def make_passive(self) -> None:
+        self.passive += 1
+        super().make_passive()
+
+
+@pytest.fixture(scope="module")
+def parameters() -> ControlParameters:
+    """Up to the top in 0.4 s, hold, and down to the address again without a ball."""
+    part = np.linspace(0, 1, 400)[:, None]
+    way = part**3 * (10 - 15 * part + 6 * part**2)
+    up, top = ADDRESS + (TOP - ADDRESS) * way, np.tile(TOP, (200, 1))
+    angle = np.vstack([up, top, up[::-1]])
+    velocity = np.gradient(angle, PERIOD, axis=0)
+    n = len(angle)
+    begins = (0, 1, 400, 600, n - 3, n - 2, n - 1)
+    profile = Profile(
+        "mock", "", "", "", PERIOD, begins, angle, velocity, velocity * WEIGHTLESS.move_gain,
+        20, np.zeros((n // 20 + 1, 6)), (0.25, -1.56), 0.9,
+    )  # fmt: skip
+    return build_controller(PLANT, profile, WEIGHTLESS)
+
+
+@pytest.fixture
+def driver() -> Faulty:
+    made = Faulty()
+    made.open()
+    return made
+
+
+@pytest.fixture
+def loop(driver: Faulty, parameters: ControlParameters) -> Loop:
+    return Loop(Cycle(driver, parameters, lambda _: None, name="faulty"), FreeClock(PERIOD))
+
+
+@pytest.fixture
+def holding(loop: Loop) -> Loop:
+    """Arm the mock and wait for the address."""
+    loop.advance(5)
+    loop.advance(1, ARM)
+    for _ in range(60):
+        loop.advance(100)
+        if loop.cycle.phase is Phase.HOLD:
+            return loop
+    pytest.fail(f"no hold: {loop.cycle.phase!r}, cause {control(loop)['cause']}")
+
+
+def control(loop: Loop) -> Any:
+    return loop.state.control[0]
+
+
+def phase(loop: Loop) -> int:
+    return int(control(loop)["phase"])
+
+
+def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: Faulty) -> None:
+    swing = holding.advance(1200, SWING)
+    assert {Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.RETURN} <= set(swing["phase"])
+    assert control(holding)["cause"] == Cause.NONE
+    assert np.all(np.abs(swing["applied_valve"]) <= 1)
+    assert np.isnan(swing["plant_angle"]).all()
+    assert np.diff(swing["tick"]).tolist() == [1] * 1199
+    assert swing["time"].tolist() == [k * PERIOD for k in swing["tick"] - 1]
+    records = np.concatenate(bring_to_rest(holding, 3000))
+    assert phase(holding) == Phase.STANDING
+    assert records["trip"][-1] == Cause.OPERATOR_STOP
+    assert driver.applied == PASSIVE
+    assert driver.passive == 3
+
+
+def test_the_record_holds_what_the_driver_applied(holding: Loop, driver: Faulty) -> None:
+    driver.strongest = 0.01
+    cycles = holding.advance(200, SWING)
+    assert np.abs(cycles["desired_valve"]).max() > 0.02
+    assert np.abs(cycles["applied_valve"]).max() == 0.01
+
+
+def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: Faulty) -> None:
+    holding.advance(150, SWING)
+    assert phase(holding) == Phase.BACKSWING
+    driver.fail_read = DriverError("bus off")
+    failed = holding.advance(1)[0]
+    assert (failed["reaction"], failed["trip"]) == (Reaction.BLIND_BRAKE, Cause.EXCEPTION)
+    assert not failed["encoder_valid"].any()
+    assert not failed["emergency_stop_clear"]
+    assert np.isnan(failed["supply_pressure"])
+    assert holding.cycle.read_error is driver.fail_read
+    driver.fail_read = OSError("later")
+    for _ in range(30):
+        holding.advance(100)
+    assert phase(holding) == Phase.STANDING
+    assert driver.applied == PASSIVE
+    assert str(holding.cycle.read_error) == "bus off"
+    assert control(holding)["cause"] == Cause.EXCEPTION
+
+
+def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty) -> None:
+    loop.advance(5)
+    driver.fail_read = DriverError("bus off")
+    loop.advance(1, ARM)
+    assert control(loop)["answer"] == REFUSED
+    assert control(loop)["cause"] == Cause.NONE
+    driver.fail_read = None
+    loop.advance(1, ARM)
+    assert control(loop)["answer"] == ACCEPTED
+
+
+@pytest.mark.parametrize("wrong", [type(None), (), "readings"])
+def test_readings_of_the_wrong_make_are_lost_readings(holding: Loop, driver: Faulty, wrong: object) -> None:
+    driver.readings = wrong
+    assert holding.advance(1)["reaction"][0] == Reaction.BLIND_BRAKE
+    assert holding.cycle.read_error is not None
+
+
+@pytest.mark.parametrize("error", [DriverError("valve island gone"), OSError("no buffer space")])
+def test_a_command_that_cannot_be_sent_makes_passive_in_that_tick(
+    holding: Loop, driver: Faulty, error: Exception
+) -> None:
+    holding.advance(150, SWING)
+    kept = CycleArray(1)
+    holding.cycle.publish = kept
+    driver.fail_write = error
+    with pytest.raises(type(error)) as raised:
+        holding.cycle.run_tick(holding.clock.wait())
+    told = [str(raised.value), *getattr(raised.value, "__notes__", [])]
+    assert any("driver 'faulty'" in text and "passive command was sent" in text for text in told)
+    assert str(error) in told[0]
+    assert driver.passive == 1
+    assert driver.applied == PASSIVE
+    assert (kept.cycles["trip"][0], kept.cycles["reaction"][0]) == (Cause.EXCEPTION, Reaction.PASSIVE)
+    assert not kept.cycles["applied_valve"].any()
+    assert not kept.cycles["supply_enable"][0]
+
+
+def test_after_an_exception_nothing_arms_without_a_reset(holding: Loop, driver: Faulty) -> None:
+    driver.fail_write = DriverError("gone")
+    with pytest.raises(DriverError):
+        holding.advance(1)
+    driver.fail_write = None
+    holding.advance(1, ARM)
+    assert control(holding)["answer"] == REFUSED
+    assert driver.applied == PASSIVE
+    holding.advance(1, RESET)
+    assert (control(holding)["answer"], control(holding)["cause"]) == (ACCEPTED, Cause.NONE)
+    holding.advance(1, ARM)
+    assert control(holding)["answer"] == ACCEPTED
+
+
+def test_the_first_cause_is_kept(holding: Loop, driver: Faulty) -> None:
+    driver.emergency_stop_clear = False
+    holding.advance(1)
+    driver.fail_write = DriverError("gone")
+    with pytest.raises(DriverError):
+        holding.advance(1)
+    assert control(holding)["cause"] == Cause.EMERGENCY_STOP
+    assert control(holding)["latest_cause"] == Cause.EXCEPTION
+
+
+def test_numerics_that_fail_make_passive_too(
+    holding: Loop, driver: Faulty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("in the step")
+
+    monkeypatch.setattr(bench.loop, "step", fail)
+    kept = CycleArray(1)
+    holding.cycle.publish = kept
+    with pytest.raises(ZeroDivisionError) as raised:
+        holding.cycle.run_tick(holding.clock.wait())
+    assert "driver 'faulty'" in raised.value.__notes__[0]
+    assert driver.passive == 1
+    assert len(kept.cycles) == 0  # nothing was decided, so nothing is told
+
+
+def test_an_interrupt_inside_a_tick_makes_passive(holding: Loop, driver: Faulty) -> None:
+    driver.fail_read = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        holding.advance(1)
+    assert driver.applied == PASSIVE
+
+
+def test_a_publisher_that_fails_lets_the_swing_complete(holding: Loop) -> None:
+    calls = []
+
+    def full(record: np.ndarray) -> None:
+        calls.append(int(record["tick"][0]))
+        raise OSError(28, "no space left")
+
+    holding.cycle.publish = full
+    holding.cycle.request(SWING)
+    for _ in range(1500):
+        holding.cycle.run_tick(holding.clock.wait())
+    assert len(calls) == 1
+    assert isinstance(holding.cycle.publish_error, OSError)
+    assert control(holding)["swings"] == 1
+    assert control(holding)["cause"] == Cause.NONE
+
+
+def test_records_in_memory_are_copies_and_bounded() -> None:
+    kept, record = CycleArray(2), new_record(CYCLE)
+    for tick in (3, 4):
+        record["tick"] = tick
+        kept(record)
+    assert kept.cycles["tick"].tolist() == [3, 4]
+    with pytest.raises(IndexError):
+        kept(record)
+
+
+def test_a_stop_that_takes_too_long_is_left_to_the_passive_command(holding: Loop, driver: Faulty) -> None:
+    holding.advance(150, SWING)
+    records = bring_to_rest(holding, 15)
+    assert sum(map(len, records)) == 15
+    assert phase(holding) != Phase.STANDING
+    assert driver.applied == PASSIVE
+
+
+def test_ticks_are_multiplied_not_added() -> None:
+    clock = FreeClock(PERIOD)
+    assert [clock.wait() for _ in range(5000)] == [k * PERIOD for k in range(5000)]
+
+
+def test_paced_time_slips_when_the_machine_stalls() -> None:
+    wall, naps = [100.0], []
+
+    def sleep(duration: float) -> None:
+        naps.append(duration)
+        wall[0] += duration
+
+    clock = PacedClock(PERIOD, lambda: wall[0], sleep)
+    times = []
+    for k in range(6):
+        times.append(clock.wait())
+        wall[0] += 0.0005 if k != 2 else 0.0205
+    assert times == [k * PERIOD for k in range(6)]
+    assert clock.slips == 1
+    assert clock.slipped == pytest.approx(0.0195)
+    assert naps == pytest.approx([0.0005] * 4)
+
+
+def test_control_c_is_a_question_until_the_block_ends() -> None:
+    before, steps = signal.getsignal(signal.SIGINT), []
+
+    def work() -> None:
+        with deferred_interrupt() as asked:
+            for k in range(3):
+                if k == 1:
+                    signal.raise_signal(signal.SIGINT)
+                steps.append(asked.is_set())
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert steps == [False, True, True]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    def work() -> None:
+        with deferred_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_threads_get_no_signals() -> None:
+    seen = []
+
+    def work() -> None:
+        with deferred_interrupt() as asked:
+            seen.append(asked.is_set())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [False]
