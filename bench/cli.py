@@ -10,13 +10,14 @@ import importlib.metadata
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
 from bench.errors import BenchError, ExitCode
+from bench.session import Session
+from bench.swing.commands import app as swing_app
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -37,15 +38,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-
-
-@dataclass
-class Session:
-    """What the options before the command say; `typer.Context.obj` in every command."""
-
-    config: Path | None = None
-    """Configuration file asked for; None means the default one."""
-    debug: bool = False
+app.add_typer(swing_app, name="swing")
 
 
 def _version(wanted: bool) -> None:
@@ -59,7 +52,11 @@ def options(
     ctx: typer.Context,
     config: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", envvar="GOLFBENCH_CONFIG", help="Configuration of the bench (TOML)."),
+        typer.Option(
+            metavar="FILE",
+            envvar="GOLFBENCH_CONFIG",
+            help="Configuration, a TOML file or a variant's name.",
+        ),
     ] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,
     version: Annotated[
@@ -73,10 +70,12 @@ def options(
 
 @app.command()
 def doctor(
+    context: typer.Context,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
     data_dir: Annotated[
-        Path, typer.Option(metavar="PATH", help="Folder in which records will be stored.")
-    ] = Path("data"),
+        Path | None,
+        typer.Option(metavar="PATH", help="Folder of records [default: data_dir of the configuration]."),
+    ] = None,
 ) -> None:
     """Show what this machine can do: packages, real time, memory, CAN, tools.
 
@@ -89,6 +88,8 @@ def doctor(
     from bench.doctor import examine, probes, report, table, usable
     from bench.progress import progress_bar
 
+    if data_dir is None:
+        data_dir = context.ensure_object(Session).configuration().bench.data_dir
     planned = probes(data_dir)
     findings = []
     with progress_bar() as progress:
@@ -102,6 +103,25 @@ def doctor(
         Console().print(table(findings))
     if not usable(findings):
         raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    profile: Annotated[
+        str | None,
+        typer.Argument(metavar="[PROFILE]", help="Name or path [default: the configuration's]."),
+    ] = None,
+) -> None:
+    """Check configuration and swing before anything moves, and say what was checked.
+
+    Ends with 2 and every mistake found.
+    """
+    from rich.console import Console
+
+    from bench.check_report import check_all
+
+    check_all(context.ensure_object(Session), profile, Console())
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

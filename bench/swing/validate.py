@@ -6,7 +6,7 @@ checked and not only what failed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from math import hypot, pi
 from typing import NamedTuple
 
@@ -104,6 +104,11 @@ def _peak(values: Array) -> tuple[int, int]:
     return int(sample), int(joint)
 
 
+def _impact(plan: Plan) -> slice:
+    """Return the ticks from before the impact window to after it."""
+    return slice(max(plan.profile.begins[5] - 1, 0), plan.profile.begins[6] + 1)
+
+
 def _machine(plan: Plan) -> Check:
     """Compare what the profile was made for with the machine: club, period, supply."""
     profile, plant, faults = plan.profile, plan.plant, []
@@ -128,9 +133,10 @@ def _tables(plan: Plan) -> Check:
     """Ask the tables to hold together: velocity is the angle's slope, and the swing begins at rest."""
     angle, velocity, faults = plan.profile.angle, plan.profile.velocity, []
     slope = np.diff(angle, axis=0) / plan.profile.period
-    # A tick in which the speed jumps, as at the ball, may have any slope between.
+    # A tick in which the speed jumps may have any slope between; at the ball there is no reference at all.
     jump = np.abs(np.diff(velocity, axis=0)) / 2
     error = np.maximum(np.abs(slope - (velocity[1:] + velocity[:-1]) / 2) - jump, 0.0)
+    error[_impact(plan)] = 0.0
     k, joint = _peak(error)
     if error[k, joint] > SLOPE_TOLERANCE:
         found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
@@ -187,8 +193,12 @@ def _speed(plan: Plan) -> Check:
             found, wanted = f"{speed[k, i]:.2f} {_SPEED[i]}", f"at most {limit:g} {_SPEED[i]}"
             cure = "Slow the swing; envelope.greatest_speed is the limit."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
-    found = " · ".join(f"{value:.1f}" for value in speed.max(axis=0))
-    return Check("speeds, rad/s · m/s · rad/s", found, " · ".join(f"{v:g}" for v in limits), faults)
+    return Check("joint speeds", _joined(speed.max(axis=0), "{:.1f}"), _joined(limits, "{:g}"), faults)
+
+
+def _joined(values: Iterable[float], form: str) -> str:
+    """Return speeds of the three joint coordinates with their units."""
+    return " · ".join(f"{form.format(value)} {unit}" for value, unit in zip(values, _SPEED, strict=True))
 
 
 def _clearance(plan: Plan) -> Check:
@@ -228,18 +238,12 @@ def _lever(plan: Plan) -> Check:
 
 def _valves(plan: Plan) -> Check:
     """Compare the feed-forward with what the envelope passes."""
-    opening, envelope, faults = np.abs(plan.profile.valve), plan.envelope, []
-    slew = np.abs(np.diff(plan.profile.valve, axis=0)) / plan.profile.period
-    for values, limit, unit, name in (
-        (opening, envelope.greatest_opening, "", "greatest_opening"),
-        (slew, envelope.greatest_slew, " per s", "greatest_slew"),
-    ):
-        k, joint = _peak(values)
-        if values[k, joint] > limit:
-            found, wanted = f"{values[k, joint]:.3g}{unit}", f"at most {limit:g}{unit}, envelope.{name}"
-            faults.append(plan.row(("valve", k, joint), found, wanted, "Ask the valves for less."))
-    allowed = f"{envelope.greatest_opening:g} · {envelope.greatest_slew:g} per s"
-    return Check("valve openings", f"{opening.max():.2f} · {slew.max():.0f} per s", allowed, faults)
+    opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.greatest_opening, []
+    k, joint = _peak(opening)
+    if opening[k, joint] > limit:
+        wanted = f"at most {limit:g}, envelope.greatest_opening"
+        faults.append(plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Ask for less."))
+    return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 
 
 def _ball(plan: Plan) -> Check:
@@ -267,13 +271,12 @@ def _ball(plan: Plan) -> Check:
 
 def _air(plan: Plan) -> Check:
     """Compare the force the motion needs with what valves and supply can give at its speed."""
-    plant, period, faults, texts, rated = plan.plant, plan.profile.period, [], [], []
+    plant, period, faults, shares = plan.plant, plan.profile.period, [], []
     need = needed_force(plan.motion)
     bounds = force_bounds(plan.motion)[:-1]
     excess = np.maximum(need - bounds[..., 1], bounds[..., 0] - need)
     # At the ball the speeds jump; no actuator makes that.
-    contact = round(plan.profile.impact_time / period)
-    excess[max(contact - 2, 0) : contact + 3] = 0.0
+    excess[_impact(plan)] = 0.0
     lasting = min(round(EXCESS_TIME / period), len(excess) - 1) + 1
     steady = np.lib.stride_tricks.sliding_window_view(excess, lasting, axis=0).min(axis=-1)
     for i, actuator in enumerate(plant.actuators):
@@ -284,16 +287,15 @@ def _air(plan: Plan) -> Check:
             at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
             found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"
             wanted = (
-                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, all that its valve of "
-                f"{actuator.valve.conductance:g} m3/(s Pa) and {plant.supply.pressure:g} Pa of supply give"
+                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, all that the valve's "
+                f"{actuator.valve.conductance:g} m3/(s Pa) and {plant.supply.pressure:g} Pa give"
             )
             cure = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
         lever = plant.wrist_lever if i == 2 else 1.0
-        texts.append(f"{np.abs(plan.motion.speed[:, i]).max():.1f}")
-        rated.append(f"{steady_speed(actuator, plant.supply) / lever:.1f}")
-    allowed = f"force the valves give; steady {' · '.join(rated)}"
-    return Check("air at speeds", " · ".join(texts), allowed, faults)
+        shares.append(np.abs(plan.motion.speed[:, i]).max() * lever / steady_speed(actuator, plant.supply))
+    found = " · ".join(f"{100 * share:.0f}" for share in shares) + " % of the valves' steady speed"
+    return Check("air", found, "the force that valves and supply give", faults)
 
 
 _CHECKS: tuple[Callable[[Plan], Check], ...] = (

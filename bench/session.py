@@ -1,0 +1,30 @@
+"""What the options before a command say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+
+
+@dataclass
+class Session:
+    """`typer.Context.obj` in every command."""
+
+    config: Path | None = None
+    """Configuration asked for, a path or a variant's name; None means the default one."""
+    debug: bool = False
+
+    def configuration(self) -> Configuration:
+        """Return the checked configuration.
+
+        Raises:
+            BenchError: its file is missing, cannot be read, or is no TOML.
+            ExceptionGroup: of BenchErrors, one for each mistake in it.
+        """
+        from bench.config import load_configuration
+
+        return load_configuration(self.config)

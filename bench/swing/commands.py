@@ -1,0 +1,138 @@
+"""`golfbench swing ...`: look at profiles and try them on the software plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.session import Session
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+
+app = typer.Typer(help="Look at swing profiles and try them on the software plant.", no_args_is_help=True)
+
+Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name of a profile that is here, or a path.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+@app.command("list")
+def list_profiles(json_: Json = False) -> None:
+    """Show the profiles that come with golfbench."""
+    import json
+
+    from rich.console import Console
+
+    from bench.swing.library import THESIS, find_profile, profile_names
+    from bench.swing.profile import load_profile
+    from bench.swing.show import listing
+
+    profiles = [(name, load_profile(find_profile(name))) for name in profile_names()]
+    if json_:
+        keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
+        found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
+        typer.echo(json.dumps(found, indent=2))
+        return
+    console = Console()
+    console.print(listing(profiles) if profiles else "No profiles here yet.")
+    console.print(f"Also: golfbench swing simulate {THESIS}, the thesis' own experiment.", highlight=False)
+
+
+@app.command()
+def show(
+    context: typer.Context,
+    profile: Name,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw it: a .png, .svg or .pdf.")
+    ] = None,
+) -> None:
+    """Show a profile: phases and times, planned delivery, limits."""
+    from rich.console import Console
+
+    from bench.errors import BenchError
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+    from bench.swing.show import details, draw
+
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")
+    path = find_profile(profile)
+    swing = load_profile(path)
+    plant = context.ensure_object(Session).configuration().plant
+    console = Console()
+    console.print(details(swing, path, plant), highlight=False)
+    if plot is not None:
+        draw(swing, plant, plot)
+        console.print(f"Picture: {plot}", highlight=False)
+
+
+@app.command()
+def simulate(
+    context: typer.Context,
+    profile: Annotated[
+        str, typer.Argument(metavar="PROFILE", help='Name or path of a profile, or "thesis": its experiment.')
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for pictures and records [default: DATA_DIR/simulations/NAME]."
+        ),
+    ] = None,
+    ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
+    json_: Json = False,
+) -> None:
+    """Swing once on the software plant, and show what came of it.
+
+    Ends with 1 when the swing gives no valid shot.
+    """
+    from bench.swing.library import THESIS
+
+    configuration = context.ensure_object(Session).configuration()
+    if output is None:
+        output = configuration.bench.data_dir / "simulations" / Path(profile).stem
+    if profile == THESIS:
+        from bench.swing.thesis_report import simulate_thesis
+
+        simulate_thesis(output, json_)
+        return
+    _simulate(configuration, profile, ball, output, json_)
+
+
+def _simulate(configuration: Configuration, name: str, ball: str | None, output: Path, json_: bool) -> None:
+    import json
+    from contextlib import nullcontext
+    from datetime import UTC, datetime
+
+    from rich.console import Console
+
+    from bench.errors import ExitCode
+    from bench.interrupt import deferred_interrupt
+    from bench.simulate import SimulatedBench, Surroundings, simulate_swing
+    from bench.swing.library import find_profile
+    from bench.swing.outcome import outcome_record, outcome_table, write_outcome
+    from bench.swing.profile import load_profile
+    from bench.swing.validate import require_possible
+
+    path = find_profile(name)
+    swing = load_profile(path)
+    plant = configuration.plant_with(ball=ball)
+    require_possible(swing, plant, configuration.envelope, str(path))
+    around = Surroundings(configuration.air, configuration.wind, configuration.turf)
+    bench = SimulatedBench(
+        swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
+    )
+    console = Console()
+    waiting = nullcontext() if json_ else console.status(f"swinging {swing.name}")
+    with deferred_interrupt() as asked, waiting:
+        result = simulate_swing(bench, stop=asked.is_set)
+        record = outcome_record(result, datetime.now(UTC))
+        files = write_outcome(output, result, bench.metadata(record))
+    if json_:
+        typer.echo(json.dumps(record | {"files": [str(file) for file in files]}, indent=2))
+    else:
+        console.print(outcome_table(result, plant, record))
+        console.print("Files: " + ", ".join(map(str, files)), highlight=False)
+    if result.reason:
+        raise typer.Exit(ExitCode.REFUSED)

@@ -1,0 +1,38 @@
+"""The profiles that come with golfbench, by name; any other one by its path."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from pathlib import Path
+
+from bench.errors import BenchError
+
+PROFILES = Path(__file__).with_name("profiles")
+THESIS = "thesis"
+"""Name of the thesis' own experiment, which is simulated but is no profile."""
+
+
+def profile_names() -> list[str]:
+    """Return the names of the profiles that come with golfbench."""
+    return sorted(path.stem for path in PROFILES.glob("*.toml"))
+
+
+def find_profile(name_or_path: str | Path) -> Path:
+    """Return the file of a profile: one that comes with golfbench, by name, or any other by its path.
+
+    Raises:
+        BenchError: there is none; the text names the known ones.
+    """
+    wanted = Path(name_or_path)
+    if len(wanted.parts) == 1 and wanted.name in profile_names():
+        return PROFILES / f"{wanted.name}.toml"
+    if wanted.is_file():
+        return wanted
+    names = profile_names()
+    known = f"a path, or one of {', '.join(names)}" if names else "a path"
+    if str(wanted) == THESIS:
+        cure = f"It is an experiment, not a profile: golfbench swing simulate {THESIS}"
+        raise BenchError(f"profile {THESIS}", "no profile", known, cure)
+    near = get_close_matches(wanted.name.removesuffix(".toml"), names, n=1)
+    cure = f"Did you mean {near[0]}?" if near else "`golfbench swing list` shows the known ones."
+    raise BenchError(f"profile {wanted}", "no such profile or file", known, cure)

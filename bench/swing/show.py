@@ -1,0 +1,143 @@
+"""A profile for people: its figures and phases in the terminal, its motion as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from bench.swing.motion import Motion, phase_times
+from bench.swing.profile import Profile
+from drivers.base import ACTUATORS
+from sim.plant import PlantParameters
+
+_BARS = " ▁▂▃▄▅▆▇█"
+_WIDTH = 64
+_UNITS = {"mps": "m/s", "deg": "°", "mm": "mm", "m": "m", "s": "s", "j": "J", "pa": "Pa"}
+_COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
+
+
+def listing(profiles: list[tuple[str, Profile]]) -> Table:
+    """Return the table of `golfbench swing list`; pairs of name and profile."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in ("name", "golfer", "club", "at the ball", "swing", "what it is"):
+        table.add_column(column, no_wrap=column != "what it is")
+    for name, profile in profiles:
+        speed = profile.delivery.get("head_speed_mps")
+        row = (
+            name,
+            profile.golfer,
+            profile.club,
+            f"{speed:.1f} m/s" if speed else "",
+            f"{profile.duration:.2f} s",
+        )
+        table.add_row(*map(Text, (*row, profile.text)))
+    return table
+
+
+def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
+    """Return everything `golfbench swing show` prints."""
+    head = Text(f"{profile.name}", "bold")
+    head.append(f"  {profile.text}\n{path}", "not bold")
+    facts = _table("", "", title="")
+    for name, value in (
+        ("golfer", profile.golfer),
+        ("club", profile.club),
+        ("ball", f"x {profile.ball[0]:.3f} m, y {profile.ball[1]:.3f} m in the swing plane"),
+        ("planned contact", f"{profile.impact_time:.4f} s"),
+        ("no return after", f"{profile.begins[4] * profile.period:.3f} s"),
+        ("samples", f"{len(profile.angle)} every {1e3 * profile.period:g} ms"),
+        ("blind brakes", f"{len(profile.blind_brake)}, every {profile.blind_spacing} samples"),
+    ):
+        facts.add_row(name, Text(value))
+    return Group(head, facts, _phases(profile), _speed_line(profile, plant), *_groups(profile))
+
+
+def _table(*columns: str, title: str) -> Table:
+    table = Table(
+        title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+    )
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if i and column else "left", no_wrap=True)
+    table.show_header = any(columns)
+    return table
+
+
+def _phases(profile: Profile) -> Table:
+    table = _table("phase", "begins, s", "lasts, s", "greatest speed, rad/s", title="Phases")
+    for phase, begin, end in phase_times(profile):
+        rows = slice(round(begin / profile.period), round(end / profile.period))
+        speed = np.abs(profile.velocity[rows]).max(axis=0) if rows.stop > rows.start else np.zeros(3)
+        fastest = " / ".join(f"{value:.1f}" for value in speed)
+        table.add_row(phase.name.lower().replace("_", " "), f"{begin:.3f}", f"{end - begin:.3f}", fastest)
+    return table
+
+
+def _speed_line(profile: Profile, plant: PlantParameters) -> Text:
+    """Return the head's speed over time as a row of bars, the column of the contact marked."""
+    speed = Motion(profile, plant).head_speed
+    columns = np.array_split(speed, min(_WIDTH, len(speed)))
+    heights = [int(np.ceil(part.max() / speed.max() * (len(_BARS) - 1))) for part in columns]
+    contact = int(profile.impact_time / profile.duration * len(columns))
+    line = Text(f"head, at most {speed.max():.1f} m/s\n", "bold")
+    for column, height in enumerate(heights):
+        line.append(_BARS[height], "bold red" if column == contact else "cyan")
+    line.append(f"\n0 s{'':{len(columns) - 9}}{profile.duration:.2f} s   red: the ball", "not bold")
+    return line
+
+
+def _groups(profile: Profile) -> list[Table]:
+    tables = []
+    for title, values in (("Planned delivery", profile.delivery), ("Limits it was made for", profile.limits)):
+        table = _table("", "value", "unit", title=title)
+        table.columns[2].justify = "left"
+        table.show_header = False
+        for name, value in values.items():
+            what, _, suffix = name.rpartition("_")
+            known = suffix in _UNITS
+            table.add_row((what if known else name).replace("_", " "), f"{value:.6g}", _UNITS.get(suffix, ""))
+        tables.append(table)
+    return tables
+
+
+def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
+    """Write a picture (PNG, SVG or PDF by the suffix of `path`) of the planned motion.
+
+    Raises:
+        ValueError: no picture format has that suffix.
+        OSError: `path` cannot be written.
+    """
+    motion = Motion(profile, plant)
+    time = np.arange(len(profile.angle)) * profile.period
+    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
+    cock = 360.0 - np.degrees(profile.angle[:, 2])
+    rows = (
+        (np.degrees(profile.angle[:, 0]), "shoulder θ1, °"),
+        (1e3 * motion.position[:, 1], "right-arm rod, mm"),
+        (cock, "wrist cock, °"),
+    )
+    for ax, (values, label), colour in zip(axes, rows, _COLOURS, strict=False):
+        ax.plot(time, values, color=colour)
+        ax.set_ylabel(label)
+    axes[3].plot(time, motion.head_speed, color="black", label="head, m/s")
+    axes[3].set_ylabel("head, m/s")
+    valves = axes[3].twinx()
+    for i, name in enumerate(ACTUATORS):
+        valves.plot(time, profile.valve[:, i], color=_COLOURS[i], linewidth=0.7, alpha=0.8, label=name)
+    valves.set(ylim=(-1.05, 1.05), ylabel="valve opening")
+    valves.legend(loc="upper left", fontsize=8, ncols=3, frameon=False)
+    for ax in axes:
+        for _, begin, _ in phase_times(profile)[1:]:
+            ax.axvline(begin, color="#bbbbbb", linewidth=0.7)
+        ax.axvline(profile.impact_time, color="#d1495b", linestyle="--", linewidth=0.9)
+        ax.grid(alpha=0.25)
+    axes[0].set_title(f"{profile.name}: {profile.text}", loc="left", fontsize=10)
+    axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
+    axes[3].set_xlim(0.0, profile.duration)
+    figure.savefig(path, dpi=110)
