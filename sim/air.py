@@ -65,4 +65,3 @@ class Air:
         """Dynamic viscosity (Pa s), Sutherland: 1.716e-5 at 0 degrees C, constant 110.4 K."""
         ratio = self.temperature / _ZERO_CELSIUS
         return 1.716e-5 * ratio * sqrt(ratio) * (_ZERO_CELSIUS + 110.4) / (self.temperature + 110.4)
-

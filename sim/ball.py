@@ -34,4 +34,3 @@ class Ball:
     def inertia(self) -> float:
         """Moment of inertia (kg m2)."""
         return self.inertia_factor * self.mass * self.radius**2
-

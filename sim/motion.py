@@ -23,8 +23,8 @@ from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
 
 STATES = 18
-SCRATCH = (5, 18)
-"""Shape of the work space of `move`."""
+SCRATCH = 5
+"""Rows of length `STATES` that `move` works in."""
 
 Head = tuple[float, float, float, float, float, float]
 
@@ -325,8 +325,8 @@ def move(
     """Write into `out` the state after the part begin..end (0..1) of a substep of `step` s from `y`.
 
     Runge-Kutta of fourth order. `nodes` (3, 3) are the spools' openings at start, middle and end of the
-    substep; `feed`, `vent` as in `_derivative`; `scratch` of shape `SCRATCH` holds nothing but, after the
-    call, the actuators' efforts in its last row.
+    substep; `feed`, `vent` as in `_derivative`; `scratch` (SCRATCH, STATES) is work space that afterwards
+    holds the actuators' efforts at the end of its last row.
     """
     point, dy, total, slip, terms = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     interval = (end - begin) * step

@@ -266,7 +266,17 @@ def _without_head(club: Club) -> Club:
 
 
 def build_plant(parameters: PlantParameters) -> Plant:
-    """Turn `parameters` into the records of compiled code."""
+    """Turn `parameters` into the records of compiled code.
+
+    Raises:
+        ValueError: the encoders' latency is longer than what the plant remembers.
+    """
+    encoders, remembered = parameters.encoders, (HISTORY - 2) * parameters.tick / parameters.substeps
+    if encoders.latency + 6 * encoders.jitter > remembered:
+        raise ValueError(
+            f"encoders.latency: found {encoders.latency:g} s and jitter {encoders.jitter:g} s, expected "
+            f"latency plus six times jitter up to {remembered:g} s; lower them, or raise tick / substeps"
+        )
     record = new_record(PLANT_PARAMETERS)
     club, robot = parameters.robot.club, parameters.robot
     half_step = parameters.tick / parameters.substeps / 2
@@ -299,7 +309,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
     # The wrist's cylinder coordinate is -lever cos(beta), beta = theta3 - 3 pi / 2 (thesis Figure 11).
     for name in ("volume_lower", "volume_upper"):
         record[name][0, 2] = parameters.wrist_lever * sin(record[name][0, 2])
-    supply, encoders, site, shaft = parameters.supply, parameters.encoders, parameters.site, parameters.shaft
+    supply, site, shaft = parameters.supply, parameters.site, parameters.shaft
     omega = 2 * pi * shaft.frequency
     scalars: dict[str, float] = {
         "wrist_lever": parameters.wrist_lever,
@@ -350,7 +360,10 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     state["history"] = angle
     state["lowest_clearance"] = np.inf
     state["peak_pressure"] = state["pressure"]
-    state["random"] = np.uint64(plant.parameters.seed)
+    # Spread over all 64 bits; the generator must not start at zero.
+    state["random"] = np.random.SeedSequence(plant.parameters.seed).generate_state(1, np.uint64) | np.uint64(
+        1
+    )
     return state
 
 
@@ -374,9 +387,8 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     Arguments are one-element arrays: ROBOT, PLANT_PARAMETERS, IMPACT, PLANT_STATE, COMMAND.
     """
     r, p, s, c = robot[0], plant[0], state[0], command[0]
-    scratch = np.empty(SCRATCH)
     y, trial = np.empty(STATES), np.empty(STATES)
-    nodes = np.empty((3, 3))
+    nodes, scratch = np.empty((3, 3)), np.empty((SCRATCH, STATES))
     step = p.tick / p.substeps
     if c.tee and not s.tee_before:
         s.ball_present, s.struck = True, False

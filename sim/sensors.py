@@ -15,12 +15,12 @@ HISTORY = 64
 
 @compiled
 def _uniform(s: Any) -> float:
-    """Return the next random number in (0, 1) of the state's own stream (SplitMix64, Steele 2014)."""
-    s.random = s.random + np.uint64(0x9E3779B97F4A7C15)
+    """Return the next random number in (0, 1) of the state's own stream (xorshift64, Marsaglia 2003)."""
     z = s.random
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
+    z = z ^ (z << np.uint64(13))
+    z = z ^ (z >> np.uint64(7))
+    z = z ^ (z << np.uint64(17))
+    s.random = z
     return (float(z >> np.uint64(11)) + 0.5) / 9007199254740992.0
 
 
