@@ -108,26 +108,33 @@ CAUSE_TEXT = {
 }
 """What the operator reads, with the cure where one is known."""
 
-TRUSTED, LOST, EMERGENCY = 0, 1, 2
-"""Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted."""
+TRUSTED, LOST, EMERGENCY, DISOBEYED = 0, 1, 2, 3
+"""Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, an
+actuator that does not follow."""
 
-_STANDING = (Reaction.VENT, Reaction.VENT, Reaction.VENT)
-_STOPPABLE = (Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE)
+_STANDING = (Reaction.VENT, Reaction.VENT, Reaction.VENT, Reaction.VENT)
+_STOPPABLE = (Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.BRAKE)
+_SLOW = (Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE)
 
-STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction]] = {
+STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction]] = {
     Phase.STANDING: _STANDING,
-    Phase.HOMING: _STOPPABLE,
-    Phase.HOLD: _STOPPABLE,
-    Phase.BACKSWING: _STOPPABLE,
-    Phase.TOP: _STOPPABLE,
+    Phase.HOMING: _SLOW,
+    Phase.HOLD: _SLOW,
+    Phase.BACKSWING: _SLOW,
+    Phase.TOP: _SLOW,
     Phase.DOWNSWING: _STOPPABLE,
-    Phase.COMMITTED: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.BRAKE),
-    Phase.IMPACT: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE),
-    Phase.FOLLOW_THROUGH: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE),
-    Phase.RETURN: _STOPPABLE,
+    Phase.COMMITTED: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.BRAKE),
+    Phase.IMPACT: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE, Reaction.COMPLETE),
+    Phase.FOLLOW_THROUGH: (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE, Reaction.COMPLETE),
+    Phase.RETURN: _SLOW,
 }
-"""The stopping table: (readings trusted, readings lost, emergency stop). A silent bench is PASSIVE by the
-device itself. In the impact window and the follow-through COMPLETE *is* the brake as planned."""
+"""The stopping table: (readings trusted, readings lost, emergency stop, an actuator that does not follow).
+
+A silent bench is PASSIVE by the device itself. In the impact window and the follow-through COMPLETE *is* the
+brake as planned. While the robot is slow, an actuator that does not follow may be a stuck valve: only
+taking its air away helps, and there is little motion to brake, so the supply is cut (PASSIVE). Departs
+from one column 'readings trusted', shown by `golfbench swing check`: BRAKE with air on lets a wrist valve
+stuck open at the top put twice its rated energy into the wrist's stop."""
 
 
 def reaction_table() -> NDArray[np.uint8]:

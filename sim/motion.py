@@ -88,6 +88,14 @@ def stop_push(p: Any, i: int, depth: float, speed: float) -> float:
 
 
 @compiled
+def _relief(p: Any, pressure: float) -> float:
+    """Return the conductance of a chamber's relief valve; fully open half a bar above its set pressure."""
+    if pressure <= p.relief_pressure:
+        return 0.0
+    return p.relief_conductance * min((pressure - p.relief_pressure) / 0.5e5, 1.0)
+
+
+@compiled
 def _chambers(
     p: Any, i: int, y: Any, dy: Any, opening: float, position: float, speed: float, vent: float
 ) -> tuple[float, float]:
@@ -102,8 +110,9 @@ def _chambers(
     edge_b = edge * (p.leakage[i] + min(max((-opening - band) / (1.0 - band), 0.0), 1.0))
     into_a, into_b = flow(edge_a, supply, pa, ratio), flow(edge_b, supply, pb, ratio)
     across = flow(p.cross_leakage[i], pa, pb, ratio)
-    # Valve edge and vent lead to the same place: one orifice.
-    out_a, out_b = flow(edge_b + vent, pa, atmosphere, ratio), flow(edge_a + vent, pb, atmosphere, ratio)
+    # Valve edge, vent and relief valve lead to the same place: one orifice.
+    out_a = flow(edge_b + vent + _relief(p, pa), pa, atmosphere, ratio)
+    out_b = flow(edge_a + vent + _relief(p, pb), pb, atmosphere, ratio)
     volume_a = max(dead + area_a * (position - p.volume_lower[i]), 0.2 * dead)
     volume_b = max(dead + area_b * (p.volume_upper[i] - position), 0.2 * dead)
     dy[a] = p.exponent / volume_a * (into_a - across - out_a - pa * area_a * speed)

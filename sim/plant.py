@@ -95,7 +95,7 @@ def _shoulder() -> Actuator:
         lower=-1.7,
         upper=2.7,
         friction=Friction(viscous=0.3, coulomb=6.0, static=8.0),
-        stop=EndStop(energy=60.0, travel=0.10),
+        stop=EndStop(energy=250.0, travel=0.15),
     )
 
 
@@ -175,6 +175,8 @@ PLANT_PARAMETERS = np.dtype(
         ("feed_conductance", "f8"),
         ("manifold", "f8"),
         ("dump_conductance", "f8"),
+        ("relief_pressure", "f8"),
+        ("relief_conductance", "f8"),
         ("soft_start_time", "f8"),
         ("vent_conductance", "f8"),
         ("vent_delay", "f8"),
@@ -317,6 +319,8 @@ def build_plant(parameters: PlantParameters) -> Plant:
         "feed_conductance": supply.feed_conductance,
         "manifold": supply.volume,
         "dump_conductance": supply.dump_conductance,
+        "relief_pressure": supply.relief_pressure,
+        "relief_conductance": supply.relief_conductance,
         "soft_start_time": supply.soft_start_time,
         "vent_conductance": supply.vent_conductance,
         "vent_delay": supply.vent_delay,

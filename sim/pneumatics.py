@@ -136,17 +136,20 @@ class Supply:
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
     """Regulated, Pa absolute."""
-    feed_conductance: Conductance = 8.0e-8
-    """Regulator and feed line, m3/(s Pa)."""
-    volume: Annotated[float, Range(1e-5, 1.0, "m3")] = 0.010
-    """Manifold and its reservoir behind the soft-start valve, m3."""
-    dump_conductance: Conductance = 2.0e-7
+    feed_conductance: Conductance = 3.0e-7
+    """From the reservoir behind the regulator through the soft-start valve, m3/(s Pa)."""
+    volume: Annotated[float, Range(1e-5, 1.0, "m3")] = 0.002
+    """Manifold between soft-start valve and spools, m3; small, so that cutting the supply acts at once."""
+    dump_conductance: Conductance = 4.0e-7
     soft_start_time: Annotated[float, Range(0.001, 30.0, "s")] = 0.3
     """From shut to fully open, s."""
     vent_conductance: Conductance = 5.0e-9
     """Of one chamber vent, m3/(s Pa)."""
     vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
     """From loss of energy to open vents (pneumatic timer), s."""
+    relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6
+    """At which the relief valve of each chamber begins to open, Pa absolute."""
+    relief_conductance: Conductance = 1.0e-7
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
     polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2
 

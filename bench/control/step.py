@@ -17,7 +17,7 @@ from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
 from bench.control.pid import PID_STATE, control, match_output, reset_integral
-from bench.lifecycle import EMERGENCY, LOST, TRUSTED, Cause, Phase, Reaction
+from bench.lifecycle import DISOBEYED, EMERGENCY, LOST, TRUSTED, Cause, Phase, Reaction
 from sim.compiled import compiled, new_record
 from sim.kinematics import head_motion
 
@@ -44,7 +44,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("move_timeout", "f8"),
         ("address_tolerance", "f8", (3,)),
         ("strike_drop", "f8"),
-        ("reactions", "u1", (10, 3)),
+        ("reactions", "u1", (10, 4)),
     ],
     align=True,
 )
@@ -104,7 +104,7 @@ _IMPACT, _FOLLOW = int(Phase.IMPACT), int(Phase.FOLLOW_THROUGH)
 _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(Reaction.BRAKE)
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
 _OPERATOR, _EXCEPTION = int(Cause.OPERATOR_STOP), int(Cause.EXCEPTION)
-_E_STOP_CAUSE, _NO_FOLLOW = int(Cause.EMERGENCY_STOP), int(Cause.WRIST_FOLLOWING)
+_E_STOP_CAUSE, _FOLLOWING = int(Cause.EMERGENCY_STOP), int(Cause.SHOULDER_FOLLOWING)
 
 
 class ControlState(NamedTuple):
@@ -303,18 +303,35 @@ def _brake_openings(s: Any, p: Any, e: Any) -> None:
 
 
 @compiled
-def _brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
-    """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
-    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
-    _brake_openings(s, p, e)
+def _rest_or_wait(s: Any, p: Any, e: Any, trusted: bool, time: float) -> None:
+    """End a stop once all joints have rested for long enough, or its time is up."""
     still = trusted
     for i in range(3):
-        s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
         still = still and abs(e.velocity[i]) <= p.still_speed[i]
     if not still:
         s.still_since = time
     if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
         _stand(s)
+
+
+@compiled
+def _brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+    """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    _brake_openings(s, p, e)
+    for i in range(3):
+        s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
+    _rest_or_wait(s, p, e, trusted, time)
+
+
+@compiled
+def _go_limp(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+    """Wait in PASSIVE until all joints rest: spools centred, supply shut, vents opening by their timer."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    for i in range(3):
+        s.desired[i] = s.feed_forward[i] = s.reference_velocity[i] = 0.0
+        s.reference[i] = e.angle[i]
+    _rest_or_wait(s, p, e, trusted, time)
 
 
 @compiled
@@ -424,14 +441,17 @@ def step(
                 measured_step,
             )  # fmt: skip
             if broken != 0:
-                _react(state, parameters, broken, TRUSTED, time)
+                column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
+                _react(state, parameters, broken, column, time)
     if s.reaction == _BRAKE:
         _brake(state, parameters, lost == 0, time)
+    elif s.reaction == _PASSIVE:
+        _go_limp(state, parameters, lost == 0, time)
     elif s.reaction == _BLIND:
         _brake_blind(s, parameters, time)
 
     # Limit and command.
-    powered = s.phase != _STANDING
+    powered = s.phase != _STANDING and s.reaction != _PASSIVE
     for i in range(3):
         if not powered:
             s.desired[i] = 0.0

@@ -32,7 +32,8 @@ _SHAFT_DOWN = 3.5 * np.pi  # theta_t with the shaft straight down, in the range 
 _UNTIL_WRIST_STOPS = 0.03
 _WATCHED = 0.08  # s after the ball that the downswing's search looks at
 _BEFORE_CONTACT, _AFTER_CONTACT = 3, 5  # ticks of the impact window
-_LEAST_LEVER = 0.19  # |sin beta| the plan keeps to; the envelope trips at 0.15
+_SILENCES = (0.02, 0.045)  # s before the ball at which the bench may fall silent
+_LEAST_LEVER = 0.25  # |sin beta| the plan keeps to; the envelope trips at 0.15
 _BLIND_SPACING = 20
 _BLIND_WATCHED = 0.9  # s
 _LONGEST_BLIND = 0.4  # s
@@ -62,7 +63,7 @@ class Demand:
     address_extension: float = 0.200
     top_shoulder: float = -1.30
     top_extension: float = 0.02
-    top_cock: float = np.deg2rad(68.0).item()
+    top_cock: float = np.deg2rad(65.0).item()
     knot: float = 0.03
     """Time between valve knots, s."""
     downswing_knots: int = 11
@@ -256,15 +257,21 @@ def _design_downswing(
         total += 400 * max(abs(head[1] - site.ball_y) - 0.0003, 0.0)
         # Without a ball the head keeps its momentum, and the wrist meets its stop faster.
         contact = int((float(state["impact_time"]) - begin) / period)
-        missed, _ = shooter.shoot(valve[: contact + round(_UNTIL_WRIST_STOPS / period)], ball=False)
+        until = contact + round(_UNTIL_WRIST_STOPS / period)
+        missed, _ = shooter.shoot(valve[:until], ball=False)
         total += 0.5 * _excess(state["stop_energy"], ratings) + 0.5 * _excess(missed["stop_energy"], miss_ratings)
+        for silence in _SILENCES:
+            silent = valve[:until].copy()
+            silent[max(contact - round(silence / period), 0) :] = 0.0
+            left, _ = shooter.shoot(silent, ball=False)
+            total += 0.5 * _excess(left["stop_energy"], miss_ratings)
         total += 100 * max(0.012 - float(state["lowest_clearance"]), 0.0)
         total += 5e-5 * _excess(state["peak_pressure"], 1.0e6)
         # What the shoulder carries past the ball must be braked before its stop.
         return total + 0.5 * max(abs(float(state["speed"][0])) - 16.0, 0.0)
 
     guess = np.zeros((demand.downswing_knots, 3))
-    guess[:, 0], guess[:, 1], guess[:, 2] = 0.8, 0.6, np.where(np.arange(demand.downswing_knots) < 4, -0.5, 0.7)
+    guess[:, 0], guess[:, 1], guess[:, 2] = 0.8, 0.6, np.where(np.arange(demand.downswing_knots) < 4, -0.1, 0.6)
     best = _search(cost, guess.ravel(), 0.3, evaluations, seed, progress, "downswing")
     state, _ = shooter.shoot(openings(best), ball=True, after=_WATCHED)
     if not state["struck"]:
