@@ -1,0 +1,73 @@
+"""Two benches of the same make: one thinks in Python around a driver, one is a compiled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import bench.swing
+from bench.clock import FreeClock
+from bench.control.settings import build_controller
+from bench.lockstep import Lockstep
+from bench.loop import Cycle, Loop
+from bench.swing.profile import Profile, load_profile
+from sim.driver import SimDriver, hanging_pose
+from sim.plant import PlantParameters, advance, build_plant
+
+
+class Pair(NamedTuple):
+    """The same bench twice."""
+
+    compiled: Lockstep
+    python: Loop
+    driver: SimDriver
+
+    def set(self, field: str, value: object) -> None:
+        """Set a field of both plants' states, between two ticks."""
+        ours, theirs, driver = self.compiled.plant_state, self.driver.plant_state, self.driver
+        if theirs["time"][0] < ours["time"][0]:  # the driver would move at its next reading
+            advance(*driver.plant.records, theirs, driver._command)
+            driver._ticks += 1
+        ours[field] = theirs[field] = value
+
+    def tee(self, raised: bool) -> None:
+        for stepper in (self.compiled, self.python):
+            stepper.state.control["tee"] = raised
+
+    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
+        """Run both and insist that their records and all that the controllers remember are bit-equal."""
+        ours, theirs = self.compiled.advance(ticks, request), self.python.advance(ticks, request)
+        if ours.tobytes() != theirs.tobytes():
+            first = next(k for k in range(ticks) if ours[k].tobytes() != theirs[k].tobytes())
+            names = [
+                n for n in ours.dtype.names or () if ours[n][first].tobytes() != theirs[n][first].tobytes()
+            ]
+            pytest.fail(f"tick {first} of {ticks} differs in {names}")
+        for one, two in zip(self.compiled.state, self.python.state, strict=True):
+            assert one.tobytes() == two.tobytes()
+        return ours
+
+
+@pytest.fixture(scope="session")
+def default_profile() -> Profile:
+    return load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+
+
+@pytest.fixture(scope="session")
+def make_pair() -> Callable[[PlantParameters, Profile], Pair]:
+    """Return a function that makes the pair of vented benches, hanging, drivers open."""
+
+    def make(parameters: PlantParameters, profile: Profile) -> Pair:
+        start = hanging_pose(parameters)
+        driver = SimDriver(parameters, start)
+        driver.open()
+        controllers = [build_controller(parameters, profile) for _ in range(2)]
+        cycle = Cycle(driver, controllers[0], lambda _: None, name="sim", note_truth=driver.note_truth)
+        compiled = Lockstep(build_plant(parameters), controllers[1], start)
+        return Pair(compiled, Loop(cycle, FreeClock(parameters.tick)), driver)
+
+    return make

@@ -1,0 +1,185 @@
+"""The Python cycle around the `sim` driver and the compiled loop give the same records, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.control.step import ARM, DISARM, RESET, STOP, SWING
+from bench.lifecycle import Cause, Phase, Reaction
+from bench.swing.profile import Profile
+from sim.plant import Encoders, PlantParameters
+
+if TYPE_CHECKING:
+    from tests.lockstep.conftest import Pair
+
+    MakePair = Callable[[PlantParameters, Profile], Pair]
+
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+NOISY = Encoders(jitter=5e-6, noise=2e-6)
+
+
+def armed(pair: Pair) -> None:
+    """Take both benches to their address."""
+    pair.advance(10)
+    pair.advance(1, ARM)
+    for _ in range(100):
+        pair.advance(100)
+        if pair.driver.applied.supply_enable and pair.python.cycle.phase is Phase.HOLD:
+            return
+    pytest.fail(f"not at address: phase {pair.python.cycle.phase}, {pair.python.state.control['cause']}")
+
+
+def swung(pair: Pair, until: float) -> None:
+    """Begin a swing at a ball and stop `until` s after its begin."""
+    pair.tee(True)
+    pair.advance(300)
+    pair.advance(1, SWING)
+    pair.advance(round(until * 1000))
+
+
+def finished(pair: Pair) -> np.ndarray:
+    """Run until nothing moves any more: back at address, or standing after a stop."""
+    records = []
+    for _ in range(100):
+        records.append(pair.advance(100))
+        if pair.python.cycle.phase in {Phase.HOLD, Phase.STANDING}:
+            return np.concatenate(records)
+    pytest.fail("no end of the swing")
+
+
+@compiled_only
+@pytest.mark.parametrize("encoders", [Encoders(), NOISY], ids=["exact", "noisy"])
+def test_arming_a_whole_swing_and_disarming(
+    make_pair: MakePair, default_profile: Profile, encoders: Encoders
+) -> None:
+    pair = make_pair(PlantParameters(encoders=encoders, seed=7), default_profile)
+    armed(pair)
+    swung(pair, default_profile.impact_time + 0.05)
+    assert pair.driver.contact is not None
+    assert pair.driver.contact.time == float(pair.compiled.plant_state["impact_time"][0])
+    finished(pair)
+    assert pair.python.cycle.phase is Phase.HOLD
+    assert pair.python.state.control["cause"][0] == Cause.NONE
+    pair.tee(False)
+    pair.advance(1, DISARM)
+    assert not pair.advance(500)["supply_enable"].any()
+
+
+@compiled_only
+def test_other_ticks_and_substeps(make_pair: MakePair, default_profile: Profile) -> None:
+    parameters = replace(PlantParameters(), tick=0.0005, substeps=3, encoders=NOISY)
+    pair = make_pair(parameters, default_profile)
+    pair.advance(10)
+    pair.advance(3000, ARM)
+    assert pair.python.state.control["phase"][0] == Phase.RETURN
+
+
+@compiled_only
+@pytest.mark.parametrize("before_impact", [0.9, 0.25, 0.10, 0.02, -0.05, -0.3])
+@pytest.mark.parametrize("fault", ["emergency stop", "guard", "lost encoders", "operator"])
+def test_stops_in_a_swing(
+    make_pair: MakePair, default_profile: Profile, before_impact: float, fault: str
+) -> None:
+    pair = make_pair(PlantParameters(), default_profile)
+    armed(pair)
+    swung(pair, default_profile.impact_time - before_impact)
+    assert pair.python.state.control["swinging"][0]
+    match fault:
+        case "emergency stop":
+            pair.set("emergency_stop_clear", False)
+        case "guard":
+            pair.set("guard_closed", False)
+        case "lost encoders":
+            pair.set("encoder_valid", 0)
+        case "operator":
+            pair.advance(1, STOP)
+    cycles = finished(pair)
+    assert pair.python.state.control["cause"][0] != Cause.NONE
+    assert cycles["reaction"].max() >= Reaction.COMPLETE
+    assert pair.python.cycle.phase is Phase.STANDING
+    for field in ("emergency_stop_clear", "guard_closed", "encoder_valid"):
+        pair.set(field, 1)
+    pair.advance(20)
+    pair.advance(20, RESET)
+    assert pair.python.state.control["cause"][0] == Cause.NONE
+
+
+@compiled_only
+def test_a_short_loss_of_readings_changes_nothing_but_the_estimate(
+    make_pair: MakePair, default_profile: Profile
+) -> None:
+    pair = make_pair(PlantParameters(), default_profile)
+    armed(pair)
+    swung(pair, 0.2)
+    pair.set("encoder_valid", (1, 0, 1))
+    lost = pair.advance(3)
+    pair.set("encoder_valid", 1)
+    assert not lost["encoder_valid"][:, 1].any()
+    assert np.all(np.diff(lost["angle_variance"][:, 1]) > 0)
+    finished(pair)
+    assert pair.python.cycle.phase is Phase.HOLD
+
+
+FAULTS = st.tuples(
+    st.integers(0, 1500),
+    st.sampled_from(
+        [
+            ("emergency_stop_clear", 0, 1),
+            ("guard_closed", 0, 1),
+            ("encoder_valid", (0, 1, 1), 1),
+            ("encoder_valid", (1, 0, 1), 1),
+            ("encoder_valid", (1, 1, 0), 1),
+            ("local_reset", 1, 0),
+            ("ball_present", 0, 0),
+        ]
+    ),
+    st.integers(1, 12),
+)
+
+
+@compiled_only
+@settings(max_examples=8, deadline=None)
+@given(
+    faults=st.lists(FAULTS, min_size=1, max_size=4),
+    requests=st.lists(st.tuples(st.integers(0, 1500), st.integers(0, 7))),
+)
+def test_any_faults_and_requests(
+    make_pair: MakePair,
+    default_profile: Profile,
+    faults: list[tuple[int, tuple[str, object, object], int]],
+    requests: list[tuple[int, int]],
+) -> None:
+    pair = make_pair(PlantParameters(encoders=NOISY), default_profile)
+    armed(pair)
+    swung(pair, 0.1)
+    events = [(at, field, bad) for at, (field, bad, _), _ in faults]
+    events += [(at + length, field, good) for at, (field, _, good), length in faults]
+    asked = dict(requests)
+    tick = 0
+    for at in sorted({*(at for at, _, _ in events), *asked, 2000}):
+        pair.advance(max(at - tick, 0))
+        tick = max(at, tick)
+        for when, field, value in events:
+            if when == at:
+                pair.set(field, value)
+        if at in asked:
+            pair.advance(1, asked[at])
+            tick += 1
+
+
+def test_the_first_ticks_without_compilation_too(make_pair: MakePair, default_profile: Profile) -> None:
+    pair = make_pair(PlantParameters(), default_profile)
+    pair.advance(5)
+    cycles = pair.advance(15, ARM)
+    assert cycles["supply_enable"].all()
+    assert np.isfinite(cycles["plant_angle"]).all()
