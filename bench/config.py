@@ -163,7 +163,9 @@ def load_configuration(path: Path | None = None) -> Configuration:
             for key, found, wanted, mend in check(configuration, tree):
                 faults.append(BenchError(place_of(tree, file, key), found, wanted, mend))
     if faults:
-        raise ExceptionGroup(f"{file} does not hold", faults)
+        # Entries that are like another one repeat its mistakes.
+        once = {str(fault): fault for fault in faults}
+        raise ExceptionGroup(f"{file} does not hold", list(once.values()))
     return configuration  # type: ignore[no-any-return]
 
 

@@ -38,9 +38,14 @@ class Leaf(NamedTuple):
 
     value: Any
     file: Path
-    key: str
-    """The last part of its key as written."""
+    path: str
+    """Its dotted key as written."""
     suffix: str = ""
+
+    @property
+    def key(self) -> str:
+        """The last part of its key as written."""
+        return self.path.rsplit(".", 1)[-1]
 
 
 Tree = dict[str, "Tree | Leaf"]
@@ -80,7 +85,7 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
             faults.append(
                 BenchError(f"{file}: {path}{key}", f"also {before.key}", "one of the two", "Delete one.")
             )
-        tree[name] = Leaf(value, file, key, suffix)
+        tree[name] = Leaf(value, file, f"{path}{key}", suffix)
     return tree
 
 
@@ -101,8 +106,9 @@ def place_of(tree: Tree, file: Path, path: str) -> str:
         node = node.get(name) if isinstance(node, dict) else None
     leaf = node.get(last) if isinstance(node, dict) else None
     if isinstance(leaf, Leaf):
-        return f"{leaf.file}: {'.'.join([*above, leaf.key])}"
-    return f"{next(_leaves(leaf)).file if leaf else file}: {path}"
+        return f"{leaf.file}: {leaf.path}"
+    files = [below.file for below in _leaves(leaf)] if isinstance(leaf, dict) else []
+    return f"{file if file in files or not files else files[0]}: {path}"
 
 
 def _leaves(tree: Tree) -> Iterator[Leaf]:

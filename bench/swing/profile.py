@@ -7,8 +7,9 @@ for. It runs from address to standstill after the follow-through; the return is 
 
 from __future__ import annotations
 
-import tomllib
+import json
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
+from bench.from_toml import GREATEST, read_toml, shown
 from bench.lifecycle import Phase
 
 Array = NDArray[np.float64]
@@ -79,15 +81,17 @@ class Profile:
         ]
 
 
-_SCALARS: dict[str, type] = {
-    "schema": str,
-    "name": str,
-    "text": str,
-    "golfer": str,
-    "club": str,
-    "period_s": float,
-    "blind_spacing": int,
-    "impact_time_s": float,
+_TEXT = (str, "a text in quotes")
+_SECONDS = (float, "a finite number of seconds, with a decimal point")
+_SCALARS: dict[str, tuple[type, str]] = {
+    "schema": _TEXT,
+    "name": _TEXT,
+    "text": _TEXT,
+    "golfer": _TEXT,
+    "club": _TEXT,
+    "period_s": _SECONDS,
+    "blind_spacing": (int, "a whole number of samples"),
+    "impact_time_s": _SECONDS,
 }
 _TABLES = {
     "ball_m": 1,
@@ -107,14 +111,8 @@ def load_profile(path: Path) -> Profile:
         BenchError: the file is missing or not TOML, a key is unknown, missing or of the wrong type, a number
             is not finite or outside its physical range, or the tables do not fit together.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BenchError(
-            str(path), "no such file", "a swing profile", "`golfbench swing list` shows the known ones."
-        ) from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BenchError(str(path), str(error), "a readable TOML file", "Mend or replace the file.") from None
+    cure = "`golfbench swing list` shows the known ones."
+    raw = read_toml(path, "a swing profile", cure)
     return _check(path, raw)
 
 
@@ -122,25 +120,31 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
     known = set(_SCALARS) | set(_TABLES) | set(_GROUPS)
     cure = "Mend the profile or design it anew with `golfbench swing design`."
     for key in sorted(set(raw) - known):
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", cure)
+        near = get_close_matches(key, known, n=1)
+        mend = f"Did you mean {near[0]}?" if near else cure
+        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", mend)
     for key in sorted(known - set(raw)):
         raise BenchError(f"{path}: {key}", "nothing", "this key", cure)
-    for key, kind in _SCALARS.items():
-        if type(raw[key]) is not kind:
-            raise BenchError(f"{path}: {key}", repr(raw[key]), f"a value of type {kind.__name__}", cure)
+    for key, (kind, text) in _SCALARS.items():
+        if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
+            raise BenchError(f"{path}: {key}", shown(raw[key]), text, cure)
+    if raw["blind_spacing"] < 1:
+        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", cure)
     if raw["schema"] != SCHEMA:
         raise BenchError(f"{path}: schema", repr(raw["schema"]), repr(SCHEMA), cure)
     for key in _GROUPS:
         group = raw[key]
         if not isinstance(group, dict) or not all(
-            type(v) in {int, float} and np.isfinite(v) for v in group.values()
+            type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
         ):
             raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", cure)
     tables: dict[str, Array] = {}
     for key, dimensions in _TABLES.items():
         try:
+            if not _only_numbers(raw[key]):
+                raise TypeError
             array = np.array(raw[key], dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise BenchError(
                 f"{path}: {key}", "rows of different length or not numbers", "a table of numbers", cure
             ) from None
@@ -164,6 +168,8 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
     for key, shape in shapes.items():
         if tables[key].shape != shape:
             raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", cure)
+    if np.any(tables["begins"] % 1):
+        raise BenchError(f"{path}: begins", repr(raw["begins"]), "whole numbers of samples", cure)
     begins = tuple(int(v) for v in tables["begins"])
     ranges: tuple[tuple[str, Array, float, float, str], ...] = (
         ("period_s", np.array([raw["period_s"]]), 1e-4, 0.02, "0.0001 to 0.02 s"),
@@ -185,7 +191,7 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
         if np.any(values < low) or np.any(values > high):
             worst = values.flat[int(np.argmax(np.maximum(low - values, values - high)))]
             raise BenchError(f"{path}: {key}", f"{worst:g}", expected, cure)
-    if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:  # noqa: PLR2004
+    if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:
         raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", cure)
     return Profile(
         name=raw["name"],
@@ -206,8 +212,16 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
     )
 
 
+def _only_numbers(value: Any) -> bool:
+    """Tell whether `value` is a number or (nested) lists of numbers; True, False and texts are none."""
+    return all(map(_only_numbers, value)) if isinstance(value, list) else type(value) in {int, float}
+
+
 def save_profile(path: Path, profile: Profile) -> None:
     """Write `profile` as TOML that `load_profile` reads back; one row of a table a line."""
+
+    def quoted(text: str) -> str:
+        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
     def rows(array: Array, digits: int) -> str:
         lines = ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)
@@ -217,10 +231,10 @@ def save_profile(path: Path, profile: Profile) -> None:
         return "\n".join(f"{key} = {value!r}" for key, value in values.items())
 
     text = f'''schema = "{SCHEMA}"
-name = "{profile.name}"
-text = "{profile.text}"
-golfer = "{profile.golfer}"
-club = "{profile.club}"
+name = {quoted(profile.name)}
+text = {quoted(profile.text)}
+golfer = {quoted(profile.golfer)}
+club = {quoted(profile.club)}
 period_s = {profile.period!r}
 # Sample at which hold, backswing, top, downswing, committed, impact window, follow-through begin.
 begins = {list(profile.begins)!r}

@@ -1,0 +1,418 @@
+"""The shipped configuration equals the code's defaults; every mistake is named where it stands."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass, replace
+from math import isclose, pi, radians
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bench.config import (
+    VARIANTS,
+    Configuration,
+    find_configuration,
+    load_configuration,
+    shipped_configuration,
+)
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.errors import BenchError
+from sim.air import Air
+from sim.ball import Ball
+from sim.flight import Wind
+from sim.plant import PlantParameters
+from sim.robot import Club
+from sim.turf import Turf
+
+TEXT = shipped_configuration().read_text(encoding="utf-8")
+SHIPPED = tomllib.loads(TEXT)
+
+Overlay = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def default() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+@pytest.fixture
+def overlay(tmp_path: Path) -> Overlay:
+    """Return a function that writes an overlay of the shipped configuration."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.toml"
+        path.write_text(f'base = "shipped"\n{text}\n', encoding="utf-8")
+        return path
+
+    return write
+
+
+def faults(path: Path) -> list[BenchError]:
+    try:
+        load_configuration(path)
+    except BenchError as error:
+        return [error]
+    except ExceptionGroup as group:
+        return [fault for fault in group.exceptions if isinstance(fault, BenchError)]
+    return []
+
+
+def leaves(table: dict[str, Any], prefix: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from leaves(value, (*prefix, key))
+        else:
+            yield (*prefix, key), value
+
+
+LEAVES = list(leaves(SHIPPED))
+
+
+def setting(keys: tuple[str, ...], value: str) -> str:
+    return f"[{'.'.join(keys[:-1])}]\n{keys[-1]} = {value}"
+
+
+# The shipped files -----------------------------------------------------------------------------------
+
+
+def differences(found: Any, wanted: Any, path: str) -> Iterator[str]:
+    if is_dataclass(wanted):
+        for f in fields(wanted):
+            yield from differences(getattr(found, f.name), getattr(wanted, f.name), f"{path}.{f.name}")
+    elif isinstance(wanted, dict):
+        if found.keys() != wanted.keys():
+            yield f"{path}: {found.keys()} and {wanted.keys()}"
+        for key in wanted:
+            yield from differences(found[key], wanted[key], f"{path}.{key}")
+    elif isinstance(wanted, tuple):
+        for i, (a, b) in enumerate(zip(found, wanted, strict=True)):
+            yield from differences(a, b, f"{path}[{i}]")
+    elif isinstance(wanted, float):
+        if not isclose(found, wanted, rel_tol=1e-13):
+            yield f"{path}: config.toml has {found!r}, the code {wanted!r}"
+    elif found != wanted:
+        yield f"{path}: config.toml has {found!r}, the code {wanted!r}"
+
+
+def test_the_shipped_configuration_equals_the_defaults_of_the_code(default: Configuration) -> None:
+    plant = PlantParameters(ball=replace(Ball(), name="tour"))
+    pairs: list[tuple[str, Any, Any]] = [
+        ("plant", default.plant, plant),
+        ("control", default.control, ControlSettings()),
+        ("envelope", default.envelope, EnvelopeSettings()),
+        ("estimator", default.estimator, EstimatorSettings()),
+        ("clubs.driver", default.clubs["driver"], Club.driver()),
+        ("clubs.thesis", default.clubs["thesis"], Club.thesis()),
+        ("air", default.air, Air()),
+        ("wind", default.wind, Wind()),
+        ("turf", default.turf, Turf()),
+    ]
+    found = [line for name, a, b in pairs for line in differences(a, b, name)]
+    assert found == [], "mend config.toml or the default so that both say the same"
+
+
+def test_every_line_of_the_shipped_configuration_has_a_comment() -> None:
+    table, bare = "", []
+    for line in TEXT.splitlines():
+        if line.startswith("["):
+            table = line
+        elif (
+            "=" in line
+            and not line.startswith("#")
+            and "#" not in line
+            and "following" not in table
+            and "like" not in line
+        ):
+            bare.append(line)
+    assert bare == []
+
+
+def test_the_demo_balls_differ_by_one_to_two_per_cent_of_restitution(default: Configuration) -> None:
+    tour, other = default.balls["tour"], default.balls["range"]
+    assert 0.01 <= 1 - other.restitution_factor / tour.restitution_factor <= 0.02
+    assert other.mass == tour.mass
+
+
+@pytest.mark.parametrize("path", sorted(VARIANTS.glob("*.toml")), ids=lambda path: path.stem)
+def test_variants_hold_and_are_found_by_name(path: Path, default: Configuration) -> None:
+    variant = load_configuration(Path(path.stem))
+    assert variant != default
+    assert [file.name for file in variant.files] == ["config.toml", path.name]
+
+
+def test_what_the_variants_change() -> None:
+    small = load_configuration(Path("small_plant")).plant
+    assert (small.shoulder.area_a, small.wrist.area_a, small.wrist_lever) == (3e-4, 12.57e-4, 0.05)
+    assert {a.valve.conductance for a in small.actuators} == {5.4e-8}
+    assert small.supply.pressure == 7e5
+    wrist = load_configuration(Path("swing_through_wrist")).plant.wrist
+    assert (wrist.lower, wrist.upper) == pytest.approx((2 * pi - radians(80), 2 * pi + radians(80)))
+
+
+def test_without_a_name_the_working_directory_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert find_configuration() == shipped_configuration()
+    (tmp_path / "config.toml").write_text('base = "shipped"\n[bench]\nid = "here"\n')
+    assert load_configuration().bench.id == "here"
+
+
+def test_the_effective_configuration_is_plain_data(default: Configuration) -> None:
+    effective = default.effective()
+    assert effective["plant"]["wrist"]["stop"]["energy"] == 40.0
+    assert effective["bench"]["data_dir"] == "data"
+
+
+# Overlays --------------------------------------------------------------------------------------------
+
+
+def test_an_overlay_changes_only_its_keys(overlay: Overlay, default: Configuration) -> None:
+    found = load_configuration(overlay("[plant.wrist.stop]\nenergy = 90.0"))
+    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, energy=90.0))
+    assert found == replace(default, plant=replace(default.plant, wrist=wanted))
+
+
+def test_degrees_hertz_and_si_give_the_same(overlay: Overlay) -> None:
+    degrees = load_configuration(overlay("[plant.shoulder]\nlower_deg = -90\n[loop]\nrate_hz = 2000"))
+    plain = load_configuration(overlay(f"[plant.shoulder]\nlower = {radians(-90)!r}\n[loop]\nrate = 2000"))
+    assert degrees == plain
+    assert degrees.plant.tick == 0.0005
+
+
+def test_an_overlay_in_si_replaces_a_base_in_degrees(overlay: Overlay) -> None:
+    assert load_configuration(overlay("[clubs.driver]\nloft = 0.2")).plant.robot.club.loft == 0.2
+
+
+def test_overlays_lie_over_overlays(overlay: Overlay, tmp_path: Path) -> None:
+    overlay('[swing]\nball = "range"\n[bench]\nid = "one"')
+    (tmp_path / "top.toml").write_text('base = "mine.toml"\n[bench]\nid = "two"\n')
+    found = load_configuration(tmp_path / "top.toml")
+    assert (found.bench.id, found.plant.ball.name) == ("two", "range")
+
+
+def test_a_new_ball_and_club_are_like_others(overlay: Overlay) -> None:
+    ball = '[balls.soft]\nlike = "tour"\nrestitution_factor = 0.97\n'
+    club = '[clubs.short]\nlike = "driver"\nloft_deg = 12\n'
+    found = load_configuration(overlay(ball + club + '[swing]\nball = "soft"\nclub = "short"'))
+    assert found.plant.ball == Ball(name="soft", restitution_factor=0.97)
+    assert found.plant.robot.club == replace(Club.driver(), name="short", loft=radians(12))
+    assert found.plant_with(ball="range", club="driver").ball.name == "range"
+    with pytest.raises(BenchError, match=r"balls: found no \"hard\", expected one of tour, range, soft"):
+        found.plant_with(ball="hard")
+
+
+def test_a_file_without_base_must_be_complete(tmp_path: Path) -> None:
+    path = tmp_path / "bare.toml"
+    path.write_text(re.sub(r"^pressure = 8.*$", "", TEXT, flags=re.MULTILINE))
+    (fault,) = faults(path)
+    assert fault.place == f"{path}: plant.supply.pressure"
+    assert (fault.found, fault.expected) == ("nothing", "a finite number, 200000 to 1.2e6 Pa absolute")
+    assert 'base = "shipped"' in fault.cure
+
+
+def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
+    found = faults(overlay("[balls.soft]\nmass = 0.045"))
+    assert len(found) == 6
+    assert {fault.found for fault in found} == {"nothing"}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('base = "none.toml"', '"none.toml", no such file'),
+        ("base = 3", "3"),
+        ('base = "loop.toml"', '"loop.toml"'),
+    ],
+)
+def test_a_bad_base_is_refused(text: str, found: str, tmp_path: Path) -> None:
+    (tmp_path / "loop.toml").write_text(text)
+    (fault,) = faults(tmp_path / "loop.toml")
+    assert fault.place.endswith("loop.toml: base")
+    assert fault.found == found
+
+
+# Mistakes --------------------------------------------------------------------------------------------
+
+
+def check_each(overlay: Overlay, bad: Callable[[Any], str | None]) -> None:
+    """Set every key of the shipped file to what `bad` makes of its value, one at a time."""
+    unnamed = []
+    for keys, value in LEAVES:
+        text = bad(value)
+        if text is None:
+            continue
+        path = overlay(setting(keys, text))
+        places = [fault.place.partition("[")[0] for fault in faults(path)]
+        if f"{path}: {'.'.join(keys)}" not in places:
+            unnamed.append((keys, text, places))
+    assert unnamed == []
+
+
+def test_every_key_refuses_a_wrong_type(overlay: Overlay) -> None:
+    check_each(overlay, lambda value: "{ a = 1 }" if isinstance(value, str) else '"text"')
+
+
+def test_every_number_refuses_nan(overlay: Overlay) -> None:
+    def bad(value: Any) -> str | None:
+        if isinstance(value, list):
+            return str([*value[:-1], "NaN"]).replace("'NaN'", "nan")
+        return "nan" if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+    check_each(overlay, bad)
+
+
+@pytest.mark.parametrize("other", ["inf", "-inf", "true"])
+def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) -> None:
+    def bad(value: Any) -> str | None:
+        if isinstance(value, bool | str):
+            return None
+        return f"[{other}, 1.0, 1.0]" if isinstance(value, list) else other
+
+    check_each(overlay, bad)
+
+
+@pytest.mark.parametrize("value", ["-1e30", "1e30"])
+def test_every_physical_value_has_a_range(value: str, overlay: Overlay) -> None:
+    settings_of_control = {"control", "estimator", "envelope"}
+    physical = [k for k, v in LEAVES if isinstance(v, float) and k[0] not in settings_of_control]
+    assert len(physical) > 100
+    for keys in physical:
+        found = faults(overlay(setting(keys, value)))
+        assert any(fault.place.endswith(".".join(keys)) for fault in found), keys
+
+
+def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
+    for keys, value in LEAVES:
+        if keys[0] in {"control", "estimator", "envelope"} and isinstance(value, float):
+            (fault,) = faults(overlay(setting(keys, "-1.0")))
+            assert fault.place.endswith(".".join(keys))
+
+
+def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
+    for keys in [keys for keys, _ in LEAVES if "following" not in keys][::7]:
+        text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
+        (fault,) = faults(overlay(text))
+        assert fault.place.endswith(".".join(keys) + "x")
+        assert fault.found == "an unknown key"
+        assert keys[-1].removesuffix("_deg").removesuffix("_hz") in fault.cure
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "found", "expected"),
+    [
+        ("[plant.supply]\npressure = 8", "plant.supply.pressure", "8", "200000 to 1.2e6 Pa absolute"),
+        ("[clubs.driver]\nhead_mass = 200.0", "clubs.driver.head_mass", "200.0", "0.02 to 0.6 kg"),
+        ("[clubs.driver]\nloft_deg = 95", "clubs.driver.loft_deg", "95", "0 to 70 deg"),
+        ("[clubs.driver]\nloft = 10.5", "clubs.driver.loft", "10.5", "0 to 1.22173 rad"),
+        ("[plant]\nseed = 1.5", "plant.seed", "1.5", "a whole number"),
+        ("[plant]\nsubsteps = true", "plant.substeps", "true", "a whole number"),
+        ('[loop]\nrealtime = "yes"', "loop.realtime", '"yes"', '"off" or "prefer" or "require"'),
+        ("[control.pid]\nproportional = [1.0, 2.0]", "control.pid.proportional", "[1.0, 2.0]", "3 values"),
+        ("[control.pid]\nproportional = [1, -2, 3]", "control.pid.proportional[1]", "-2", "at least 0"),
+        ("[plant]\nwrist = 3", "plant.wrist", "3", "a table"),
+        ("[plant.wrist_lever]\na = 3", "plant.wrist_lever", "a table", "a finite number"),
+        ("[wind]\nvelocity = [0.0, 0.0, 99.0]", "wind", "values that do not go", "-60 to 60 m/s"),
+        ("[plant.right_arm]\nupper_deg = 12", "plant.right_arm.upper_deg", "12", "a rod extension in m"),
+        ("[plant.supply]\npressure_deg = 12", "plant.supply.pressure_deg", "pressure_deg", "Pa"),
+        ("[clubs.driver]\nloft = 0.2\nloft_deg = 12", "clubs.driver.loft_deg", "also loft", "one of the two"),
+        ('[clubs.x]\nlike = "thesis"', "clubs.x.like", '"thesis"', "one of driver"),
+        ('[bench]\nid = "a/b"', "bench.id", '"a/b"', "letters"),
+        ('[swing]\nclub = "putter"', "swing.club", '"putter"', "one of driver, thesis, iron7"),
+        ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of mock, sim"),
+        ("[plant.shoulder]\nlower = 2.9", "plant.shoulder.lower", "2.9, with upper 2.7", "less than upper"),
+        ("[plant.shoulder]\nupper = 4.5", "plant.shoulder.upper", "rad of travel", "less than one turn"),
+        ("[plant.wrist.friction]\nstatic = 20.0", "plant.wrist.friction.static", "20", "at least coulomb"),
+        ("[plant.right_arm]\nupper = 0.25", "plant.right_arm.upper", "0.25 m", "0 to 0.22 m"),
+        ("[plant.wrist]\nlower_deg = 271", "plant.wrist.lower_deg", "271.0 deg", "278.6 to 441.4 deg"),
+        ("[plant]\nsubsteps = 2", "plant.substeps", "2, internal steps of 0.5 ms", "at least 4"),
+        (
+            "[plant]\nsubsteps = 64\n[plant.encoders]\nlatency = 0.002",
+            "plant.encoders.latency", "0.002 s", "at most 0.00096875 s",
+        ),
+        ("[envelope]\nlost_time = 0.0005", "envelope.lost_time", "0.0005 s", "more than one tick"),
+        ("[envelope]\nleast_supply = 9e5", "envelope.least_supply", "900000 Pa", "less than 800000 Pa"),
+        ("[envelope]\nminimum_stop_margin = 1.5", "envelope.minimum_stop_margin", "1.5", "0 to 1"),
+        ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
+        ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.5987 m"),
+        ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),
+        ("[plant.wrist]\npressure_rating = 5e5", "plant.wrist.pressure_rating", "500000", "800000 Pa"),
+    ],
+)  # fmt: skip
+def test_each_mistake_names_place_found_and_expected(
+    text: str, place: str, found: str, expected: str, overlay: Overlay
+) -> None:
+    path = overlay(text)
+    fault = next(fault for fault in faults(path) if fault.place.endswith(f": {place}"))
+    assert fault.place == f"{path}: {place}"
+    assert found in fault.found
+    assert expected in fault.expected
+    assert fault.cure
+
+
+def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path: Path) -> None:
+    lower = overlay("[air]\nhumidity = 0.5\n[loop]\nrate_hz = 5")
+    upper = tmp_path / "upper.toml"
+    upper.write_text('base = "mine.toml"\n[turf]\nfriction = -1.0\n')
+    assert {fault.place for fault in faults(upper)} == {
+        f"{lower}: air.humidity",
+        f"{lower}: loop.rate_hz",
+        f"{upper}: turf.friction",
+    }
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"[loop\nrate_hz = 5", "no TOML: "),
+        (b"a = 1\na = ?", "(at line 2, column 5)"),
+        (b"a = 1\na = 2", "Cannot overwrite a value"),
+        (b'id = "\xff"', "not UTF-8 at offset 6"),
+    ],
+)
+def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    (fault,) = faults(path)
+    assert fault.place == str(path)
+    assert found in fault.found
+
+
+def test_a_missing_file_names_the_variants(tmp_path: Path) -> None:
+    (fault,) = faults(tmp_path / "none.toml")
+    assert fault.found == "no such file"
+    assert "shipped, small_plant, swing_through_wrist" in fault.expected
+
+
+def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
+    (fault,) = faults(tmp_path)
+    assert fault.found == "Is a directory"
+
+
+VALUES = st.one_of(
+    st.integers().map(str),
+    st.floats().map(repr),
+    st.sampled_from(
+        ['"x"', '""', "true", "[]", "{}", "[[1], 2]", "[{a = 1}]", "1979-05-27", "07:32:00", "1e400"]
+    ),
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(leaf=st.sampled_from(LEAVES), value=VALUES)
+def test_any_value_is_taken_or_refused_in_words(
+    leaf: tuple[tuple[str, ...], Any], value: str, overlay: Overlay
+) -> None:
+    path = overlay(setting(leaf[0], value))
+    refused: list[Exception] = []
+    try:
+        load_configuration(path)
+    except (BenchError, ExceptionGroup) as error:
+        refused = list(error.exceptions) if isinstance(error, ExceptionGroup) else [error]
+    assert all(isinstance(fault, BenchError) and fault.expected and fault.cure for fault in refused)
