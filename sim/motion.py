@@ -1,8 +1,8 @@
 """The plant between events: robot, air, shaft and ground as differential equations, and one step of them.
 
 State vector `y`, `STATES` numbers: three joint angles (rad) and speeds (rad/s), six chamber pressures and
-the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s), and the energy that each
-end stop has taken (J).
+the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s), the energy that each end
+stop has taken (J), and the air that the regulator has let in (as m R T, J).
 
 Dry friction is no regularised force, which would let a loaded joint crawl. For the length of a step each
 joint has a mode, `slip`: it slides in one direction (+1, -1; friction is then a smooth force) or is held
@@ -22,7 +22,7 @@ from sim.friction import friction_bound, friction_impulse
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
 
-STATES = 18
+STATES = 19
 SCRATCH = 5
 """Rows of length `STATES` that `move` works in."""
 
@@ -30,7 +30,7 @@ Head = tuple[float, float, float, float, float, float]
 
 _WEIGHT = (1.0, 2.0, 2.0, 1.0)
 _PART = (0.0, 0.5, 0.5, 1.0)
-FEED_RATIO = 0.3
+_FEED_RATIO = 0.3
 """Critical pressure ratio of regulator and dump valve."""
 _TURF_DAMPING_SPEED = 5.0
 """Speed at which the turf's damping doubles its spring force (m/s, assumption)."""
@@ -92,7 +92,8 @@ def _relief(p: Any, pressure: float) -> float:
     """Return the conductance of a chamber's relief valve; fully open half a bar above its set pressure."""
     if pressure <= p.relief_pressure:
         return 0.0
-    return p.relief_conductance * min((pressure - p.relief_pressure) / 0.5e5, 1.0)
+    conductance: float = p.relief_conductance * min((pressure - p.relief_pressure) / 0.5e5, 1.0)
+    return conductance
 
 
 @compiled
@@ -168,10 +169,11 @@ def _derivative(
     dy[15], dy[16], dy[17] = max(-stop1 * u1, 0.0), max(-stop2 * arm_speed, 0.0), max(-stop3 * u3, 0.0)
     supply = y[12]
     if feed > 0.0:
-        fed = max(flow(feed, p.regulated, supply, FEED_RATIO), 0.0)
+        fed = max(flow(feed, p.regulated, supply, _FEED_RATIO), 0.0)
     else:
-        fed = -flow(p.dump_conductance, supply, p.atmosphere, FEED_RATIO)
+        fed = -flow(p.dump_conductance, supply, p.atmosphere, _FEED_RATIO)
     dy[12] = p.exponent / p.manifold * (fed - taken1 - taken2 - taken3)
+    dy[18] = max(fed, 0.0)
 
     # Dry friction of sliding joints.
     bound1 = friction_bound(p.coulomb[0], p.static[0], p.stribeck_speed[0], u1)

@@ -19,7 +19,6 @@ from sim.ball import Ball
 from sim.compiled import compiled, new_record
 from sim.impact import impact_parameters
 from sim.motion import (
-    FEED_RATIO,
     SCRATCH,
     STATES,
     head_geometry,
@@ -27,7 +26,7 @@ from sim.motion import (
     stop_coordinate,
     stop_depth,
 )
-from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply, flow
+from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
 from sim.ranges import Range
 from sim.robot import Club, Length, RobotParameters
 from sim.sensors import HISTORY, sense
@@ -407,7 +406,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
         y[i], y[3 + i], y[15 + i] = s.angle[i], s.speed[i], s.stop_work[i]
     for i in range(6):
         y[6 + i] = s.pressure[i]
-    y[12], y[13], y[14] = s.supply_pressure, s.flex, s.flex_speed
+    y[12], y[13], y[14], y[18] = s.supply_pressure, s.flex, s.flex_speed, 0.0
 
     for n in range(p.substeps):
         for i in range(3):
@@ -439,9 +438,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
         s.pressure[i] = y[6 + i]
         s.peak_pressure[i] = max(s.peak_pressure[i], y[6 + i])
     s.supply_pressure, s.flex, s.flex_speed = y[12], y[13], y[14]
-    s.air_used += (
-        p.tick * max(flow(feed, p.regulated, y[12], FEED_RATIO), 0.0) / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
-    )
+    s.air_used += y[18] / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
     s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_geometry(r, p, y)
     s.lowest_clearance = min(s.lowest_clearance, s.head[1] - p.sole_depth - p.ground)
     s.peak_head_speed = max(s.peak_head_speed, sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4]))

@@ -1,0 +1,168 @@
+"""The plant as a whole: supply, vents, what it keeps of a swing, repeatability."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from drivers.base import COMMAND
+from sim.compiled import new_record
+from sim.plant import Plant, PlantParameters, Site, advance, build_plant, initial_state
+from sim.pneumatics import Friction
+
+POSE = np.array([-0.2, 4.1, 5.6])
+LOCKED = Friction(viscous=0.0, coulomb=1e9, static=1e9)
+
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="hundreds of ticks take minutes without compilation"
+)
+
+
+def locked_plant(**fields: Any) -> Plant:
+    """Return a plant that stands still, with tight valves."""
+    parameters = PlantParameters(**fields)
+    for name in ("shoulder", "right_arm", "wrist"):
+        actuator = getattr(parameters, name)
+        tight = replace(actuator, friction=LOCKED, valve=replace(actuator.valve, leakage=0.0))
+        parameters = replace(parameters, **{name: replace(tight, cross_leakage=0.0)})
+    return build_plant(parameters)
+
+
+def command_of(**fields: Any) -> Any:
+    command = new_record(COMMAND)
+    for name, value in fields.items():
+        command[name] = value
+    return command
+
+
+def history(plant: Plant, state: Any, ticks: int, command: Any) -> Any:
+    """Advance `ticks` ticks and return the states after each."""
+    states = []
+    for _ in range(ticks):
+        advance(*plant.records, state, command)
+        states.append(state.copy())
+    return np.concatenate(states)
+
+
+POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True}
+
+
+@compiled_only
+def test_the_soft_start_opens_the_supply_over_its_time() -> None:
+    plant = locked_plant()
+    states = history(plant, initial_state(plant, POSE), 3000, command_of(**POWERED))
+    supply = plant.parameters.supply
+    full = round(supply.soft_start_time / plant.parameters.tick)
+    assert states["supply_level"][: full - 1] == pytest.approx(np.arange(1, full) / full)
+    assert states["supply_level"][full:].tolist() == [1.0] * (3000 - full)
+    pressure = states["supply_pressure"]
+    assert np.all(np.diff(pressure) >= 0.0)
+    assert pressure[0] - supply.atmosphere < 0.01 * (pressure[200] - supply.atmosphere)
+    assert pressure[-1] == pytest.approx(supply.pressure, rel=1e-3)
+    assert pressure[-1] <= supply.pressure
+
+
+@compiled_only
+def test_air_used_is_what_fills_the_manifold() -> None:
+    """Isothermal: mass = V (p - p0) / (R T), in kg."""
+    plant = locked_plant(supply=replace(PlantParameters().supply, polytropic_exponent=1.0))
+    state = initial_state(plant, POSE)
+    history(plant, state, 2000, command_of(**POWERED))
+    supply = plant.parameters.supply
+    mass = supply.volume * (state["supply_pressure"][0] - supply.atmosphere) / (287.05 * 293.15)
+    assert state["air_used"][0] == pytest.approx(mass, rel=1e-6)
+
+
+@compiled_only
+def test_the_supply_sags_when_the_valves_take_air() -> None:
+    plant = build_plant(PlantParameters())
+    state = initial_state(plant, POSE, pressurised=True)
+    states = history(plant, state, 100, command_of(valve=(1.0, 1.0, 1.0), **POWERED))
+    assert states["supply_pressure"].min() < 0.99 * plant.parameters.supply.pressure
+
+
+@compiled_only
+def test_without_energy_the_manifold_is_dumped() -> None:
+    plant = locked_plant()
+    state = initial_state(plant, POSE, pressurised=True)
+    pressure = history(plant, state, 2000, command_of(exhaust_closed=True))["supply_pressure"]
+    assert np.all(np.diff(pressure) <= 0.0)
+    assert pressure[-1] == pytest.approx(plant.parameters.supply.atmosphere, rel=1e-2)
+    assert state["supply_level"][0] == 0.0
+
+
+@compiled_only
+def test_chambers_keep_their_air_until_the_vents_open_after_their_delay() -> None:
+    plant = locked_plant()
+    state = initial_state(plant, POSE, pressurised=True)
+    start = state["pressure"][0].copy()
+    states = history(plant, state, 3000, command_of())
+    delay = round(plant.parameters.supply.vent_delay / plant.parameters.tick)
+    assert states["pressure"][delay - 2] == pytest.approx(start, rel=1e-12)
+    after = states["pressure"][delay + 2 :]
+    assert np.all(np.diff(after, axis=0) <= 0.0)
+    assert np.all(after[0] < start)
+    atmosphere = plant.parameters.supply.atmosphere
+    assert np.all(after[-1] - atmosphere < 0.2 * (start - atmosphere))
+    assert np.all(after[-1] >= atmosphere)
+
+
+def test_closing_the_exhaust_starts_the_vents_delay_anew() -> None:
+    plant = locked_plant(supply=replace(PlantParameters().supply, vent_delay=0.003))
+    state = initial_state(plant, POSE, pressurised=True)
+    start = state["pressure"][0].copy()
+    for exhaust_closed in (False, False, True, False, False):
+        advance(*plant.records, state, command_of(exhaust_closed=exhaust_closed))
+    assert state["pressure"][0] == pytest.approx(start, rel=1e-12)
+    history(plant, state, 4, command_of())
+    assert np.all(state["pressure"][0] < start)
+
+
+def test_the_guard_locks_only_when_it_is_closed() -> None:
+    plant = locked_plant()
+    state = initial_state(plant, POSE)
+    for closed, lock in ((True, True), (True, False), (False, True)):
+        state["guard_closed"] = closed
+        advance(*plant.records, state, command_of(guard_lock=lock))
+        assert state["guard_locked"][0] == (closed and lock)
+
+
+@compiled_only
+def test_peaks_are_those_of_the_motion() -> None:
+    plant = build_plant(PlantParameters(site=Site(ground=-3.0)))
+    state = initial_state(plant, POSE, pressurised=True)
+    start = state["pressure"].copy()
+    states = history(plant, state, 150, command_of(valve=(0.6, 0.4, -0.7), **POWERED))
+    assert state["peak_pressure"][0] == pytest.approx(np.vstack([start, states["pressure"]]).max(axis=0))
+    assert state["peak_head_speed"][0] == np.hypot(states["head"][:, 3], states["head"][:, 4]).max()
+    clearance = states["head"][:, 1] - plant.parameters.site.sole_depth - plant.parameters.site.ground
+    assert state["lowest_clearance"][0] == clearance.min()
+    assert state["peak_head_speed"][0] > 1.0
+
+
+def test_equal_inputs_give_equal_bits() -> None:
+    rng = np.random.default_rng(8)
+    valves = rng.uniform(-1, 1, (40, 3))
+    results = []
+    for _ in range(2):
+        plant = build_plant(PlantParameters())
+        state = initial_state(plant, POSE, pressurised=True)
+        for valve in valves:
+            advance(*plant.records, state, command_of(valve=valve, **POWERED))
+        results.append(state.tobytes())
+    assert results[0] == results[1]
+
+
+def test_effort_is_force_of_the_air_less_the_atmospheres() -> None:
+    plant = locked_plant()
+    state = initial_state(plant, POSE)
+    atmosphere = plant.parameters.supply.atmosphere
+    state["pressure"] = atmosphere + np.array([2e5, 0.0, 1e5, 3e5, 4e5, 1e5])
+    advance(*plant.records, state, command_of(exhaust_closed=True))
+    lever = plant.parameters.wrist_lever * np.sin(POSE[2] - 1.5 * np.pi)
+    expected = [4.0e-4 * 2e5, 19.63e-4 * 1e5 - 16.49e-4 * 3e5, (19.63e-4 * 4e5 - 16.49e-4 * 1e5) * lever]
+    assert state["effort"][0] == pytest.approx(expected, rel=1e-9)

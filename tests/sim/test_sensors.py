@@ -1,0 +1,126 @@
+"""Encoders: resolution, latency, jitter, noise, and the random stream behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.base import COMMAND, READINGS
+from sim.compiled import new_record
+from sim.plant import Encoders, Plant, PlantParameters, advance, build_plant, initial_state, sense
+
+POSE = np.array([0.2, 4.3, 6.0])
+SAMPLES = 100 if numba.config.DISABLE_JIT else 4000
+COUNTS = 2**17
+
+
+def plant_with(encoders: Encoders, seed: int = 1) -> Plant:
+    return build_plant(PlantParameters(encoders=encoders, seed=seed))
+
+
+def sensed(plant: Plant, state: Any, n: int = 1) -> NDArray[np.float64]:
+    """Return `n` readings of the same state as angles (n, 3) rad."""
+    readings, angles = new_record(READINGS), np.zeros((n, 3))
+    for k in range(n):
+        sense(plant.plant, state, readings)
+        angles[k] = readings["encoder_count"][0] * (
+            2 * np.pi / plant.parameters.encoders.counts_per_revolution
+        )
+    return angles
+
+
+def turning(plant: Plant, speed: float) -> Any:
+    """Return a state whose joints have turned steadily, as `history` shows it, and stand at POSE now."""
+    state = initial_state(plant, POSE)
+    substep = plant.parameters.tick / plant.parameters.substeps
+    for back in range(60):
+        state["history"][0, -back] = POSE - speed * substep * back
+    state["time"] = 5.0
+    return state
+
+
+@pytest.mark.parametrize("counts", [256, 5000, 2**17])
+def test_readings_are_whole_counts_below_the_angle_within_one_turn(counts: int) -> None:
+    plant = plant_with(Encoders(counts_per_revolution=counts))
+    rng = np.random.default_rng(4)
+    readings = new_record(READINGS)
+    for _ in range(30):
+        angle = rng.uniform(-10, 10, 3)
+        sense(plant.plant, initial_state(plant, angle), readings)
+        exact = np.mod(angle, 2 * np.pi) / (2 * np.pi) * counts
+        assert readings["encoder_count"][0].tolist() == np.floor(exact).astype(int).tolist()
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.0001, 0.00025, 0.0011, 0.005])
+def test_readings_are_as_old_as_the_latency_says(latency: float) -> None:
+    plant = plant_with(Encoders(counts_per_revolution=2**24, latency=latency))
+    state = turning(plant, 20.0)
+    assert sensed(plant, state)[0] == pytest.approx(POSE - 20.0 * latency, abs=2 * np.pi / 2**24)
+    readings = new_record(READINGS)
+    sense(plant.plant, state, readings)
+    assert readings["encoder_time"][0].tolist() == [5.0 - latency] * 3
+    assert readings["encoder_age"][0].tolist() == [latency] * 3
+
+
+def test_latency_is_kept_while_the_plant_moves() -> None:
+    plant = plant_with(Encoders(counts_per_revolution=2**24, latency=0.002))
+    state, command = initial_state(plant, POSE), new_record(COMMAND)
+    passed = [POSE]
+    for _ in range(20):
+        advance(*plant.records, state, command)
+        passed.append(state["angle"][0].copy())
+    assert sensed(plant, state)[0] == pytest.approx(passed[-3], abs=4e-7)
+
+
+def test_noise_has_the_stated_deviation_and_no_bias() -> None:
+    plant = plant_with(Encoders(noise=1e-3))
+    error = sensed(plant, initial_state(plant, POSE), SAMPLES) - POSE
+    tolerance = 5 / np.sqrt(2 * error.size)
+    assert np.std(error) == pytest.approx(1e-3, rel=tolerance)
+    assert abs(np.mean(error)) < 5e-3 / np.sqrt(error.size) + 2 * np.pi / COUNTS
+    assert abs(np.corrcoef(error[:, 0], error[:, 1])[0, 1]) < 5 / np.sqrt(SAMPLES)
+    assert abs(np.corrcoef(error[:-1, 0], error[1:, 0])[0, 1]) < 5 / np.sqrt(SAMPLES)
+
+
+def test_jitter_shows_as_speed_times_the_sampling_instants_deviation() -> None:
+    plant = plant_with(Encoders(latency=0.002, jitter=1e-4))
+    error = sensed(plant, turning(plant, 20.0), SAMPLES) - (POSE - 20.0 * 0.002)
+    assert np.std(error) == pytest.approx(20.0 * 1e-4, rel=5 / np.sqrt(2 * error.size))
+    assert not np.ptp(sensed(plant, initial_state(plant, POSE), 20), axis=0).any()
+
+
+def trace(seed: int, noise: float) -> tuple[bytes, bytes]:
+    plant = plant_with(Encoders(noise=noise, jitter=noise / 10), seed)
+    state, command, readings = initial_state(plant, POSE), new_record(COMMAND), new_record(READINGS)
+    counts = []
+    for k in range(30):
+        command["valve"] = (0.5, -0.3, 0.2 * (k % 3))
+        sense(plant.plant, state, readings)
+        counts.append(readings["encoder_count"][0].tobytes())
+        advance(*plant.records, state, command)
+    return b"".join(counts), state["angle"].tobytes()
+
+
+def test_equal_seeds_give_equal_bits_and_other_seeds_other_noise() -> None:
+    assert trace(1, 1e-3) == trace(1, 1e-3)
+    readings, motion = zip(*(trace(seed, 1e-3) for seed in range(4)), strict=True)
+    assert len(set(readings)) == 4
+    assert len(set(motion)) == 1, "noise is the sensors' own; the plant's motion has none"
+
+
+def test_without_noise_the_seed_does_not_matter() -> None:
+    assert trace(1, 0.0) == trace(2, 0.0)
+
+
+def test_a_latency_that_the_plant_does_not_remember_is_refused() -> None:
+    parameters = PlantParameters(encoders=Encoders(latency=0.005), substeps=64)
+    with pytest.raises(
+        ValueError, match=r"encoders\.latency: found 0\.005 s .* expected .* up to 0\.00096875 s"
+    ):
+        build_plant(parameters)
+    build_plant(replace(parameters, substeps=8))
