@@ -63,9 +63,11 @@ class ControlSettings:
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""
-    brake_gain: NotNegativeTriple = (0.040, 0.026, 0.150)
+    brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
     """Opening per rad/s against the motion in BRAKE."""
-    brake_damping: NotNegativeTriple = (0.0055, 0.0065, 0.0020)
+    brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
+    brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
+    """Speed below which BRAKE eases off, rad/s."""
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05
@@ -117,11 +119,11 @@ class EnvelopeSettings:
     greatest_gap: Positive = 0.010
     least_supply: Positive = 6.5e5
     """Pa absolute."""
-    clearance: float = 0.015
+    clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60
     """Half width of the ball's window along the target line, m."""
-    ball_clearance: float = 0.005
+    ball_clearance: NotNegative = 0.005
     frame_radius: NotNegative = 0.10
     least_lever: Annotated[float, Ge(0), Le(1)] = 0.15
     """Least |sin beta| of the wrist."""

@@ -32,6 +32,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("move_gain", "f8", (3,)),
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
+        ("brake_fade", "f8", (3,)),
         ("feed_forward", "?"),
         ("still_speed", "f8", (3,)),
         ("still_time", "f8"),
@@ -67,7 +68,6 @@ CONTROL_STATE = np.dtype(
         ("swinging", "?"),
         ("swing_start", "f8"),
         ("swing_sample", "i8"),
-        ("armed_at", "f8"),
         ("moving", "?"),
         ("move_start", "f8"),
         ("move_time", "f8"),
@@ -103,8 +103,8 @@ _HOLD, _RETURN, _STANDING = int(Phase.HOLD), int(Phase.RETURN), int(Phase.STANDI
 _IMPACT, _FOLLOW = int(Phase.IMPACT), int(Phase.FOLLOW_THROUGH)
 _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(Reaction.BRAKE)
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
-_OPERATOR, _EXCEPTION = int(Cause.OPERATOR_STOP), int(Cause.EXCEPTION)
-_E_STOP_CAUSE, _FOLLOWING = int(Cause.EMERGENCY_STOP), int(Cause.SHOULDER_FOLLOWING)
+_E_STOP_CAUSE, _OPERATOR = int(Cause.EMERGENCY_STOP), int(Cause.OPERATOR_STOP)
+_FOLLOWING, _ADDRESS_TIMEOUT = int(Cause.SHOULDER_FOLLOWING), int(Cause.ADDRESS_TIMEOUT)
 
 
 class ControlState(NamedTuple):
@@ -147,14 +147,16 @@ def new_control_state() -> ControlState:
 def _profile_at(parameters: Any, s: Any, time: float) -> bool:
     """Set reference, feed-forward and phase of the swing at `time`; return False once it is over."""
     profile = parameters.profile[0]
-    # A quarter of a nanosample guards the floor against rounding of exact ticks.
+    # A ten-millionth of a sample guards the floor against rounding of exact ticks.
     sample = (time - s.swing_start) / profile.period + 1e-7
-    k = int(floor(sample))
+    if not sample >= 0.0:  # a clock that runs backwards, or is none, does not lead out of the tables
+        sample = 0.0
     last = profile.samples - 1
-    over = k >= last
+    over = sample >= last
     if over:
         k, part = last - 1, 1.0
     else:
+        k = int(floor(sample))
         part = max(sample - k - 1e-7, 0.0)
     s.swing_sample = min(k + 1, last) if over else k
     for i in range(3):
@@ -221,7 +223,7 @@ def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, t
         return 0
     s.answer = REFUSED
     standing = s.phase == _STANDING
-    clear = trusted and interlock_cause(parameters.envelope, readings) == 0
+    clear = trusted and interlock_cause(readings) == 0
     if request == STOP:
         s.answer = ACCEPTED
         return 0 if standing else _OPERATOR
@@ -239,13 +241,12 @@ def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, t
             s.answer = ACCEPTED
             s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
             s.swings += 1
-            before = s.desired.copy()
             _profile_at(parameters, s, time)
             match_output(
                 state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward,
-                before,
+                s.desired,
             )  # fmt: skip
-    elif request == DISARM and s.phase == _HOLD and not s.swinging:
+    elif request == DISARM and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
         s.answer = ACCEPTED
         s.phase = _STANDING
     return 0
@@ -299,7 +300,9 @@ def _brake_openings(s: Any, p: Any, e: Any) -> None:
     The same law brakes the planned follow-through, with or without a ball, and every stop.
     """
     for i in range(3):
-        s.desired[i] = -p.brake_gain[i] * e.velocity[i] - p.brake_damping[i] * e.acceleration[i]
+        # Eased off towards rest, where the air's spring would make a stiff law swing for ever.
+        share = min(abs(e.velocity[i]) / p.brake_fade[i], 1.0)
+        s.desired[i] = -share * (p.brake_gain[i] * e.velocity[i] + p.brake_damping[i] * e.acceleration[i])
 
 
 @compiled
@@ -428,18 +431,20 @@ def step(
     if s.phase != _STANDING and s.reaction <= _COMPLETE:
         _follow(state, parameters, time, measured_step)
     if s.phase != _STANDING:
-        interlock = interlock_cause(parameters.envelope, readings)
+        interlock = interlock_cause(readings)
         if lost != 0:
             _react(state, parameters, lost, LOST, time)
         elif interlock != 0:
             _react(state, parameters, interlock, EMERGENCY if interlock == _E_STOP_CAUSE else TRUSTED, time)
         elif asked != 0:
             _react(state, parameters, asked, TRUSTED, time)
-        elif s.reaction == _NONE and not _charging(s, time):
+        elif s.reaction == _NONE:
             broken = motion_cause(
                 parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
-                measured_step,
+                measured_step, _charging(s, time),
             )  # fmt: skip
+            if broken == 0 and s.moving and time - s.move_start > s.move_time + parameters.control[0].move_timeout:
+                broken = _ADDRESS_TIMEOUT
             if broken != 0:
                 column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
                 _react(state, parameters, broken, column, time)
@@ -461,6 +466,7 @@ def step(
         c.valve[i] = s.applied[i]
     c.supply_enable = c.exhaust_closed = c.beacon = powered
     c.guard_lock = True
+    s.tee = s.tee and powered  # after a stop no ball rises by itself
     c.tee = s.tee
     _record(state, readings, command, measured_step, cycle)
 

@@ -75,10 +75,14 @@ class Demand:
 
 @dataclass(frozen=True)
 class _Start:
-    """The nominal motion up to the top of the swing."""
+    """The nominal swing up to the top: where it leaves the plant, and the tables that lead there."""
 
     plant_state: NDArray[Any]
     command: NDArray[Any]
+    opening: Array
+    """Openings applied last."""
+    integral: Array
+    """The controllers' integrals, which go on acting in the downswing."""
     angle: Array
     velocity: Array
     valve: Array
@@ -145,9 +149,11 @@ def _swing_up(plant: Plant, demand: Demand, control: ControlSettings) -> _Start:
     return _Start(
         bench.plant_state.copy(),
         bench.command.copy(),
-        cycles["plant_angle"].copy(),
-        cycles["plant_velocity"].copy(),
-        cycles["applied_valve"].copy(),
+        cycles["applied_valve"][-1].copy(),
+        bench.state.pid["integral"][0].copy(),
+        sketch.angle[:n],
+        sketch.velocity[:n],
+        sketch.valve[:n],
         (0, 1, round(demand.backswing_time / period)),
     )
 
@@ -235,7 +241,7 @@ def _design_downswing(
     miss_ratings = ratings * demand.greatest_miss_share / demand.greatest_stop_share
     begin = float(start.plant_state["time"][0])
     least_wrist = 1.5 * np.pi + np.arcsin(_LEAST_LEVER)
-    last = start.valve[-1]
+    last = start.opening
 
     def openings(point: Array) -> Array:
         return _table(opening * point.reshape(-1, 3), last, demand.knot, period)
@@ -250,10 +256,10 @@ def _design_downswing(
                 float(np.abs(shooter.trace[:played, 9] - site.ball_y).min()), 1.0
             )  # fmt: skip
         head = state["impact_head"]
-        total += 300 * max(least_wrist - float(shooter.trace[:played, 2].min()), 0.0)
+        total += 2000 * max(least_wrist - float(shooter.trace[:played, 2].min()), 0.0)
         total += 8.0 * abs(float(np.hypot(head[3], head[4])) - demand.head_speed)
         total += 120 * max(abs(head[2] - _SHAFT_DOWN - demand.lean) - 0.01, 0.0)
-        total += 120 * max(abs(float(np.arctan2(head[4], head[3])) - demand.slope) - 0.01, 0.0)
+        total += 400 * max(abs(float(np.arctan2(head[4], head[3])) - demand.slope) - 0.008, 0.0)
         total += 400 * max(abs(head[1] - site.ball_y) - 0.0003, 0.0)
         # Without a ball the head keeps its momentum, and the wrist meets its stop faster.
         contact = int((float(state["impact_time"]) - begin) / period)
@@ -272,7 +278,11 @@ def _design_downswing(
 
     guess = np.zeros((demand.downswing_knots, 3))
     guess[:, 0], guess[:, 1], guess[:, 2] = 0.8, 0.6, np.where(np.arange(demand.downswing_knots) < 4, -0.1, 0.6)
-    best = _search(cost, guess.ravel(), 0.3, evaluations, seed, progress, "downswing")
+    # Wide first, then narrow from the best: the second search settles what the first only traded off.
+    best = _search(cost, guess.ravel(), 0.3, evaluations * 3 // 5, seed, progress, "downswing")
+    best = min(
+        (best, _search(cost, best, 0.05, evaluations * 2 // 5, seed, progress, "downswing, refined")), key=cost
+    )
     state, _ = shooter.shoot(openings(best), ball=True, after=_WATCHED)
     if not state["struck"]:
         raise RuntimeError("no downswing found that reaches the ball; raise the evaluations or ease the demand")
@@ -299,17 +309,12 @@ def _assemble(
         begins=(*begins[:4], begins[5] - round(demand.no_return_time / period), *begins[5:]),
         angle=angle,
         velocity=np.vstack([start.velocity, shooter.trace[:, 3:6], np.zeros((follow, 3))]),
-        valve=np.vstack([start.valve, shooter.trace[:, 6:9], np.zeros((follow, 3))]),
+        valve=np.vstack([start.valve, shooter.trace[:, 6:9] - start.integral, np.zeros((follow, 3))]),
         blind_spacing=_BLIND_SPACING,
         blind_brake=np.zeros(((len(angle) - 1) // _BLIND_SPACING + 1, 6)),
         ball=(parameters.site.ball_x, parameters.site.ball_y),
         impact_time=top * period + float(state["impact_time"]) - float(start.plant_state["time"][0]),
-        delivery={
-            "head_speed_mps": float(np.hypot(head[3], head[4])),
-            "path_slope_deg": float(np.degrees(np.arctan2(head[4], head[3]))),
-            "shaft_lean_deg": float(np.degrees(head[2] - _SHAFT_DOWN)),
-            "in_plane_error_mm": 1e3 * float(head[1] - parameters.site.ball_y),
-        },
+        delivery=_delivery(head, parameters.site.ball_y),
         limits={
             "supply_pressure_pa": parameters.supply.pressure,
             "greatest_opening": demand.greatest_opening,
@@ -338,13 +343,39 @@ class _Rehearsal:
 
 
 def _with_follow_through(plant: Plant, profile: Profile, control: ControlSettings) -> Profile:
-    """Return `profile` with the follow-through that the braking law gives after a ball."""
-    cycles = _Rehearsal(plant, profile, control, ball=True).advance(len(profile.angle))
+    """Return `profile` with the follow-through that the braking law gives, and the delivery it truly has."""
+    rehearsal = _Rehearsal(plant, profile, control, ball=True)
+    cycles = rehearsal.advance(len(profile.angle))
     angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
     follow = profile.begins[-1]
     angle[follow:], velocity[follow:] = cycles["plant_angle"][follow:], cycles["plant_velocity"][follow:]
     valve[follow:] = cycles["applied_valve"][follow:]
-    return replace(profile, angle=angle, velocity=velocity, valve=valve)
+    state, site = rehearsal.bench.plant_state[0], plant.parameters.site
+    if not state["struck"]:
+        raise RuntimeError("under closed loop the head misses the ball; design with another seed")
+    return replace(
+        profile,
+        angle=angle,
+        velocity=velocity,
+        valve=valve,
+        impact_time=float(state["impact_time"]) - (float(state["time"]) - len(angle) * profile.period),
+        delivery=_delivery(state["impact_head"], site.ball_y),
+        limits=profile.limits | {
+            "stop_share": float(
+                np.max(state["stop_energy"] / np.array([[a.stop.energy] for a in plant.parameters.actuators]))
+            ),
+            "peak_pressure_pa": float(state["peak_pressure"].max()),
+        },
+    )  # fmt: skip
+
+
+def _delivery(head: Any, ball_y: float) -> dict[str, float]:
+    return {
+        "head_speed_mps": float(np.hypot(head[3], head[4])),
+        "path_slope_deg": float(np.degrees(np.arctan2(head[4], head[3]))),
+        "shaft_lean_deg": float(np.degrees(head[2] - _SHAFT_DOWN)),
+        "in_plane_error_mm": 1e3 * float(head[1] - ball_y),
+    }
 
 
 @compiled
