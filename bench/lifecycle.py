@@ -76,6 +76,7 @@ class Cause(IntEnum):
     WRIST_LEVER = 23
     OPERATOR_STOP = 24
     EXCEPTION = 25
+    ADDRESS_TIMEOUT = 26
 
 
 CAUSE_TEXT = {
@@ -105,6 +106,7 @@ CAUSE_TEXT = {
     Cause.WRIST_LEVER: "wrist folded so far that its cylinder has no lever",
     Cause.OPERATOR_STOP: "stopped by the operator",
     Cause.EXCEPTION: "the cycle failed in this tick: keep the record and report it",
+    Cause.ADDRESS_TIMEOUT: "not at the address in time: check supply, valves and what stands in the way",
 }
 """What the operator reads, with the cure where one is known."""
 

@@ -1,8 +1,8 @@
 """The envelope: the one layer between controller and driver that nothing gets around.
 
-`check` names the first cause to stop; `limit` bounds what may go to the valves. Both see only
-estimates, readings and the command: pure, compiled, no clock. A value that is not finite fails every
-comparison that would let it pass.
+`interlock_cause`, `readings_cause` and `motion_cause` name the first cause to stop; `limit` bounds what may
+go to the valves. They see only estimates, readings and the command: pure, compiled, no clock. A value that
+is not finite fails every comparison that would let it pass.
 """
 
 from __future__ import annotations
@@ -61,7 +61,6 @@ _FOLLOWING = int(Cause.SHOULDER_FOLLOWING)
 _STOP_DISTANCE = int(Cause.SHOULDER_STOP_DISTANCE)
 _LEVER = int(Cause.WRIST_LEVER)
 
-_STANDING = int(Phase.STANDING)
 _DOWNSWING = int(Phase.DOWNSWING)
 _IMPACT = int(Phase.IMPACT)
 _RETURN = int(Phase.RETURN)
@@ -79,9 +78,9 @@ def joint_coordinates(robot: Any, angle: Any, velocity: Any, i: int) -> tuple[fl
 
 
 @compiled
-def interlock_cause(parameters: Any, readings: Any) -> int:
+def interlock_cause(readings: Any) -> int:
     """Return the interlock that forbids motion now, or 0."""
-    p, r = parameters[0], readings[0]
+    r = readings[0]
     if not r.emergency_stop_clear:
         return _EMERGENCY_STOP
     if not (r.guard_closed and r.guard_locked):
@@ -103,15 +102,20 @@ def readings_cause(parameters: Any, estimator: Any) -> int:
 
 @compiled
 def motion_cause(
-    parameters: Any, robot: Any, estimator: Any, readings: Any, reference: Any, phase: int, measured_step: float
-) -> int:
-    """Return the first limit of motion that is broken in `phase`, or 0; readings are trusted here."""
+    parameters: Any, robot: Any, estimator: Any, readings: Any, reference: Any, phase: int,
+    measured_step: float, charging: bool,
+) -> int:  # fmt: skip
+    """Return the first limit of motion that is broken in `phase`, or 0; readings are trusted here.
+
+    While `charging` the supply may still be rising. A supply pressure that is ABSENT breaks nothing.
+    """
     p, e = parameters[0], estimator[0]
     angle, velocity = e.angle, e.velocity
-    if not measured_step <= p.greatest_gap:
+    if not 0.0 <= measured_step <= p.greatest_gap:
         return _TICK_GAP
-    # Past the no-return instant a sagging supply cannot be helped by stopping sooner than planned.
-    if (phase <= _DOWNSWING or phase == _RETURN) and readings[0].supply_pressure < p.least_supply:
+    # Past the no-return instant stopping sooner than planned helps neither a sagging supply nor a short way.
+    stoppable = phase <= _DOWNSWING or phase == _RETURN
+    if stoppable and not charging and readings[0].supply_pressure < p.least_supply:
         return _SUPPLY
     for i in range(3):
         position, speed = joint_coordinates(robot, angle, velocity, i)
@@ -119,7 +123,7 @@ def motion_cause(
             return _RANGE + i
         if not abs(speed) <= p.greatest_speed[i]:
             return _SPEED + i
-        if phase <= _DOWNSWING or phase == _RETURN:
+        if stoppable:
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
             if not speed * speed <= p.stop_speed[i] * p.stop_speed[i] + 2.0 * p.stop_deceleration[i] * way:
                 return _STOP_DISTANCE + i
@@ -140,24 +144,27 @@ def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
     along_x, along_y = cos(theta), sin(theta)
     head_x, head_y = wrist_x + r.l3t * along_x, wrist_y + r.l3t * along_y
     needed = p.ball_clearance if abs(head_x - p.ball_x) <= p.ball_window else p.clearance
-    if head_y - p.sole_depth - p.ground < needed:
+    if not head_y - p.sole_depth - p.ground >= needed:
         return _GROUND
     # Nearest point of the club to the shoulder axis.
     nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)
     x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
-    if x * x + y * y < p.frame_radius * p.frame_radius:
+    if not x * x + y * y >= p.frame_radius * p.frame_radius:
         return _FRAME
-    if abs(sin(angle[2] - 1.5 * np.pi)) < p.least_lever:
+    if not abs(sin(angle[2] - 1.5 * np.pi)) >= p.least_lever:
         return _LEVER
     return 0
 
 
 @compiled
 def limit(parameters: Any, wanted: float, before: float, measured_step: float) -> float:
-    """Return the opening that may go to a valve: bounded, slew-limited; the centre if not finite."""
+    """Return the opening that may go to a valve: bounded, slew-limited; the centre if not finite.
+
+    A clock that stands still, runs backwards or gives no number lets the valve stay where it was.
+    """
     p = parameters[0]
     if not np.isfinite(wanted):
         return 0.0
-    step = p.greatest_slew * measured_step
+    step = p.greatest_slew * measured_step if measured_step > 0.0 else 0.0
     bounded = min(max(wanted, -p.greatest_opening), p.greatest_opening)
     return min(max(bounded, before - step), before + step)
