@@ -296,7 +296,7 @@ def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
 
 
 def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
-    for keys in [keys for keys, _ in LEAVES if "following" not in keys][::7]:
+    for keys in [keys for keys, _ in LEAVES if "following" not in keys and keys[-1] != "like"][::7]:
         text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
         (fault,) = faults(overlay(text))
         assert fault.place.endswith(".".join(keys) + "x")

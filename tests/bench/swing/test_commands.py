@@ -1,0 +1,131 @@
+"""The commands on configuration and profiles, as a user types them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from bench.cli import main
+from bench.errors import BenchError, ExitCode
+from bench.swing import library
+from bench.swing.library import find_profile, profile_names
+from bench.swing.profile import Profile, save_profile
+
+
+class Answer(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Answer]
+
+
+@pytest.fixture
+def run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, slow_swing: Profile
+) -> Run:
+    """Return a function that runs golfbench in a folder with `slow.toml`, which is also its library."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(library, "PROFILES", tmp_path / "profiles")
+    (tmp_path / "profiles").mkdir()
+    save_profile(tmp_path / "profiles" / "slow.toml", slow_swing)
+    save_profile(tmp_path / "wrong.toml", replace(slow_swing, club="putter", limits={}))
+    (tmp_path / "mine.toml").write_text(
+        'base = "shipped"\n[swing]\nprofile = "slow"\n[bench]\ndata_dir = "here"\n'
+    )
+    (tmp_path / "bad.toml").write_text('base = "shipped"\n[plant]\nwrist_levr = 0.06\n[air]\nhumid = 1\n')
+
+    def run(*arguments: str) -> Answer:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as end:
+            main(list(arguments))
+        assert isinstance(end.value.code, int)
+        return Answer(end.value.code, *capsys.readouterr())
+
+    return run
+
+
+def test_check_says_what_was_checked(run: Run) -> None:
+    answer = run("--config", "mine.toml", "check")
+    assert (answer.code, answer.err) == (ExitCode.OK, "")
+    for text in ("mine.toml over", "every key known", "slow.toml", "end stops", "air", "Everything holds"):
+        assert text in answer.out
+
+
+def test_check_refuses_with_every_mistake(run: Run) -> None:
+    answer = run("check", "wrong.toml")
+    assert answer.code == ExitCode.BAD_INPUT
+    assert "wrong.toml: club" in answer.err
+    assert "wrong.toml: limits.supply_pressure_pa" in answer.err
+    assert "Everything holds" not in answer.out
+
+
+@pytest.mark.parametrize(
+    "command", [["check"], ["swing", "show", "slow"], ["swing", "simulate", "slow"], ["doctor"]]
+)
+def test_a_bad_configuration_stops_every_command(command: list[str], run: Run) -> None:
+    answer = run("--config", "bad.toml", *command)
+    assert answer.code == ExitCode.BAD_INPUT
+    assert "bad.toml: plant.wrist_levr" in answer.err
+    assert "Did you mean wrist_lever?" in answer.err
+    assert "bad.toml: air.humid" in answer.err
+    assert answer.out == ""
+
+
+def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> None:
+    answer = run("swing", "simulate", "wrong.toml", "--output", "out")
+    assert answer.code == ExitCode.BAD_INPUT
+    assert "the mounted one" in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
+    answer = run("check", "slwo")
+    assert (answer.code, "Did you mean slow?" in answer.err) == (ExitCode.BAD_INPUT, True)
+    answer = run("swing", "simulate", "slow", "--ball", "hard")
+    assert (answer.code, "one of tour, range" in answer.err) == (ExitCode.BAD_INPUT, True)
+    answer = run("--config", "smal_plant", "check")
+    assert (answer.code, "small_plant" in answer.err) == (ExitCode.BAD_INPUT, True)
+    answer = run("swing", "show", "thesis")
+    assert (answer.code, "golfbench swing simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
+
+
+def test_list_shows_the_profiles(run: Run) -> None:
+    assert "slow" in run("swing", "list").out
+    (found,) = json.loads(run("swing", "list", "--json").out)
+    assert (found["name"], found["club"], found["duration"]) == ("slow", "driver", 2.0)
+
+
+def test_show_draws_a_profile(run: Run, tmp_path: Path) -> None:
+    answer = run("swing", "show", "slow", "--plot", "slow.png")
+    assert answer.code == ExitCode.OK
+    for text in ("Phases", "follow through", "head speed", "m/s", "Picture: slow.png"):
+        assert text in answer.out
+    assert (tmp_path / "slow.png").read_bytes().startswith(b"\x89PNG")
+    assert run("swing", "show", "slow", "--plot", "slow.txt").code == ExitCode.BAD_INPUT
+    assert run("swing", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
+
+
+def test_simulate_tells_why_there_is_no_shot(run: Run, tmp_path: Path) -> None:
+    answer = run("--config", "mine.toml", "swing", "simulate", "slow", "--json")
+    found = json.loads(answer.out)
+    assert answer.code == (ExitCode.REFUSED if found["shot"]["reason"] else ExitCode.OK)
+    folder = tmp_path / "here" / "simulations" / "slow"
+    assert sorted(path.name for path in folder.iterdir()) == ["swing.parquet", "tracking.png"]
+    assert found["shot"]["ball"] == "tour"
+    assert set(found["stop_energy_j"]) == {"shoulder vane", "right arm", "wrist cylinder"}
+
+
+def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> None:
+    assert profile_names() == ["slow"]
+    assert find_profile("slow") == tmp_path / "profiles" / "slow.toml"
+    assert find_profile("wrong.toml") == Path("wrong.toml")
+    with pytest.raises(BenchError):
+        find_profile("none.toml")

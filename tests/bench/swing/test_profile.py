@@ -1,0 +1,134 @@
+"""Profiles: what is saved is loaded again, and what is not a profile is refused with its place."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bench.errors import BenchError
+from bench.lifecycle import Phase
+from bench.swing.profile import Profile, load_profile, save_profile
+
+
+@pytest.fixture(scope="module")
+def short(slow_swing: Profile) -> Profile:
+    """Fifty samples of the slow swing, quick to write and read."""
+    return replace(
+        slow_swing,
+        angle=slow_swing.angle[::40],
+        velocity=slow_swing.velocity[::40],
+        valve=slow_swing.valve[::40],
+        begins=(0, 1, 10, 12, 22, 24, 26),
+        impact_time=0.025,
+        blind_spacing=10,
+        blind_brake=slow_swing.blind_brake[:5],
+    )
+
+
+@pytest.fixture
+def path(short: Profile, tmp_path: Path) -> Path:
+    save_profile(tmp_path / "short.toml", short)
+    return tmp_path / "short.toml"
+
+
+def test_a_saved_profile_is_loaded_again(short: Profile, path: Path) -> None:
+    found = load_profile(path)
+    for name in (
+        "name",
+        "text",
+        "golfer",
+        "club",
+        "period",
+        "begins",
+        "ball",
+        "impact_time",
+        "blind_spacing",
+    ):
+        assert getattr(found, name) == getattr(short, name)
+    assert (found.delivery, found.limits) == (short.delivery, short.limits)
+    np.testing.assert_allclose(found.angle, short.angle, rtol=0, atol=5.1e-7)
+    np.testing.assert_allclose(found.velocity, short.velocity, rtol=0, atol=5.1e-5)
+    np.testing.assert_allclose(found.valve, short.valve, rtol=0, atol=5.1e-6)
+    np.testing.assert_allclose(found.blind_brake, short.blind_brake, rtol=0, atol=5.1e-5)
+
+
+def test_saving_what_was_loaded_changes_nothing(path: Path, tmp_path: Path) -> None:
+    save_profile(tmp_path / "again.toml", load_profile(path))
+    assert (tmp_path / "again.toml").read_bytes() == path.read_bytes()
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.text(st.characters(codec="utf-8"), max_size=40))
+def test_any_text_comes_back(text: str, short: Profile, tmp_path: Path) -> None:
+    save_profile(tmp_path / "text.toml", replace(short, text=text))
+    assert load_profile(tmp_path / "text.toml").text == text
+
+
+def test_phases_begin_where_they_say(short: Profile) -> None:
+    assert [short.phase_of(k) for k in (0, 1, 11, 24, 49)] == [
+        Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.IMPACT, Phase.FOLLOW_THROUGH,
+    ]  # fmt: skip
+    assert list(short.phases) == [short.phase_of(k) for k in range(len(short.angle))]
+
+
+ROW = r"angle_rad = \[\n  \[[^\]]*\]"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "place", "found", "expected"),
+    [
+        ('golfer = "nobody"', 'golfr = "nobody"', "golfr", "an unknown key", "golfer"),
+        ('golfer = "nobody"\n', "", "golfer", "nothing", "this key"),
+        ('golfer = "nobody"', "golfer = 3", "golfer", "3", "a text"),
+        ('schema = "[^"]*"', 'schema = "other/7"', "schema", "'other/7'", "golfbench-profile/1"),
+        ("period_s = 0.001", 'period_s = "fast"', "period_s", '"fast"', "seconds"),
+        ("period_s = 0.001", "period_s = nan", "period_s", "nan", "finite"),
+        ("period_s = 0.001", "period_s = 1.0", "period_s", "1", "0.0001 to 0.02 s"),
+        ("impact_time_s = 0.025", "impact_time_s = nan", "impact_time_s", "nan", "finite"),
+        ("impact_time_s = 0.025", "impact_time_s = 7.0", "impact_time_s", "7", "within the swing"),
+        ("blind_spacing = 10", "blind_spacing = 0", "blind_spacing", "0", "at least 1"),
+        ("blind_spacing = 10", "blind_spacing = true", "blind_spacing", "true", "whole number"),
+        ("blind_spacing = 10", "blind_spacing = 20", "blind_brake", "shape (5, 6)", "shape (3, 6)"),
+        (ROW, "angle_rad = [\n  [1.0, 2.0]", "angle_rad", "different length", "numbers"),
+        (ROW, 'angle_rad = [\n  ["1", "2", "3"]', "angle_rad", "not numbers", "numbers"),
+        (ROW, "angle_rad = [\n  [true, true, true]", "angle_rad", "not numbers", "numbers"),
+        (ROW, "angle_rad = [\n  [nan, 2.0, 3.0]", "angle_rad[0, 0]", "not a finite", "a finite number"),
+        (ROW, "angle_rad = [\n  [1.0, inf, 3.0]", "angle_rad[0, 1]", "not a finite", "a finite number"),
+        (ROW, "angle_rad = [\n  [1.0, 200.0, 3.0]", "angle_rad", "200", "-10 to 10 rad"),
+        (ROW + ",", "angle_rad = [", "velocity_rad_per_s", "shape (50, 3)", "shape (49, 3)"),
+        (r"valve = \[\n  \[0\.00000", "valve = [\n  [1.5", "valve", "1.5", "openings -1 to 1"),
+        (r"begins = \[0, 1", "begins = [0, 60", "begins", "(0, 60", "rising samples"),
+        (r"begins = \[0, 1", "begins = [0, 1.5", "begins", "1.5", "whole numbers"),
+        (r"begins = \[0, 1,", "begins = [0,", "begins", "shape (6,)", "shape (7,)"),
+        (r"ball_m = \[", "ball_m = [9", "ball_m", "90.25", "-3 to 3 m"),
+        ("head_speed_mps = 0.7", 'head_speed_mps = "fast"', "delivery", "fast", "finite numbers"),
+        ("head_speed_mps = 0.7", "head_speed_mps = inf", "delivery", "inf", "finite numbers"),
+    ],
+)
+def test_each_bad_profile_is_refused_with_its_place(
+    pattern: str, text: str, place: str, found: str, expected: str, path: Path
+) -> None:
+    good = path.read_text()
+    bad = re.sub(pattern, text.replace("\\", r"\\"), good, count=1)
+    assert bad != good
+    path.write_text(bad)
+    with pytest.raises(BenchError) as raised:
+        load_profile(path)
+    assert raised.value.place == f"{path}: {place}"
+    assert found in raised.value.found
+    assert expected in raised.value.expected
+    assert raised.value.cure
+
+
+def test_a_missing_file_and_no_toml_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match=r"none\.toml: found no such file, expected a swing profile"):
+        load_profile(tmp_path / "none.toml")
+    (tmp_path / "bad.toml").write_text("angle_rad = [[1,\n2")
+    with pytest.raises(BenchError, match=r"bad\.toml: found no TOML: .*at end of document"):
+        load_profile(tmp_path / "bad.toml")
