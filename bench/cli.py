@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 import typer
 
@@ -102,6 +102,30 @@ def doctor(
     else:
         Console().print(table(findings))
     if not usable(findings):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def demo(
+    context: typer.Context,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="New or empty folder for the files [default: DATA_DIR/demo-TIME]."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the small differences between shots.")] = 1,
+    swings: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 10,
+    engine: Annotated[
+        Literal["python", "compiled"],
+        typer.Option(help="The bench's cycle around the simulated driver, or the compiled loop."),
+    ] = "python",
+) -> None:
+    """Swing the simulated robot at two balls in turn, show what happens and leave report and records.
+
+    Ends with 1 when a swing gave no valid shot.
+    """
+    from bench.demo import run_demo
+
+    if not run_demo(context.ensure_object(Session).configuration(), output, swings, seed, engine):
         raise typer.Exit(ExitCode.REFUSED)
 
 

@@ -165,8 +165,8 @@ def render_report(records: Sequence[ShotRecord], setup: Setup) -> str:
         setup=setup,
         first=min(times),
         last=max(times),
-        verdicts=_verdicts(valid, setup.wished_yd),
-        robot_words=_robot_words(valid),
+        verdicts=verdicts(valid, setup.wished_yd),
+        robot_words=robot_words(valid),
         balls=[_ball_summary(ball, look.colour(ball), records) for ball in look.balls],
         summary=SUMMARY,
         robot=[(quantity, _spread(quantity, valid)) for quantity in ROBOT],
@@ -182,8 +182,8 @@ def render_report(records: Sequence[ShotRecord], setup: Setup) -> str:
     )
 
 
-def _verdicts(valid: Sequence[Shot], wished_yd: float) -> list[Verdict]:
-    """Compare the balls' carries, in words."""
+def verdicts(valid: Sequence[Shot], wished_yd: float = 1.0) -> list[Verdict]:
+    """Compare the balls' carries over `valid` shots, in words; `wished_yd` is a difference worth finding."""
     carries: dict[str, list[float]] = {}
     for shot in valid:
         if shot.carry_m is not None:
@@ -198,7 +198,7 @@ def _verdicts(valid: Sequence[Shot], wished_yd: float) -> list[Verdict]:
     ]
 
 
-def _robot_words(valid: Sequence[Shot]) -> str:
+def robot_words(valid: Sequence[Shot]) -> str:
     """Say in one sentence how repeatable the robot was."""
     speeds = _values(ROBOT[0], valid)
     if len(speeds) < 2:
