@@ -18,7 +18,7 @@ from rich.table import Table
 
 from tests.benchmarks.row import Row
 
-BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error")
+BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep")
 PACKAGES = ("numpy", "numba", "mujoco", "pin")
 
 
