@@ -20,14 +20,20 @@ help:  ## show this text
 demo: $(VENV)/.runtime  ## ten swings of the simulated robot at a ball, and their report
 	@$(BIN)/golfbench demo
 
-test: $(VENV)/.dev lint  ## lint, types, import contracts and all tests
+test: $(VENV)/.dev lint coverage  ## lint, types, import contracts, branches of the envelope and all tests
 	@$(BIN)/python -m pytest $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
-	@$(BIN)/lint-imports --no-timing
+	@$(BIN)/lint-imports
+
+# Counted without compilation: compiled code leaves no trace of the lines it ran.
+coverage: $(VENV)/.dev  ## every branch of the envelope and of the stopping table is tested
+	@NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest --quiet --no-header --tb=short \
+	  tests/bench/control/test_envelope.py tests/bench/test_lifecycle.py
+	@$(BIN)/coverage report --include='bench/control/envelope.py,bench/lifecycle.py' --fail-under=100
 
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
@@ -62,4 +68,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test lint benchmark clean
+.PHONY: help demo test lint coverage benchmark clean

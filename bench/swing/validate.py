@@ -16,7 +16,7 @@ from bench.control.settings import EnvelopeSettings
 from bench.errors import BenchError
 from bench.swing.air_limits import Array, force_bounds, needed_force, steady_speed, stop_forces
 from bench.swing.motion import Motion
-from bench.swing.profile import Profile
+from bench.swing.profile import PHASES, Profile
 from drivers.base import JOINTS
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
@@ -26,7 +26,10 @@ PRESSURE_TOLERANCE = 0.01
 BALL_TOLERANCE = 0.0005
 """m; the same for the ball's place."""
 SLOPE_TOLERANCE = 0.5
-"""rad/s between the table of velocities and the slope of the angles."""
+SLOPE_TIME = 0.010
+"""Velocities may differ from the angles' slope by this (rad/s), and by more for this long (s)."""
+STEP_SHARE = 0.25
+"""Share of the envelope's following error that a step of the reference may use up."""
 CONTACT_TOLERANCE = (0.08, 0.02)
 """m along the path and in height between face and ball at the planned contact: it moves 4 cm in a tick."""
 EXCESS_SHARE = 0.05
@@ -104,6 +107,12 @@ def _peak(values: Array) -> tuple[int, int]:
     return int(sample), int(joint)
 
 
+def _lasting(values: Array, time: float, period: float) -> Array:
+    """Return what `values` (n, 3) exceed without a break for longer than `time` s from each sample on."""
+    samples = min(round(time / period), len(values) - 1) + 1
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, samples, axis=0).min(axis=-1))
+
+
 def _impact(plan: Plan) -> slice:
     """Return the ticks from before the impact window to after it."""
     return slice(max(plan.profile.begins[5] - 1, 0), plan.profile.begins[6] + 1)
@@ -137,17 +146,32 @@ def _tables(plan: Plan) -> Check:
     jump = np.abs(np.diff(velocity, axis=0)) / 2
     error = np.maximum(np.abs(slope - (velocity[1:] + velocity[:-1]) / 2) - jump, 0.0)
     error[_impact(plan)] = 0.0
-    k, joint = _peak(error)
-    if error[k, joint] > SLOPE_TOLERANCE:
+    lasting = _lasting(error, SLOPE_TIME, plan.profile.period)
+    k, joint = _peak(lasting)
+    if lasting[k, joint] > SLOPE_TOLERANCE:
         found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
         wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
         cure = "Mend the table; angles are in rad, one row a period."
         faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, cure))
+    step, allowed = error * plan.profile.period, _allowed_steps(plan)
+    j, i = _peak(step / allowed)
+    if step[j, i] > allowed[j, i]:
+        found = f"{angle[j, i]:.4f}, then {angle[j + 1, i]:.4f} rad: a step no robot can follow"
+        wanted = f"a step of at most {allowed[j, i]:.3g} rad, {STEP_SHARE:g} of envelope.following"
+        faults.append(plan.row(("angle_rad", j, i), found, wanted, "Smooth the table there."))
     _, joint = _peak(np.abs(velocity[:1]))
     if abs(velocity[0, joint]) > 0.1:
         found, cure = f"{velocity[0, joint]:.3f} rad/s", "Begin the swing at rest at address."
         faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", cure))
-    return Check("tables agree", f"{error.max():.2f} rad/s", f"{SLOPE_TOLERANCE:g} rad/s", faults)
+    text = f"slope {lasting.max():.2f} rad/s off · step {step[j, i]:.3f} rad"
+    return Check("tables agree", text, f"{SLOPE_TOLERANCE:g} rad/s · {allowed[j, i]:.3g} rad", faults)
+
+
+def _allowed_steps(plan: Plan) -> Array:
+    """Return the greatest step of the reference (n - 1, 3) that leaves following its share, rad."""
+    following = plan.envelope.following
+    limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
+    return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 
 
 def _range(plan: Plan) -> Check:
@@ -271,14 +295,13 @@ def _ball(plan: Plan) -> Check:
 
 def _air(plan: Plan) -> Check:
     """Compare the force the motion needs with what valves and supply can give at its speed."""
-    plant, period, faults, shares = plan.plant, plan.profile.period, [], []
+    plant, faults, shares = plan.plant, [], []
     need = needed_force(plan.motion)
     bounds = force_bounds(plan.motion)[:-1]
     excess = np.maximum(need - bounds[..., 1], bounds[..., 0] - need)
     # At the ball the speeds jump; no actuator makes that.
     excess[_impact(plan)] = 0.0
-    lasting = min(round(EXCESS_TIME / period), len(excess) - 1) + 1
-    steady = np.lib.stride_tricks.sliding_window_view(excess, lasting, axis=0).min(axis=-1)
+    steady = _lasting(excess, EXCESS_TIME, plan.profile.period)
     for i, actuator in enumerate(plant.actuators):
         greatest = (plant.supply.pressure - plant.supply.atmosphere) * actuator.area_a
         k = int(steady[:, i].argmax())
