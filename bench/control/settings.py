@@ -44,11 +44,11 @@ class EstimatorSettings:
 class PidSettings:
     """One PID per actuator on its joint angle; output is the valve opening."""
 
-    proportional: NotNegativeTriple = (1.5, 1.2, 0.7)
+    proportional: NotNegativeTriple = (2.0, 0.65, 0.75)
     """Opening per rad."""
-    integral: NotNegativeTriple = (0.6, 1.0, 0.6)
+    integral: NotNegativeTriple = (0.5, 0.8, 0.45)
     """Opening per rad s."""
-    derivative: NotNegativeTriple = (0.15, 0.02, 0.03)
+    derivative: NotNegativeTriple = (0.165, 0.024, 0.028)
     """Opening per rad/s, on reference less filtered velocity."""
 
 
@@ -59,7 +59,7 @@ class ControlSettings:
     pid: PidSettings = field(default_factory=PidSettings)
     feed_forward: bool = True
     """Use the profile's openings beside the PIDs."""
-    damping: NotNegativeTriple = (0.004, 0.0007, 0.0006)
+    damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""
@@ -83,7 +83,9 @@ class ControlSettings:
     move_speed: PositiveTriple = (1.2, 0.6, 1.5)
     """Greatest speed of slow moves, rad/s."""
     move_timeout: Positive = 6.0
-    address_tolerance: PositiveTriple = (0.03, 0.02, 0.05)
+    rest_band: NotNegativeTriple = (0.003, 0.002, 0.005)
+    """Error at address that is left alone, rad."""
+    address_tolerance: PositiveTriple = (0.010, 0.008, 0.020)
     """Error at address below which a swing may begin, rad."""
     strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
     """Share of head speed whose loss in the impact window says that a ball was struck."""

@@ -44,6 +44,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("move_speed", "f8", (3,)),
         ("move_timeout", "f8"),
         ("address_tolerance", "f8", (3,)),
+        ("rest_band", "f8", (3,)),
         ("strike_drop", "f8"),
         ("reactions", "u1", (10, 4)),
     ],
@@ -208,7 +209,7 @@ def _near_address(parameters: Any, estimator: Any) -> bool:
     for i in range(3):
         if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
             return False
-        if not abs(e.velocity[i]) <= 10.0 * p.still_speed[i]:
+        if not abs(e.velocity[i]) <= 2.0 * p.still_speed[i]:
             return False
     return True
 
@@ -373,7 +374,9 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
             s.phase = _HOLD
     else:
         for i in range(3):
-            s.reference[i] = parameters.angle[0, i]
+            # Near enough is left alone: with dry friction an integral would hunt for ever.
+            away = parameters.angle[0, i] - e.angle[i]
+            s.reference[i] = parameters.angle[0, i] if abs(away) > p.rest_band[i] else e.angle[i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == _FOLLOW:
         _brake_openings(s, p, e)
