@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -88,9 +87,6 @@ def test_lost_channels_are_invalid_not_an_exception() -> None:
     assert driver.read(0.0).encoder_valid == (True, False, True)
 
 
-@pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="numpy's integers warn where the generator wraps around"
-)
 def test_equal_seeds_give_equal_noise() -> None:
     runs = []
     for seed in (1, 1, 2):

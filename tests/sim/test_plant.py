@@ -122,6 +122,20 @@ def test_closing_the_exhaust_starts_the_vents_delay_anew() -> None:
     assert np.all(state["pressure"][0] < start)
 
 
+@compiled_only
+def test_relief_valves_open_above_their_set_pressure_only() -> None:
+    plant = locked_plant()
+    relief = plant.parameters.supply.relief_pressure
+    state = initial_state(plant, POSE)
+    state["pressure"] = relief + np.array([1e5, 2e5, 1e5, 2e5, -1e3, -1e5])
+    start = state["pressure"][0].copy()
+    states = history(plant, state, 300, command_of(exhaust_closed=True))
+    assert np.all(np.diff(states["pressure"][:, :4], axis=0) <= 0.0)
+    assert np.all(states["pressure"][-1, :4] < relief + 0.2e5)
+    assert np.all(states["pressure"][-1, :4] >= relief)
+    assert states["pressure"][-1, 4:] == pytest.approx(start[4:], rel=1e-12)
+
+
 def test_the_guard_locks_only_when_it_is_closed() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE)
