@@ -176,5 +176,5 @@ def test_make_refuses_an_old_python(tmp_path: Path) -> None:
 def test_make_alone_shows_its_targets(tmp_path: Path) -> None:
     answer = _make(tmp_path)
     assert answer.returncode == 0
-    for target in ("demo", "test", "benchmark", "lint", "clean"):
+    for target in ("demo", "test", "benchmark", "lint", "coverage", "clean"):
         assert f"make {target} " in answer.stdout

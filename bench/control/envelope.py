@@ -42,10 +42,11 @@ ENVELOPE_PARAMETERS = np.dtype(
     align=True,
 )
 """Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
-rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion takes
-alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest tick while
-moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside and inside
-the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the wrist."""
+rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion
+takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest tick
+while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside and
+inside the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the
+wrist."""
 
 _EMERGENCY_STOP = int(Cause.EMERGENCY_STOP)
 _GUARD = int(Cause.GUARD)
@@ -167,4 +168,5 @@ def limit(parameters: Any, wanted: float, before: float, measured_step: float) -
         return 0.0
     step = p.greatest_slew * measured_step if measured_step > 0.0 else 0.0
     bounded = min(max(wanted, -p.greatest_opening), p.greatest_opening)
-    return min(max(bounded, before - step), before + step)
+    opening: float = min(max(bounded, before - step), before + step)
+    return opening

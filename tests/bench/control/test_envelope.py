@@ -1,0 +1,510 @@
+"""Every check of the envelope: just inside, at and just outside each limit, not a number, in every phase."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import product
+from math import asin, inf, nan, pi
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.control.envelope import (
+    ENVELOPE_PARAMETERS,
+    interlock_cause,
+    joint_coordinates,
+    limit,
+    motion_cause,
+    readings_cause,
+)
+from bench.control.estimator import ESTIMATOR_STATE
+from bench.lifecycle import Cause, Phase
+from drivers.base import READINGS
+from sim.compiled import new_record
+from sim.kinematics import forward_kinematics, right_arm_length
+from sim.robot import thesis_robot
+
+Record = np.ndarray[Any, Any]
+
+ROBOT = thesis_robot()
+CLUB_REACH = float(ROBOT.record["l3t"][0])
+"""Wrist to face centre, m."""
+POSE = (0.5, 4.25, 5.75)
+"""Exact in binary, so that sums and differences meet their limits exactly; the head is over the ground."""
+STOPPABLE = {*range(Phase.COMMITTED), Phase.RETURN}
+"""Phases in which stopping sooner than planned is still a choice."""
+TINY = 1e-9
+
+compiled_only = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="there is nothing compiled")
+each_joint = pytest.mark.parametrize("joint", range(3))
+each_phase = pytest.mark.parametrize("phase", list(Phase), ids=lambda phase: phase.name)
+
+
+def above(value: float) -> float:
+    return float(np.nextafter(value, inf))
+
+
+def below(value: float) -> float:
+    return float(np.nextafter(value, -inf))
+
+
+def generous() -> Record:
+    """Return limits that nothing breaks."""
+    p = new_record(ENVELOPE_PARAMETERS)
+    p["lower"], p["upper"] = -100.0, 100.0
+    p["following"] = p["stop_deceleration"] = p["stop_speed"] = p["greatest_speed"] = 1e3
+    p["greatest_opening"], p["greatest_slew"] = 0.75, 50.0
+    p["lost_time"], p["greatest_gap"], p["least_supply"] = 0.0045, 0.010, 6.5e5
+    p["ground"] = -100.0
+    return p
+
+
+def moving(angle: tuple[float, float, float] = POSE) -> Record:
+    """Return an estimate of all joints at `angle`, slow."""
+    e = new_record(ESTIMATOR_STATE)
+    e["angle"], e["velocity"], e["started"] = angle, (0.5, -0.5, 1.0), 1
+    return e
+
+
+def readings() -> Record:
+    r = new_record(READINGS)
+    r["supply_pressure"] = 8e5
+    r["emergency_stop_clear"] = r["guard_closed"] = r["guard_locked"] = True
+    return r
+
+
+@dataclass
+class Motion:
+    """All that `motion_cause` looks at; nothing is broken until a test breaks it."""
+
+    parameters: Record = field(default_factory=generous)
+    estimator: Record = field(default_factory=moving)
+    readings: Record = field(default_factory=readings)
+    reference: Record = field(default_factory=lambda: np.array(POSE))
+    phase: Phase = Phase.DOWNSWING
+    step: float = 1e-3
+    charging: bool = False
+
+    def cause(self) -> Cause:
+        return Cause(
+            motion_cause(
+                self.parameters, ROBOT.record, self.estimator, self.readings, self.reference,
+                int(self.phase), self.step, self.charging,
+            )
+        )  # fmt: skip
+
+    def coordinates(self, joint: int) -> tuple[float, float]:
+        e = self.estimator[0]
+        return joint_coordinates(ROBOT.record, e["angle"], e["velocity"], joint)
+
+
+def nth(first: Cause, joint: int) -> Cause:
+    return Cause(first + joint)
+
+
+# Interlocks and readings ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("clear", "closed", "locked"), list(product((True, False), repeat=3)))
+def test_interlocks(clear: bool, closed: bool, locked: bool) -> None:
+    r = readings()
+    r["emergency_stop_clear"], r["guard_closed"], r["guard_locked"] = clear, closed, locked
+    guard = Cause.NONE if closed and locked else Cause.GUARD
+    assert interlock_cause(r) == (guard if clear else Cause.EMERGENCY_STOP)
+
+
+def test_good_readings_are_trusted() -> None:
+    assert readings_cause(generous(), moving()) == Cause.NONE
+
+
+@each_joint
+@pytest.mark.parametrize(
+    ("silence", "lost"),
+    [(0.0, 0), (below(0.0045), 0), (0.0045, 1), (above(0.0045), 1), (inf, 1), (nan, 1)],
+)
+def test_an_encoder_is_lost_after_its_time(joint: int, silence: float, lost: bool) -> None:
+    e = moving()
+    e["without_sample"][0, joint] = silence
+    assert readings_cause(generous(), e) == (nth(Cause.SHOULDER_ENCODER, joint) if lost else 0)
+
+
+@each_joint
+def test_an_encoder_that_never_gave_a_sample_is_lost(joint: int) -> None:
+    e = moving()
+    e["started"][0, joint] = 0
+    assert readings_cause(generous(), e) == nth(Cause.SHOULDER_ENCODER, joint)
+
+
+@each_joint
+@pytest.mark.parametrize("name", ["angle", "velocity", "acceleration"])
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_an_estimate_that_is_not_finite(joint: int, name: str, value: float) -> None:
+    e = moving()
+    e[name][0, joint] = value
+    assert readings_cause(generous(), e) == Cause.NOT_FINITE
+
+
+# Motion -----------------------------------------------------------------------------------------------
+
+
+@each_phase
+@pytest.mark.parametrize("charging", [False, True])
+def test_nothing_is_broken(phase: Phase, charging: bool) -> None:
+    assert Motion(phase=phase, charging=charging).cause() is Cause.NONE
+
+
+@each_phase
+@pytest.mark.parametrize(
+    ("step", "broken"),
+    [
+        (0.0, False), (-0.0, False), (below(0.010), False), (0.010, False), (above(0.010), True), (1.0, True),
+        (-5e-324, True), (-1.0, True), (inf, True), (-inf, True), (nan, True),
+    ],
+)  # fmt: skip
+def test_a_tick_that_is_too_long_or_runs_backwards(phase: Phase, step: float, broken: bool) -> None:
+    assert Motion(phase=phase, step=step).cause() is (Cause.TICK_GAP if broken else Cause.NONE)
+
+
+@each_phase
+@pytest.mark.parametrize(
+    ("pressure", "low"),
+    [(above(6.5e5), False), (6.5e5, False), (inf, False), (below(6.5e5), True), (0.0, True), (-inf, True)],
+)
+@pytest.mark.parametrize("charging", [False, True])
+def test_supply_pressure_counts_while_stopping_is_a_choice(
+    phase: Phase, pressure: float, low: bool, charging: bool
+) -> None:
+    motion = Motion(phase=phase, charging=charging)
+    motion.readings["supply_pressure"] = pressure
+    expected = low and phase in STOPPABLE and not charging
+    assert motion.cause() is (Cause.SUPPLY_PRESSURE if expected else Cause.NONE)
+
+
+@each_phase
+def test_a_supply_sensor_that_is_not_fitted_stops_nothing(phase: Phase) -> None:
+    motion = Motion(phase=phase)
+    motion.readings["supply_pressure"] = nan
+    assert motion.cause() is Cause.NONE
+
+
+@each_phase
+@each_joint
+@pytest.mark.parametrize("charging", [False, True])
+def test_working_range(phase: Phase, joint: int, charging: bool) -> None:
+    motion = Motion(phase=phase, charging=charging)
+    broken = nth(Cause.SHOULDER_RANGE, joint)
+    position, _ = motion.coordinates(joint)
+    for bound, beyond, within in (("lower", above, below), ("upper", below, above)):
+        limits = motion.parameters[bound][0]
+        open_bound = limits[joint]
+        for value, expected in (
+            (within(position), Cause.NONE),
+            (position, Cause.NONE),
+            (beyond(position), broken),
+            (nan, broken),
+            (open_bound, Cause.NONE),
+        ):
+            limits[joint] = value
+            assert motion.cause() is expected
+    motion.estimator["angle"][0, joint] = nan
+    assert motion.cause() is broken
+
+
+@each_phase
+@each_joint
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_greatest_speed(phase: Phase, joint: int, sign: float) -> None:
+    motion = Motion(phase=phase)
+    broken = nth(Cause.SHOULDER_SPEED, joint)
+    motion.estimator["velocity"] *= sign
+    speed = abs(motion.coordinates(joint)[1])
+    for value, expected in (
+        (above(speed), Cause.NONE),
+        (speed, Cause.NONE),
+        (below(speed), broken),
+        (nan, broken),
+        (inf, Cause.NONE),
+    ):
+        motion.parameters["greatest_speed"][0, joint] = value
+        assert motion.cause() is expected
+    for value in (nan, inf, -inf):
+        motion.estimator["velocity"][0, joint] = value
+        motion.parameters["greatest_speed"] = 1e3
+        assert motion.cause() is broken
+
+
+@each_phase
+@pytest.mark.parametrize("joint", [0, 2])
+@pytest.mark.parametrize("up", [True, False])
+def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> None:
+    # 2.5² = 1.5² + 2·2·1: everything is exact in binary.
+    motion = Motion(phase=phase)
+    p, e = motion.parameters[0], motion.estimator[0]
+    e["velocity"][joint] = 2.5 if up else -2.5
+    p["stop_speed"][joint], p["stop_deceleration"][joint] = 1.5, 2.0
+    bound, sign = (p["upper"], 1.0) if up else (p["lower"], -1.0)
+    at = POSE[joint] + sign
+    broken = nth(Cause.SHOULDER_STOP_DISTANCE, joint) if phase in STOPPABLE else Cause.NONE
+    bound[joint] = at
+    assert motion.cause() is Cause.NONE
+    bound[joint] = at - sign * 1e-12
+    assert motion.cause() is broken
+    bound[joint] = at
+    p["stop_deceleration"][joint] = nan
+    assert motion.cause() is broken
+
+
+@each_phase
+@pytest.mark.parametrize("velocity", [3.0, -3.0])
+def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
+    motion = Motion(phase=phase)
+    motion.estimator["velocity"][0, 1] = velocity
+    position, speed = motion.coordinates(1)
+    bound, sign = ("upper", 1.0) if speed > 0 else ("lower", -1.0)
+    p = motion.parameters
+    p[bound][0, 1] = position + 0.05 * sign
+    p["stop_speed"][0, 1] = 0.0
+    needed = speed**2 / 0.1
+    for deceleration, enough in ((needed * (1 + TINY), True), (needed * (1 - TINY), False)):
+        p["stop_deceleration"][0, 1] = deceleration
+        broken = not enough and phase in STOPPABLE
+        assert motion.cause() is (Cause.ARM_STOP_DISTANCE if broken else Cause.NONE)
+
+
+@each_phase
+@each_joint
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_following_error(phase: Phase, joint: int, side: float) -> None:
+    motion = Motion(phase=phase)
+    motion.parameters["following"][0, phase, joint] = 0.25
+    at = POSE[joint] + 0.25 * side
+    broken = nth(Cause.SHOULDER_FOLLOWING, joint) if phase is not Phase.IMPACT else Cause.NONE
+    for reference, expected in (
+        (at - side * 1e-12, Cause.NONE),
+        (at, Cause.NONE),
+        (at + side * 1e-12, broken),
+        (nan, broken),
+        (inf, broken),
+        (-inf, broken),
+    ):
+        motion.reference[joint] = reference
+        assert motion.cause() is expected
+
+
+@each_phase
+def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
+    motion = Motion(phase=phase)
+    motion.parameters["following"] = 0.0
+    motion.parameters["following"][0, phase] = 1.0
+    motion.reference += 0.5
+    assert motion.cause() is Cause.NONE
+
+
+@each_phase
+@pytest.mark.parametrize("window", ["inside", "outside"])
+def test_ground(phase: Phase, window: str) -> None:
+    motion = Motion(phase=phase)
+    p = motion.parameters[0]
+    x, y, _ = forward_kinematics(ROBOT, np.array(POSE))
+    p["clearance"], p["ball_clearance"], p["sole_depth"] = 0.015, 0.005, 0.02
+    p["ball_window"], needed = 0.6, 0.005 if window == "inside" else 0.015
+    inward = -TINY if window == "inside" else TINY
+    for side in (1.0, -1.0):
+        p["ball_x"] = x + side * (0.6 + inward)
+        for height, expected in (
+            (needed + TINY, Cause.NONE),
+            (needed - TINY, Cause.GROUND),
+            (-1.0, Cause.GROUND),
+            (nan, Cause.GROUND),
+        ):
+            p["ground"] = y - 0.02 - height
+            assert motion.cause() is expected
+
+
+@given(st.floats(-2.0, 2.0), st.floats(pi, 1.5 * pi), st.floats(4.8, 6.2), st.floats(0.0, 1.2))
+def test_frame(a: float, b: float, c: float, radius: float) -> None:
+    motion = Motion(estimator=moving((a, b, c)), reference=np.array((a, b, c)))
+    motion.parameters["frame_radius"] = radius
+    x, y, theta = forward_kinematics(ROBOT, np.array((a, b, c)))
+    along = np.linspace(0.0, CLUB_REACH, 20001)
+    distance = np.hypot(x - along * np.cos(theta), y - along * np.sin(theta)).min()
+    if abs(distance - radius) > 1e-4:
+        assert motion.cause() is (Cause.FRAME if distance < radius else Cause.NONE)
+
+
+@each_phase
+@pytest.mark.parametrize("angle", [POSE, (0.5, 3.3, 4.9), (0.5, 4.25, 5.0)])
+def test_frame_at_its_limit(phase: Phase, angle: tuple[float, float, float]) -> None:
+    motion = Motion(phase=phase, estimator=moving(angle), reference=np.array(angle))
+    x, y, theta = forward_kinematics(ROBOT, np.array(angle))
+    along = min(max(x * np.cos(theta) + y * np.sin(theta), 0.0), CLUB_REACH)
+    distance = np.hypot(x - along * np.cos(theta), y - along * np.sin(theta))
+    for radius, expected in (
+        (distance - TINY, Cause.NONE),
+        (distance + TINY, Cause.FRAME),
+        (nan, Cause.FRAME),
+    ):
+        motion.parameters["frame_radius"] = radius
+        assert motion.cause() is expected
+
+
+@each_phase
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_lever_of_the_wrist(phase: Phase, side: float) -> None:
+    for beta, expected in (
+        (asin(0.15) + TINY, Cause.NONE),
+        (asin(0.15) - TINY, Cause.WRIST_LEVER),
+        (0.0, Cause.WRIST_LEVER),
+        (pi - asin(0.15) - TINY, Cause.NONE),
+        (pi - asin(0.15) + TINY, Cause.WRIST_LEVER),
+    ):
+        angle = (0.5, 4.25, 1.5 * pi + side * beta)
+        motion = Motion(phase=phase, estimator=moving(angle), reference=np.array(angle))
+        motion.parameters["least_lever"] = 0.15
+        assert motion.cause() is expected
+        motion.parameters["least_lever"] = nan
+        assert motion.cause() is Cause.WRIST_LEVER
+
+
+def test_the_first_broken_limit_is_the_cause() -> None:
+    motion = Motion(step=1.0)
+    p = motion.parameters
+    motion.readings["supply_pressure"] = 0.0
+    p["lower"][0, 2] = 50.0
+    p["following"], p["ground"], p["greatest_speed"][0, 1] = -1.0, 100.0, 0.0
+    mends: tuple[Callable[[], None], ...] = (
+        lambda: setattr(motion, "step", 0.001),
+        lambda: motion.readings.__setitem__("supply_pressure", 8e5),
+        lambda: p.__setitem__("following", 1e3),
+        lambda: p.__setitem__("greatest_speed", 1e3),
+        lambda: p.__setitem__("lower", -100.0),
+        lambda: p.__setitem__("ground", -100.0),
+    )
+    order = []
+    for mend in mends:
+        order.append(motion.cause())
+        mend()
+    assert order == [
+        Cause.TICK_GAP, Cause.SUPPLY_PRESSURE, Cause.SHOULDER_FOLLOWING, Cause.ARM_SPEED, Cause.WRIST_RANGE,
+        Cause.GROUND,
+    ]  # fmt: skip
+    assert motion.cause() is Cause.NONE
+
+
+# Joint coordinates ------------------------------------------------------------------------------------
+
+
+@given(st.floats(pi, 1.5 * pi), st.floats(-20.0, 20.0))
+def test_the_arm_counts_by_its_rod(theta2: float, velocity: float) -> None:
+    angle, speed = np.array([0.1, theta2, 5.5]), np.array([1.0, velocity, 2.0])
+    position, rod_speed = joint_coordinates(ROBOT.record, angle, speed, 1)
+    assert position == pytest.approx(float(right_arm_length(ROBOT, theta2)) - ROBOT.l56, abs=1e-12)
+    h = 1e-6
+    slope = (right_arm_length(ROBOT, theta2 + h) - right_arm_length(ROBOT, theta2 - h)) / (2 * h)
+    assert rod_speed == pytest.approx(float(slope) * velocity, abs=1e-7)
+    assert joint_coordinates(ROBOT.record, angle, speed, 0) == (0.1, 1.0)
+    assert joint_coordinates(ROBOT.record, angle, speed, 2) == (5.5, 2.0)
+
+
+# Limit ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wanted", [nan, inf, -inf])
+@pytest.mark.parametrize("before", [0.75, 0.0, -0.75])
+def test_an_opening_that_is_no_number_is_the_centre(wanted: float, before: float) -> None:
+    assert limit(generous(), wanted, before, 1e-3) == 0.0
+
+
+@pytest.mark.parametrize("step", [0.0, -0.0, -1e-3, -inf, nan])
+@pytest.mark.parametrize("before", [0.75, 0.1, -0.75])
+@pytest.mark.parametrize("wanted", [1.0, 0.0, -1.0])
+def test_without_a_clock_the_valve_stays(step: float, before: float, wanted: float) -> None:
+    assert limit(generous(), wanted, before, step) == before
+
+
+@pytest.mark.parametrize(
+    ("wanted", "before", "step", "expected"),
+    [
+        (below(0.75), 0.75, 1.0, below(0.75)), (0.75, 0.7, 1.0, 0.75), (above(0.75), 0.7, 1.0, 0.75),
+        (-0.75, 0.7, 1.0, -0.75), (below(-0.75), 0.7, 1.0, -0.75), (1e300, 0.0, 1.0, 0.75),
+        # slew 50/s: a 64th of a second is exactly 0.78125, half of that 0.390625
+        (0.75, 0.0, 1 / 128, 0.390625), (0.390625, 0.0, 1 / 128, 0.390625),
+        (below(0.390625), 0.0, 1 / 128, below(0.390625)), (-0.75, 0.0, 1 / 128, -0.390625),
+        (0.0, 0.75, 1 / 128, 0.359375), (0.75, -0.75, inf, 0.75),
+    ],
+)  # fmt: skip
+def test_opening_and_slew(wanted: float, before: float, step: float, expected: float) -> None:
+    assert limit(generous(), wanted, before, step) == expected
+
+
+steps = st.floats(-1e300, 1e300) | st.sampled_from([inf, -inf, nan])
+
+
+@given(st.floats(), st.floats(-0.75, 0.75), steps)
+def test_no_opening_leaves_its_bounds(wanted: float, before: float, step: float) -> None:
+    opening = limit(generous(), wanted, before, step)
+    assert abs(opening) <= 0.75
+    if np.isfinite(wanted) and step >= 0:
+        assert abs(opening - before) <= 50.0 * step + 1e-15
+        if wanted == before:
+            assert opening == before
+
+
+# Compiled and plain code ------------------------------------------------------------------------------
+
+Plain = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+near = st.floats(-1e3, 1e3) | st.just(nan)
+three = st.tuples(near, near, near)
+poses = st.tuples(st.floats(-2.0, 2.0), st.floats(3.0, 5.0), st.floats(4.5, 6.5)) | three
+
+
+def recarray(record: Record) -> Record:
+    return record.view(np.recarray)
+
+
+@compiled_only
+@given(
+    angle=poses, velocity=three, miss=st.tuples(*[st.floats(-0.5, 0.5)] * 3), pressure=st.floats(),
+    step=st.floats(0.0, 0.011) | st.floats(), phase=st.sampled_from(Phase), charging=st.booleans(),
+    ground=st.floats(-2.0, 0.0), radius=st.floats(0.0, 0.5), silence=st.tuples(*[st.floats(0.0, 0.005)] * 3),
+)  # fmt: skip
+def test_compiled_and_plain_code_agree(
+    plain: Plain,
+    angle: tuple[float, float, float],
+    velocity: tuple[float, float, float],
+    miss: tuple[float, float, float],
+    pressure: float,
+    step: float,
+    phase: Phase,
+    charging: bool,
+    ground: float,
+    radius: float,
+    silence: tuple[float, float, float],
+) -> None:
+    p, e, r = generous(), moving(angle), readings()
+    p["lower"], p["upper"] = (-1.5, 0.0, 4.8), (1.5, 0.4, 6.2)
+    p["following"], p["stop_deceleration"], p["stop_speed"] = 0.4, (60.0, 15.0, 150.0), (9.0, 5.0, 34.0)
+    p["greatest_speed"], p["ground"] = (26.0, 6.0, 48.0), ground
+    p["frame_radius"], p["least_lever"] = radius, 0.15
+    e["velocity"], e["without_sample"], r["supply_pressure"] = velocity, silence, pressure
+    reference = np.array(angle) + np.array(miss)
+    robot = ROBOT.record
+    ours = motion_cause(p, robot, e, r, reference, int(phase), step, charging)
+    theirs = plain(motion_cause)(
+        recarray(p), recarray(robot), recarray(e), recarray(r), reference, int(phase), step, charging
+    )
+    assert ours == theirs
+    assert readings_cause(p, e) == plain(readings_cause)(recarray(p), recarray(e))
+
+
+@compiled_only
+@given(st.floats(), st.floats(-0.75, 0.75), steps)
+def test_compiled_and_plain_limits_agree(plain: Plain, wanted: float, before: float, step: float) -> None:
+    p = generous()
+    assert limit(p, wanted, before, step) == plain(limit)(recarray(p), wanted, before, step)
