@@ -50,8 +50,8 @@ CONTROL_PARAMETERS = np.dtype(
     ],
     align=True,
 )
-"""Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's spring
-has hardly any damping of its own, and position and velocity feedback cannot add it. `move_gain` is the
+"""Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's
+spring has hardly any damping of its own, and position and velocity feedback cannot add it. `move_gain` is the
 opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 CONTROL_STATE = np.dtype(
@@ -140,7 +140,10 @@ class ControlParameters(NamedTuple):
 def new_control_state() -> ControlState:
     """Return the state at power-up: standing, nothing read yet."""
     return ControlState(
-        new_record(CONTROL_STATE), new_record(ENCODER_STATE), new_record(ESTIMATOR_STATE), new_record(PID_STATE)
+        new_record(CONTROL_STATE),
+        new_record(ENCODER_STATE),
+        new_record(ESTIMATOR_STATE),
+        new_record(PID_STATE),
     )
 
 
@@ -157,16 +160,16 @@ def _profile_at(parameters: Any, s: Any, time: float) -> bool:
     if over:
         k, part = last - 1, 1.0
     else:
-        k = int(floor(sample))
+        k = floor(sample)
         part = max(sample - k - 1e-7, 0.0)
     s.swing_sample = min(k + 1, last) if over else k
+    angle, velocity, valve = parameters.angle, parameters.velocity, parameters.valve
     for i in range(3):
-        s.reference[i] = parameters.angle[k, i] + part * (parameters.angle[k + 1, i] - parameters.angle[k, i])
-        s.reference_velocity[i] = parameters.velocity[k, i] + part * (
-            parameters.velocity[k + 1, i] - parameters.velocity[k, i]
-        )
-        s.reference_acceleration[i] = (parameters.velocity[k + 1, i] - parameters.velocity[k, i]) / profile.period
-        s.feed_forward[i] = parameters.valve[k, i] + part * (parameters.valve[k + 1, i] - parameters.valve[k, i])
+        change = velocity[k + 1, i] - velocity[k, i]
+        s.reference[i] = angle[k, i] + part * (angle[k + 1, i] - angle[k, i])
+        s.reference_velocity[i] = velocity[k, i] + part * change
+        s.reference_acceleration[i] = change / profile.period
+        s.feed_forward[i] = valve[k, i] + part * (valve[k + 1, i] - valve[k, i])
     s.phase = parameters.phase[s.swing_sample]
     return not over
 
@@ -199,11 +202,11 @@ def _move_at(parameters: Any, s: Any, time: float) -> bool:
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend
         s.feed_forward[i] = p.move_gain[i] * way * slope
-    return part < 1.0
+    return bool(part < 1.0)
 
 
 @compiled
-def _near_address(parameters: Any, estimator: Any) -> bool:
+def near_address(parameters: Any, estimator: Any) -> bool:
     """Tell whether every joint is at the address within its tolerance and at rest."""
     p, e = parameters.control[0], estimator[0]
     for i in range(3):
@@ -238,14 +241,14 @@ def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, t
         # Set-point := measured; the move begins when the chambers are charged.
         _begin_move(parameters, s, e.angle, time + parameters.control[0].precharge_time)
     elif request == SWING and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
-        if _near_address(parameters, state.estimator):
+        if near_address(parameters, state.estimator):
             s.answer = ACCEPTED
             s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
             s.swings += 1
             _profile_at(parameters, s, time)
             match_output(
-                state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward,
-                s.desired,
+                state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity,
+                s.feed_forward, s.desired,
             )  # fmt: skip
     elif request == DISARM and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
         s.answer = ACCEPTED
@@ -369,7 +372,7 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
                 _begin_move(parameters, s, e.angle, time)
                 _move_at(parameters, s, time)
     elif s.moving:
-        if not _move_at(parameters, s, time) and _near_address(parameters, state.estimator):
+        if not _move_at(parameters, s, time) and near_address(parameters, state.estimator):
             s.moving = False
             s.phase = _HOLD
     else:
@@ -404,14 +407,17 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
 @compiled
 def _charging(s: Any, time: float) -> bool:
     """Tell whether the chambers are being charged before the first move."""
-    return s.moving and time < s.move_start
+    return bool(s.moving and time < s.move_start)
 
 
 @compiled
 def step(
     state: ControlState, parameters: ControlParameters, readings: Any, time: float, command: Any, cycle: Any
 ) -> None:
-    """Decide one tick at `time` (s): READINGS in, COMMAND and CYCLE records out, `state` moved on in place."""
+    """Decide one tick at `time` (s): READINGS in, COMMAND and CYCLE records out, `state` moved on in place.
+
+    Any reading is allowed, also one that is not a number; so is a clock that stands still or runs backwards.
+    """
     s, e, c = state.control[0], state.estimator[0], command[0]
     measured_step = time - s.time if s.started else 0.0
     s.started, s.time = True, time
@@ -446,7 +452,8 @@ def step(
                 parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
                 measured_step, _charging(s, time),
             )  # fmt: skip
-            if broken == 0 and s.moving and time - s.move_start > s.move_time + parameters.control[0].move_timeout:
+            longest = s.move_time + parameters.control[0].move_timeout
+            if broken == 0 and s.moving and time - s.move_start > longest:
                 broken = _ADDRESS_TIMEOUT
             if broken != 0:
                 column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
@@ -487,7 +494,8 @@ def _record(state: ControlState, readings: Any, command: Any, measured_step: flo
         out.angle[i], out.velocity[i] = e.angle[i], e.velocity[i]
         out.angle_variance[i] = e.covariance[i, 0]
         out.reference_angle[i], out.reference_velocity[i] = s.reference[i], s.reference_velocity[i]
-        out.proportional[i], out.integral[i], out.derivative[i] = d.proportional[i], d.integral[i], d.derivative[i]
+        out.proportional[i], out.integral[i] = d.proportional[i], d.integral[i]
+        out.derivative[i] = d.derivative[i]
         out.feedforward[i] = s.feed_forward[i]
         out.desired_valve[i], out.applied_valve[i] = s.desired[i], c.valve[i]
     out.supply_enable, out.exhaust_closed, out.guard_lock = c.supply_enable, c.exhaust_closed, c.guard_lock

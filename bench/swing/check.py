@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.control.step import ARM, STOP, SWING, ControlParameters, ControlState, step
+from bench.control.step import STOP, SWING, ControlParameters, ControlState, step
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
@@ -173,7 +173,8 @@ class SwingCheck:
     def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, Lockstep]]:
         """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""
         bench = Lockstep(self.plant, self.parameters, self.profile.angle[0])
-        bench.advance(round(6.0 / self.plant.parameters.tick), ARM)
+        if not bench.arm():
+            raise RuntimeError("the robot does not come to rest at address")
         bench.state.control["tee"] = ball
         for tick in range(0, len(self.profile.angle), spacing):
             yield tick, bench
@@ -183,7 +184,10 @@ class SwingCheck:
                 raise RuntimeError(f"the undisturbed swing stopped at tick {tick}: {CAUSE_TEXT[cause]}")
 
     def outcomes(
-        self, faults: tuple[Fault, ...] = FAULTS, spacing: int = 10, progress: Callable[[float], None] = lambda part: None
+        self,
+        faults: tuple[Fault, ...] = FAULTS,
+        spacing: int = 10,
+        progress: Callable[[float], None] = lambda part: None,
     ) -> list[Outcome]:
         """Return how each of `faults` ends from every `spacing`-th tick of the swing.
 
@@ -210,12 +214,16 @@ class SwingCheck:
         if tick == 0:
             state.control["request"] = SWING if not fault.request else fault.request
         rest = run_fault(
-            *self.plant.records, plant_state, state, self.parameters, readings, command, new_record(CYCLE), record,
-            bench.tick, self.watched, 0.2,
+            *self.plant.records, plant_state, state, self.parameters, readings, command,
+            new_record(CYCLE), record, bench.tick, self.watched, 0.2,
         )  # fmt: skip
         actuators = self.plant.parameters.actuators
-        energies: NDArray[Any] = plant_state["stop_energy"][0] / np.array([[a.stop.energy] for a in actuators])
-        pressures = plant_state["peak_pressure"][0].reshape(3, 2) / np.array([[a.pressure_rating] for a in actuators])
+        energies: NDArray[Any] = plant_state["stop_energy"][0] / np.array(
+            [[a.stop.energy] for a in actuators]
+        )
+        pressures = plant_state["peak_pressure"][0].reshape(3, 2) / np.array(
+            [[a.pressure_rating] for a in actuators]
+        )
         joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
         unrest = rest >= (self.watched - 1) * self.plant.parameters.tick
         return Outcome(

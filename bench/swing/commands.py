@@ -136,3 +136,94 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
         console.print("Files: " + ", ".join(map(str, files)), highlight=False)
     if result.reason:
         raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    profile: Annotated[
+        str, typer.Argument(metavar="[PROFILE]", help="Name or path of a profile.")
+    ] = "default",
+    spacing: Annotated[int, typer.Option(min=1, help="Ticks between the instants that are tried.")] = 20,
+    json_: Json = False,
+) -> None:
+    """Prove on the software plant how every stop ends, from every instant of a swing.
+
+    Each reaction, each valve stuck open or shut, a silent bench and a missing ball, against the ratings of
+    stops and chambers. Ends with 1 when a reaction of the stopping table, the silent bench or the missing
+    ball ends unsafe; a stuck valve that ends unsafe is shown too.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.errors import ExitCode
+    from bench.progress import progress_bar
+    from bench.swing.check import SwingCheck, summarise
+    from bench.swing.check_table import check_record, check_table
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    configuration = context.ensure_object(Session).configuration()
+    swing = load_profile(find_profile(profile))
+    bench = SwingCheck(
+        configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
+    )
+    with progress_bar() as bar:
+        task = bar.add_task(f"checking {swing.name}", total=1.0)
+        outcomes = bench.outcomes(spacing=spacing, progress=lambda part: bar.update(task, completed=part))
+        bar.update(task, completed=1.0)
+    summaries = summarise(outcomes)
+    if json_:
+        typer.echo(json.dumps(check_record(swing.name, outcomes, summaries), indent=2))
+    else:
+        Console().print(check_table(swing.name, outcomes, summaries))
+    if any(summary.unsafe for summary in summaries if "stuck" not in summary.fault):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def design(
+    context: typer.Context,
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="The profile to write, .toml.")],
+    speed: Annotated[
+        float, typer.Option(metavar="M_PER_S", min=5.0, max=60.0, help="Head speed at the ball.")
+    ] = 45.0,
+    seed: Annotated[int, typer.Option(min=1, help="Seed of the search.")] = 1,
+    evaluations: Annotated[int, typer.Option(min=100, help="Trials of the downswing's search.")] = 15000,
+) -> None:
+    """Find a swing on the configured plant by shooting; the default profile came from this command."""
+    from bench.errors import BenchError
+    from bench.progress import progress_bar
+    from bench.swing.design import Demand, DesignFailed, design_swing
+    from bench.swing.profile import save_profile
+
+    configuration = context.ensure_object(Session).configuration()
+    with progress_bar() as bar:
+        tasks = {}
+
+        def show_progress(what: str, part: float) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=1.0)
+            bar.update(tasks[what], completed=part)
+
+        try:
+            swing = design_swing(
+                configuration.plant,
+                Demand(head_speed=speed),
+                output.stem,
+                control=configuration.control,
+                seed=seed,
+                evaluations=evaluations,
+                progress=show_progress,
+            )
+        except DesignFailed as failure:
+            raise BenchError(
+                "swing design",
+                str(failure),
+                "a swing that this plant can do",
+                "Ask for less speed or another seed.",
+            ) from None
+    save_profile(output, swing)
+    typer.echo(f"{output}: {swing.delivery['head_speed_mps']:.1f} m/s at the ball.")
+    typer.echo(f"Next: golfbench swing check {output}")

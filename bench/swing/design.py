@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import cma
+import cma  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, EnvelopeSettings, build_controller
-from bench.control.step import ARM, SWING
+from bench.control.step import SWING
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
@@ -37,6 +37,10 @@ _LEAST_LEVER = 0.25  # |sin beta| the plan keeps to; the envelope trips at 0.15
 _BLIND_SPACING = 20
 _BLIND_WATCHED = 0.9  # s
 _LONGEST_BLIND = 0.4  # s
+
+
+class DesignFailed(RuntimeError):
+    """No swing was found that meets the demand; the text says where the search ended."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +132,8 @@ def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Arr
     velocity = np.vstack([velocity, np.zeros((hold, 3))])
     begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
     return Profile(
-        "sketch", "", "", "", period, begins, angle, velocity, velocity * gain, 20, np.zeros((len(angle) // 20 + 1, 6)),
-        (0.25, -1.56), n * period,
+        "sketch", "", "", "", period, begins, angle, velocity, velocity * gain, 20,
+        np.zeros((len(angle) // 20 + 1, 6)), (0.25, -1.565), n * period,
     )  # fmt: skip
 
 
@@ -140,12 +144,13 @@ def _swing_up(plant: Plant, demand: Demand, control: ControlSettings) -> _Start:
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
     sketch = _sketch(demand, period, address, top, np.array(control.move_gain))
     bench = Lockstep(plant, build_controller(parameters, sketch, control), address)
-    bench.advance(round(6.0 / period), ARM)
+    if not bench.arm():
+        raise DesignFailed("the robot does not come to rest at address")
     n = round((demand.backswing_time + demand.top_time) / period)
     cycles = bench.advance(n, SWING)
     state = bench.state.control[0]
     if state["phase"] not in {Phase.BACKSWING, Phase.TOP} or state["cause"]:
-        raise RuntimeError(f"the backswing stopped in phase {state['phase']} by cause {state['cause']}")
+        raise DesignFailed(f"the backswing stopped in phase {state['phase']} by cause {state['cause']}")
     return _Start(
         bench.plant_state.copy(),
         bench.command.copy(),
@@ -159,7 +164,9 @@ def _swing_up(plant: Plant, demand: Demand, control: ControlSettings) -> _Start:
 
 
 @compiled
-def play(robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, trace: Any, after: float) -> int:
+def play(
+    robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, trace: Any, after: float
+) -> int:
     """Apply openings `valve` (n, 3) tick by tick; return how many ticks were played.
 
     `trace` (n, 10) gets angles, speeds, openings and the head's height before each tick. Ends early `after`
@@ -213,11 +220,19 @@ def _table(knots: Array, first: Array, spacing: float, period: float) -> Array:
 
 
 def _search(
-    cost: Callable[[Array], float], start: Array, spread: float, evaluations: int, seed: int, progress: Progress, what: str
+    cost: Callable[[Array], float],
+    start: Array,
+    spread: float,
+    evaluations: int,
+    seed: int,
+    progress: Progress,
+    what: str,
 ) -> Array:
     """Return the best point an evolution strategy finds from `start` within `evaluations` trials."""
     strategy = cma.CMAEvolutionStrategy(
-        start, spread, {"seed": seed, "verbose": -9, "popsize": 24, "bounds": [-1.0, 1.0], "maxfevals": evaluations}
+        start,
+        spread,
+        {"seed": seed, "verbose": -9, "popsize": 24, "bounds": [-1.0, 1.0], "maxfevals": evaluations},
     )
     while not strategy.stop():
         trials = strategy.ask()
@@ -236,7 +251,9 @@ def _design_downswing(
     """Return openings (n, 3) from the top past the ball, and the tick of contact."""
     parameters, period = plant.parameters, plant.parameters.tick
     site, opening = parameters.site, demand.greatest_opening
-    shooter = _Shooter(plant, start.plant_state, start.command, round(demand.downswing_knots * demand.knot / period))
+    shooter = _Shooter(
+        plant, start.plant_state, start.command, round(demand.downswing_knots * demand.knot / period)
+    )
     ratings = np.array([[a.stop.energy] for a in parameters.actuators]) * demand.greatest_stop_share
     miss_ratings = ratings * demand.greatest_miss_share / demand.greatest_stop_share
     begin = float(start.plant_state["time"][0])
@@ -265,7 +282,9 @@ def _design_downswing(
         contact = int((float(state["impact_time"]) - begin) / period)
         until = contact + round(_UNTIL_WRIST_STOPS / period)
         missed, _ = shooter.shoot(valve[:until], ball=False)
-        total += 0.5 * _excess(state["stop_energy"], ratings) + 0.5 * _excess(missed["stop_energy"], miss_ratings)
+        total += 0.5 * _excess(state["stop_energy"], ratings) + 0.5 * _excess(
+            missed["stop_energy"], miss_ratings
+        )
         for silence in _SILENCES:
             silent = valve[:until].copy()
             silent[max(contact - round(silence / period), 0) :] = 0.0
@@ -274,18 +293,25 @@ def _design_downswing(
         total += 100 * max(0.012 - float(state["lowest_clearance"]), 0.0)
         total += 5e-5 * _excess(state["peak_pressure"], 1.0e6)
         # What the shoulder carries past the ball must be braked before its stop.
-        return total + 0.5 * max(abs(float(state["speed"][0])) - 16.0, 0.0)
+        return float(total + 0.5 * max(abs(float(state["speed"][0])) - 16.0, 0.0))
 
     guess = np.zeros((demand.downswing_knots, 3))
-    guess[:, 0], guess[:, 1], guess[:, 2] = 0.8, 0.6, np.where(np.arange(demand.downswing_knots) < 4, -0.1, 0.6)
+    guess[:, 0], guess[:, 1], guess[:, 2] = (
+        0.8,
+        0.6,
+        np.where(np.arange(demand.downswing_knots) < 4, -0.1, 0.6),
+    )
     # Wide first, then narrow from the best: the second search settles what the first only traded off.
     best = _search(cost, guess.ravel(), 0.3, evaluations * 3 // 5, seed, progress, "downswing")
     best = min(
-        (best, _search(cost, best, 0.05, evaluations * 2 // 5, seed, progress, "downswing, refined")), key=cost
+        (best, _search(cost, best, 0.05, evaluations * 2 // 5, seed, progress, "downswing, refined")),
+        key=cost,
     )
     state, _ = shooter.shoot(openings(best), ball=True, after=_WATCHED)
     if not state["struck"]:
-        raise RuntimeError("no downswing found that reaches the ball; raise the evaluations or ease the demand")
+        raise DesignFailed(
+            "no downswing found that reaches the ball; raise the evaluations or ease the demand"
+        )
     return openings(best), int((float(state["impact_time"]) - float(start.plant_state["time"][0])) / period)
 
 
@@ -302,7 +328,7 @@ def _assemble(
     begins = (*start.begins, top, 0, top + contact - _BEFORE_CONTACT, top + contact + _AFTER_CONTACT)
     return Profile(
         name=name,
-        text=f"{float(np.hypot(head[3], head[4])):.1f} m/s at the ball, found by shooting on the nominal plant",
+        text=f"{float(np.hypot(head[3], head[4])):.1f} m/s at the ball, found by shooting on the plant",
         golfer="robot",
         club=parameters.robot.club.name,
         period=period,
@@ -327,8 +353,11 @@ class _Rehearsal:
 
     def __init__(self, plant: Plant, profile: Profile, control: ControlSettings, *, ball: bool) -> None:
         free = EnvelopeSettings(following={})  # the follow-through's reference is what is being found
-        self.bench = Lockstep(plant, build_controller(plant.parameters, profile, control, free), profile.angle[0])
-        self.bench.advance(round(6.0 / profile.period), ARM)
+        self.bench = Lockstep(
+            plant, build_controller(plant.parameters, profile, control, free), profile.angle[0]
+        )
+        if not self.bench.arm():
+            raise DesignFailed("the robot does not come to rest at address")
         self.bench.state.control["tee"] = ball
         self.first = True
 
@@ -338,7 +367,7 @@ class _Rehearsal:
         self.first = False
         cause = Cause(int(self.bench.state.control["cause"][0]))
         if cause:
-            raise RuntimeError(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
+            raise DesignFailed(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
         return cycles
 
 
@@ -352,7 +381,7 @@ def _with_follow_through(plant: Plant, profile: Profile, control: ControlSetting
     valve[follow:] = cycles["applied_valve"][follow:]
     state, site = rehearsal.bench.plant_state[0], plant.parameters.site
     if not state["struck"]:
-        raise RuntimeError("under closed loop the head misses the ball; design with another seed")
+        raise DesignFailed("under closed loop the head misses the ball; design with another seed")
     return replace(
         profile,
         angle=angle,
@@ -423,7 +452,9 @@ def _design_blind_brake(
         considered = states if past_contact else states[1:]
 
         def cost(point: Array, considered: list[Any] = considered) -> float:
-            pattern = np.concatenate([np.clip(point[:3], -1, 1), _LONGEST_BLIND * np.clip(np.abs(point[3:]), 0, 1)])
+            pattern = np.concatenate(
+                [np.clip(point[:3], -1, 1), _LONGEST_BLIND * np.clip(np.abs(point[3:]), 0, 1)]
+            )
             total = 0.02 * float(np.sum(np.abs(point)))
             for state, command in considered:
                 trial, applied = state.copy(), command.copy()
@@ -456,7 +487,7 @@ def design_swing(
     """Return a profile that meets `demand` on the plant of `parameters`.
 
     Raises:
-        RuntimeError: the backswing trips the envelope, or no downswing reaches the ball.
+        DesignFailed: the backswing trips the envelope, or no downswing reaches the ball.
     """
     plant = build_plant(parameters)
     control = control or ControlSettings()
