@@ -44,8 +44,8 @@ ENVELOPE_PARAMETERS = np.dtype(
 """Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
 rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion
 takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest
-tick while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside and
-inside the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the
+tick while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside
+and inside the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the
 wrist."""
 
 _EMERGENCY_STOP = int(Cause.EMERGENCY_STOP)

@@ -225,7 +225,8 @@ def _envelope_record(
         record["following"][0, _FOLLOWED[name]] = errors
     for name in (
         "greatest_speed", "stop_deceleration", "stop_speed", "greatest_opening", "greatest_slew", "lost_time",
-        "greatest_gap", "least_supply", "clearance", "ball_window", "ball_clearance", "frame_radius", "least_lever",
+        "greatest_gap", "least_supply", "clearance", "ball_window", "ball_clearance", "frame_radius",
+        "least_lever",
     ):  # fmt: skip
         record[name] = getattr(settings, name)
     record["ground"], record["sole_depth"], record["ball_x"] = ground, sole_depth, profile.ball[0]
