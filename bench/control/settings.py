@@ -85,7 +85,7 @@ class ControlSettings:
     move_timeout: Positive = 6.0
     rest_band: NotNegativeTriple = (0.003, 0.002, 0.005)
     """Error at address that is left alone, rad."""
-    address_tolerance: PositiveTriple = (0.010, 0.008, 0.020)
+    address_tolerance: PositiveTriple = (0.015, 0.010, 0.020)
     """Error at address below which a swing may begin, rad."""
     strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
     """Share of head speed whose loss in the impact window says that a ball was struck."""
