@@ -1,0 +1,720 @@
+"""The deciding step against made-up readings: joints that are where the test puts them, and garbage."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nan, pi
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numba.core.runtime import _nrt_python, rtsys
+
+from bench.control.settings import ControlSettings, build_controller
+from bench.control.step import (
+    ACCEPTED,
+    ARM,
+    DISARM,
+    REFUSED,
+    RESET,
+    STOP,
+    SWING,
+    ControlState,
+    new_control_state,
+    step,
+)
+from bench.lifecycle import DISOBEYED, EMERGENCY, LOST, STOPPING, TRUSTED, Cause, Phase, Reaction
+from bench.swing.profile import PHASES, Profile
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
+from sim.compiled import new_record
+from sim.plant import PlantParameters
+
+Array = np.ndarray[Any, Any]
+
+ADDRESS = np.array([0.40, 4.30, 6.10])
+SAMPLES, SPACING = 700, 20
+BEGINS = (0, 100, 200, 300, 400, 500, 600)
+COUNTS = PlantParameters().encoders.counts_per_revolution
+QUICK = ControlSettings(precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
+GOOD = ("emergency_stop_clear", "guard_closed", "guard_locked")
+
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="plain integers do not wrap around as compiled ones do"
+)
+
+
+def still_profile() -> Profile:
+    """Return a swing that stays at the address, with blind brakes that differ from row to row."""
+    row = np.arange(SAMPLES // SPACING)[:, None]
+    blind = np.hstack([np.cos(row + [0.0, 1.0, 2.0]), 0.02 + 0.001 * (row % 7) + [[0.0, 0.01, 0.02]]])
+    return Profile(
+        "still", "", "", "", 1e-3, BEGINS, np.tile(ADDRESS, (SAMPLES, 1)), np.zeros((SAMPLES, 3)),
+        np.zeros((SAMPLES, 3)), SPACING, blind, (0.25, -1.56), 0.55,
+    )  # fmt: skip
+
+
+STILL = still_profile()
+
+
+class Puppet:
+    """The step with joints that follow its reference at once, and whatever else a test sets."""
+
+    def __init__(
+        self, profile: Profile = STILL, control: ControlSettings = QUICK, tick: float = 1e-3
+    ) -> None:
+        self.parameters = build_controller(replace(PlantParameters(), tick=tick), profile, control)
+        self.state = new_control_state()
+        self.readings, self.record, self.cycle = new_record(READINGS), new_record(COMMAND), new_record(CYCLE)
+        self.angle = ADDRESS.copy()
+        self.offset = np.zeros(3)
+        """What the joints miss of the reference."""
+        self.follows = True
+        self.time, self.period = 100.0, tick
+        r = self.readings
+        for name in GOOD:
+            r[name] = True
+        r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = 8e5, nan, 1
+
+    @property
+    def control(self) -> Any:
+        return self.state.control[0]
+
+    @property
+    def phase(self) -> Phase:
+        return Phase(int(self.control["phase"]))
+
+    @property
+    def reaction(self) -> Reaction:
+        return Reaction(int(self.control["reaction"]))
+
+    @property
+    def cause(self) -> Cause:
+        return Cause(int(self.control["cause"]))
+
+    def tick(self, request: int = 0) -> int:
+        """Run one tick and return the answer to `request`; 0 if there was none."""
+        self.time += self.period
+        r = self.readings
+        seen = self.angle + self.offset
+        r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
+        r["encoder_time"][0, r["encoder_valid"][0] != 0] = self.time
+        self.control["request"], self.control["answer"] = request, 0
+        step(self.state, self.parameters, r, self.time, self.record, self.cycle)
+        if self.follows and self.phase is not Phase.STANDING:
+            self.angle = self.control["reference"].copy()
+        return int(self.control["answer"])
+
+    def run(self, ticks: int, request: int = 0) -> Array:
+        """Run `ticks` ticks; return their openings (ticks, 3)."""
+        openings = np.zeros((ticks, 3))
+        for k in range(ticks):
+            self.tick(request if k == 0 else 0)
+            openings[k] = self.record["valve"][0]
+        return openings
+
+    def shift(self, joint: int, miss: float) -> None:
+        """Let `joint` miss the reference by `miss`, taking 0.2 s for it."""
+        for value in np.linspace(self.offset[joint], miss, 200):
+            self.offset[joint] = value
+            self.tick()
+
+    def is_without_energy(self) -> bool:
+        return unpack_command(self.record) == PASSIVE
+
+    def hold(self) -> Puppet:
+        """Go to address."""
+        self.run(10)
+        assert self.tick(ARM) == ACCEPTED
+        self.run(400)
+        assert (self.phase, self.reaction) == (Phase.HOLD, Reaction.NONE)
+        return self
+
+    def swing(self, sample: int) -> Puppet:
+        """Hold, then swing up to `sample`."""
+        self.hold()
+        assert self.tick(SWING) == ACCEPTED
+        self.run(sample)
+        assert self.control["swing_sample"] == sample
+        return self
+
+    def enter(self, phase: Phase) -> Puppet:
+        """Be in the middle of `phase`, however it came to that."""
+        if phase in PHASES and phase is not Phase.HOLD:
+            return self.swing(BEGINS[PHASES.index(phase)] + 50)
+        if phase is Phase.STANDING:
+            self.run(10)
+            return self
+        if phase is Phase.RETURN:
+            self.run(10)
+            assert self.tick(ARM) == ACCEPTED
+            self.run(60)
+        else:
+            self.hold()
+            self.control["phase"] = phase  # nothing enters HOMING yet
+            self.tick()
+        assert self.phase is phase
+        return self
+
+
+each_phase = pytest.mark.parametrize("phase", list(Phase), ids=lambda phase: phase.name)
+moving_phase = pytest.mark.parametrize("phase", list(Phase)[1:], ids=lambda phase: phase.name)
+
+
+# Power-up, arming, requests ---------------------------------------------------------------------------
+
+
+def test_power_up_is_standing_and_without_energy() -> None:
+    puppet = Puppet()
+    for _ in range(20):
+        puppet.tick()
+        assert (puppet.phase, puppet.reaction, puppet.cause) == (Phase.STANDING, 0, 0)
+        assert puppet.is_without_energy()
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_arming_needs_every_interlock(name: str) -> None:
+    puppet = Puppet()
+    puppet.run(10)
+    puppet.readings[name] = False
+    assert puppet.tick(ARM) == REFUSED
+    assert puppet.is_without_energy()
+    puppet.readings[name] = True
+    puppet.run(5)
+    assert puppet.phase is Phase.STANDING  # a refused request is forgotten
+    assert puppet.tick(ARM) == ACCEPTED
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_arming_needs_every_encoder(joint: int) -> None:
+    puppet = Puppet()
+    puppet.readings["encoder_valid"][0, joint] = 0
+    puppet.run(10)
+    assert puppet.tick(ARM) == REFUSED
+    puppet.readings["encoder_valid"] = 1
+    puppet.run(2)
+    assert puppet.tick(ARM) == ACCEPTED
+
+
+def test_arming_holds_the_pose_it_finds() -> None:
+    puppet = Puppet()
+    puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
+    puppet.run(50)
+    found = puppet.state.estimator["angle"][0].copy()
+    puppet.tick(ARM)
+    assert puppet.control["reference"] == pytest.approx(found, abs=1e-4)
+    assert puppet.control["reference_velocity"] == pytest.approx(0.0)
+    assert np.abs(puppet.state.pid["output"][0]).max() < 0.01
+    assert np.abs(puppet.record["valve"]).max() <= QUICK.precharge_opening + 0.01
+    assert puppet.record["supply_enable"][0]
+
+
+def test_charging_swings_the_spools_around_their_centre() -> None:
+    puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
+    puppet.run(10)
+    openings = puppet.run(400, ARM)
+    assert np.abs(openings.mean(axis=0)).max() < 0.01
+    assert np.abs(openings[1:]).min() > 0.14  # the slew limit's
+    assert np.ptp(openings) < 0.52
+
+
+def test_charging_is_watched_but_for_the_supply() -> None:
+    puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
+    puppet.readings["supply_pressure"] = 1e5
+    puppet.run(10)
+    puppet.run(200, ARM)
+    assert puppet.reaction is Reaction.NONE
+    puppet.run(250)
+    assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.SUPPLY_PRESSURE)
+
+    puppet = Puppet(control=replace(QUICK, precharge_time=0.6))
+    puppet.run(10)
+    puppet.tick(ARM)
+    for _ in range(250):  # a valve stuck open drives the shoulder away
+        puppet.offset[0] -= 0.002
+        puppet.tick()
+    assert (puppet.reaction, puppet.cause) == (Reaction.PASSIVE, Cause.SHOULDER_FOLLOWING)
+
+
+def test_the_way_to_address_is_smooth_and_no_faster_than_allowed() -> None:
+    puppet = Puppet()
+    puppet.angle = ADDRESS + [-0.3, 0.1, -0.4]
+    puppet.run(10)
+    puppet.tick(ARM)
+    references = []
+    for _ in range(900):
+        puppet.tick()
+        references.append(puppet.control["reference"].copy())
+    assert puppet.phase is Phase.HOLD
+    speed = np.abs(np.diff(references, axis=0)) / 1e-3
+    assert (speed.max(axis=0) <= np.array(QUICK.move_speed) * (1 + 1e-6)).all()
+    assert np.abs(np.diff(speed, axis=0)).max() < 0.05
+
+
+def test_an_address_that_is_not_reached_ends_the_move() -> None:
+    puppet = Puppet()
+    puppet.run(10)
+    puppet.tick(ARM)
+    puppet.shift(0, 0.06)
+    puppet.run(300)
+    assert (puppet.phase, puppet.reaction) == (Phase.RETURN, Reaction.NONE)
+    puppet.run(60)
+    assert puppet.cause is Cause.ADDRESS_TIMEOUT
+    puppet.run(200)
+    assert (puppet.phase, puppet.reaction) == (Phase.STANDING, Reaction.VENT)
+
+
+@each_phase
+def test_a_swing_begins_only_from_the_hold(phase: Phase) -> None:
+    puppet = Puppet().enter(phase)
+    assert puppet.tick(SWING) == (ACCEPTED if phase is Phase.HOLD else REFUSED)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_swing_begins_only_at_the_address(joint: int) -> None:
+    puppet = Puppet().hold()
+    tolerance = QUICK.address_tolerance[joint]
+    for miss, answer in ((1.1, REFUSED), (-1.1, REFUSED), (0.9, ACCEPTED)):
+        puppet.shift(joint, miss * tolerance)
+        puppet.run(100)
+        assert puppet.tick(SWING) == answer
+
+
+def test_a_swing_begins_only_at_rest() -> None:
+    puppet = Puppet().hold()
+    for _ in range(20):
+        puppet.offset[2] += 0.0012  # 1.2 rad/s
+        puppet.tick()
+    assert puppet.tick(SWING) == REFUSED
+    puppet.offset[2] = 0.0
+    puppet.run(100)
+    assert puppet.tick(SWING) == ACCEPTED
+
+
+def test_a_swing_begins_without_a_bump() -> None:
+    profile = replace(STILL, valve=np.full((SAMPLES, 3), 0.2))
+    puppet = Puppet(profile).hold()
+    for joint, miss in enumerate((0.01, -0.01, 0.02)):
+        puppet.shift(joint, miss)
+    before = puppet.run(300)[-1]
+    assert np.abs(before).min() > 0.001
+    puppet.tick(SWING)
+    assert puppet.record["valve"][0] == pytest.approx(before, abs=2e-3)
+
+
+@each_phase
+def test_disarming_is_for_a_quiet_hold(phase: Phase) -> None:
+    puppet = Puppet().enter(phase)
+    assert puppet.tick(DISARM) == (ACCEPTED if phase is Phase.HOLD else REFUSED)
+    if phase is Phase.HOLD:
+        assert (puppet.phase, puppet.is_without_energy()) == (Phase.STANDING, True)
+
+
+def test_disarming_does_not_cut_a_brake_short() -> None:
+    puppet = Puppet().hold()
+    puppet.readings["guard_closed"] = False
+    puppet.tick()
+    assert puppet.reaction is Reaction.BRAKE
+    assert puppet.tick(DISARM) == REFUSED
+    assert puppet.reaction is Reaction.BRAKE
+
+
+@each_phase
+def test_a_stop_is_always_accepted(phase: Phase) -> None:
+    puppet = Puppet().enter(phase)
+    assert puppet.tick(STOP) == ACCEPTED
+    assert puppet.tick(STOP) == ACCEPTED
+    assert puppet.cause is (Cause.NONE if phase is Phase.STANDING else Cause.OPERATOR_STOP)
+    puppet.readings["encoder_valid"] = 0
+    puppet.run(20)
+    assert puppet.tick(STOP) == ACCEPTED
+
+
+@each_phase
+@pytest.mark.parametrize("request_", [*range(1, 9), 255])
+def test_every_request_is_answered_once(phase: Phase, request_: int) -> None:
+    puppet = Puppet().enter(phase)
+    answer = puppet.tick(request_)
+    assert answer in {ACCEPTED, REFUSED}
+    assert puppet.tick() == 0
+    if request_ > STOP:
+        assert answer == REFUSED
+
+
+# The profile ------------------------------------------------------------------------------------------
+
+
+def curved(period: float = 1e-3) -> Profile:
+    """Return a slow swing whose tables are no straight lines."""
+    part = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    swell = np.sin(pi * part) ** 2 * [-0.2, -0.05, -0.1]
+    velocity = np.gradient(swell, period, axis=0)
+    return replace(STILL, period=period, angle=ADDRESS + swell, velocity=velocity, valve=0.1 * velocity)
+
+
+@pytest.mark.parametrize("tick", [1e-3, 5e-4, 1 / 3000, 1 / 700], ids=["1 kHz", "2 kHz", "3 kHz", "700 Hz"])
+def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
+    profile = curved()
+    puppet = Puppet(profile, replace(QUICK, damping=(0.0, 0.0, 0.0)), tick)
+    puppet.run(10)
+    puppet.tick(ARM)
+    puppet.run(round(0.5 / tick))
+    puppet.tick(SWING)
+    start = puppet.time
+    table = np.arange(SAMPLES)
+    while True:
+        at = (puppet.time - start) / profile.period
+        if at >= SAMPLES - 1 - 1e-6:
+            break
+        assert puppet.control["swing_sample"] == int(at + 1e-6)
+        assert puppet.phase is profile.phase_of(int(at + 1e-6))
+        for name, values in (
+            ("reference", profile.angle),
+            ("reference_velocity", profile.velocity),
+            *((("feed_forward", profile.valve),) if puppet.phase is not Phase.FOLLOW_THROUGH else ()),
+        ):
+            expected = [np.interp(at, table, values[:, i]) for i in range(3)]
+            assert puppet.control[name] == pytest.approx(np.array(expected), abs=1e-6)
+        puppet.tick()
+        assert puppet.reaction is Reaction.NONE
+    assert puppet.phase is Phase.RETURN
+
+
+def test_after_a_swing_the_robot_returns_and_holds() -> None:
+    puppet = Puppet().swing(SAMPLES - 2)
+    puppet.tick()
+    assert (puppet.phase, bool(puppet.control["swinging"])) == (Phase.RETURN, False)
+    puppet.run(400)
+    assert (puppet.phase, puppet.cause) == (Phase.HOLD, Cause.NONE)
+    assert puppet.tick(SWING) == ACCEPTED
+    assert puppet.control["swings"] == 2
+
+
+@pytest.mark.parametrize("back", [0.001, 0.1, 10.0, 1e6])
+def test_a_clock_that_runs_backwards_stops_the_swing_within_the_tables(back: float) -> None:
+    puppet = Puppet().swing(250)
+    puppet.time -= back + puppet.period
+    puppet.tick()
+    assert 0 <= puppet.control["swing_sample"] <= 250
+    assert puppet.reaction is not Reaction.NONE
+    assert np.isfinite(puppet.control["reference"]).all()
+
+
+# The stopping table -----------------------------------------------------------------------------------
+
+
+def _guard(puppet: Puppet) -> None:
+    puppet.readings["guard_closed"] = False
+
+
+def _lost(puppet: Puppet) -> None:
+    puppet.readings["encoder_valid"][0, 1] = 0
+
+
+def _emergency(puppet: Puppet) -> None:
+    puppet.readings["emergency_stop_clear"] = False
+
+
+def _disobeyed(puppet: Puppet) -> None:
+    puppet.parameters.envelope["following"][0, :, 2] = -1.0
+
+
+PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
+    TRUSTED: (_guard, Cause.GUARD),
+    LOST: (_lost, Cause.ARM_ENCODER),
+    EMERGENCY: (_emergency, Cause.EMERGENCY_STOP),
+    DISOBEYED: (_disobeyed, Cause.WRIST_FOLLOWING),
+}
+
+
+@moving_phase
+@pytest.mark.parametrize("column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed"])
+def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
+    puppet = Puppet().enter(phase)
+    provoke, cause = PROVOKED[column]
+    provoke(puppet)
+    puppet.run(5 if column == LOST else 1)
+    if phase is Phase.IMPACT and column == DISOBEYED:
+        assert puppet.reaction is Reaction.NONE  # the blow's jump is in nobody's reference
+        return
+    assert puppet.reaction is STOPPING[phase][column]
+    assert puppet.cause is cause
+    assert puppet.control["latest_cause"] == cause
+    assert (puppet.cycle["trip"][0], puppet.cycle["reaction"][0]) == (cause, puppet.reaction)
+    for _ in range(3000):
+        puppet.tick()
+        if puppet.phase is Phase.STANDING:
+            break
+    else:
+        pytest.fail("the stop has no end")
+    assert puppet.reaction is Reaction.VENT
+    assert puppet.is_without_energy()
+    assert puppet.cause is cause
+
+
+@moving_phase
+@pytest.mark.parametrize("column", [TRUSTED, LOST, EMERGENCY])
+def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
+    puppet = Puppet().enter(phase)
+    PROVOKED[column][0](puppet)
+    puppet.run(1500)
+    assert puppet.phase is Phase.STANDING
+    assert puppet.tick(RESET) == REFUSED  # its cause still stands
+    for name in (*GOOD, "encoder_valid"):
+        puppet.readings[name] = 1
+    puppet.control["tee"] = True
+    for _ in range(100):
+        puppet.tick()
+        assert puppet.is_without_energy()
+    for request in (ARM, SWING, DISARM):
+        assert puppet.tick(request) == REFUSED
+    assert puppet.tick(RESET) == ACCEPTED
+    assert (puppet.cause, puppet.reaction) == (Cause.NONE, Reaction.NONE)
+    for _ in range(100):
+        puppet.tick()
+        assert puppet.is_without_energy()
+    assert puppet.tick(ARM) == ACCEPTED
+    assert not puppet.record["tee"][0]
+    puppet.run(400)
+    assert puppet.control["phase"] == Phase.HOLD
+
+
+@moving_phase
+def test_a_stop_under_way_is_not_reset(phase: Phase) -> None:
+    puppet = Puppet().enter(phase)
+    puppet.tick(STOP)
+    before = puppet.reaction
+    assert puppet.tick(RESET) == REFUSED
+    assert puppet.tick(ARM) == REFUSED
+    assert puppet.reaction is before
+
+
+def test_the_first_cause_is_kept_and_only_severity_goes_up() -> None:
+    puppet = Puppet().enter(Phase.COMMITTED)
+    _guard(puppet)
+    puppet.tick()
+    assert (puppet.reaction, puppet.cause) == (Reaction.COMPLETE, Cause.GUARD)
+    _emergency(puppet)
+    puppet.tick()
+    assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.GUARD)
+    assert puppet.control["latest_cause"] == Cause.EMERGENCY_STOP
+    puppet.readings["emergency_stop_clear"] = True
+    _lost(puppet)
+    puppet.run(5)
+    assert (puppet.reaction, puppet.cause) == (Reaction.BLIND_BRAKE, Cause.GUARD)
+    puppet.readings["encoder_valid"] = 1
+    puppet.run(10)
+    assert puppet.reaction is Reaction.BLIND_BRAKE
+
+
+def test_a_swing_that_completes_is_not_followed_by_a_return() -> None:
+    puppet = Puppet().enter(Phase.FOLLOW_THROUGH)
+    puppet.tick(STOP)
+    assert puppet.reaction is Reaction.COMPLETE
+    puppet.run(47)
+    assert puppet.control["swinging"]
+    puppet.run(5)
+    assert (puppet.reaction, bool(puppet.control["swinging"])) == (Reaction.BRAKE, False)
+    puppet.run(60)
+    assert (puppet.phase, puppet.reaction) == (Phase.STANDING, Reaction.VENT)
+    assert puppet.cause is Cause.OPERATOR_STOP
+
+
+def test_a_table_may_ask_to_vent_at_once() -> None:
+    puppet = Puppet().enter(Phase.BACKSWING)
+    puppet.parameters.control["reactions"][0, Phase.BACKSWING, EMERGENCY] = Reaction.VENT
+    _emergency(puppet)
+    puppet.tick()
+    assert (puppet.phase, puppet.reaction) == (Phase.STANDING, Reaction.VENT)
+    assert puppet.is_without_energy()
+
+
+# The reactions ----------------------------------------------------------------------------------------
+
+
+def test_a_brake_works_against_the_motion_until_it_rests() -> None:
+    puppet = Puppet().swing(250)
+    puppet.follows = False
+    velocity = np.array([-1.0, 0.4, -1.5])
+    for _ in range(40):
+        puppet.angle = puppet.angle + velocity * 1e-3
+        puppet.tick(STOP if puppet.reaction is Reaction.NONE else 0)
+    assert puppet.reaction is Reaction.BRAKE
+    assert (puppet.record["valve"][0] * velocity < 0).all()
+    assert puppet.record["supply_enable"][0]
+    assert puppet.record["exhaust_closed"][0]
+    puppet.run(200)
+    assert puppet.phase is Phase.STANDING
+
+
+def test_a_brake_has_an_end_also_without_rest() -> None:
+    puppet = Puppet(control=replace(QUICK, brake_time=0.3)).swing(250)
+    puppet.follows = False
+    puppet.tick(STOP)
+    for k in range(305):
+        assert (puppet.phase is Phase.STANDING) == (k >= 300)
+        puppet.offset[2] = 0.02 * np.sin(0.2 * k)
+        puppet.tick()
+    assert puppet.is_without_energy()
+
+
+def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
+    """Lose all readings after `sample` amid garbage; return pattern's row, desired and applied openings."""
+    puppet = Puppet()
+    if sample:
+        puppet.swing(sample)
+    else:
+        puppet.hold().tick(SWING)
+    chance = np.random.default_rng(seed)
+    puppet.state.estimator["without_sample"] = inf
+    puppet.readings["encoder_valid"] = 0
+    desired, applied = np.zeros((250, 3)), np.zeros((250, 3))
+    for k in range(250):
+        puppet.angle = chance.uniform(-3, 3, 3)
+        for name in GOOD:
+            puppet.readings[name] = chance.random() < 0.5
+        puppet.readings["supply_pressure"] = chance.choice([nan, inf, 0.0, -1e9])
+        puppet.tick()
+        desired[k], applied[k] = puppet.control["desired"], puppet.record["valve"][0]
+        if k == 0:
+            assert puppet.reaction is Reaction.BLIND_BRAKE
+            assert puppet.control["blind_row"] == puppet.control["swing_sample"] // SPACING
+    assert puppet.phase is Phase.STANDING
+    return int(puppet.control["blind_row"]), desired, applied
+
+
+@pytest.mark.parametrize("sample", [0, 19, 20, 333, 610, SAMPLES - 3])
+def test_a_blind_brake_is_its_pattern_by_time_alone(sample: int) -> None:
+    row, desired, applied = braked_blindly(sample, seed=0)
+    _, _, again = braked_blindly(sample, seed=1)
+    assert np.array_equal(applied, again)
+    opening, duration = np.hsplit(STILL.blind_brake[row], 2)
+    since = np.arange(250)[:, None] * 1e-3
+    expected = np.where(since < duration, opening, 0.0)
+    edge = np.abs(since - duration) < 1.5e-3
+    assert np.where(edge, 0.0, desired - expected) == pytest.approx(0.0)
+    ended = duration.max() + QUICK.blind_settle
+    assert not applied[round(ended * 1000) + 2 :].any()
+
+
+def test_a_blind_brake_outside_a_swing_centres_the_spools() -> None:
+    puppet = Puppet().hold()
+    puppet.readings["encoder_valid"] = 0
+    openings = puppet.run(300)
+    assert puppet.cause is Cause.SHOULDER_ENCODER
+    assert puppet.phase is Phase.STANDING
+    assert not openings[10:].any()
+
+
+def test_passive_is_what_a_silent_bench_leaves() -> None:
+    puppet = Puppet().enter(Phase.TOP)
+    puppet.follows = False
+    _disobeyed(puppet)
+    for k in range(300):
+        puppet.offset[0] = 0.02 * np.sin(0.2 * k)
+        puppet.tick()
+        assert puppet.is_without_energy()
+        assert puppet.reaction is Reaction.PASSIVE
+    puppet.run(150)
+    assert (puppet.phase, puppet.reaction) == (Phase.STANDING, Reaction.VENT)
+    assert puppet.is_without_energy()
+
+
+# Anything at all --------------------------------------------------------------------------------------
+
+whole = st.integers(-(2**63), 2**63 - 1) | st.integers(0, COUNTS)
+number = st.floats() | st.floats(-10.0, 10.0)
+flag = st.booleans()
+anything = st.fixed_dictionaries(
+    {
+        "encoder_count": st.tuples(whole, whole, whole),
+        "encoder_valid": st.tuples(*[st.integers(0, 255)] * 3),
+        "encoder_age": st.tuples(number, number, number),
+        "supply_pressure": number,
+        "local_reset": flag,
+        "ball_present": flag,
+        "chamber_pressure": st.tuples(*[number] * 6),
+        **dict.fromkeys(GOOD, flag | st.just(True)),
+    }
+)
+lag = st.sampled_from([0.0, 0.0005, -0.001, 0.004, nan, inf]) | number
+dt = (
+    st.sampled_from([1e-3, 1e-3, 5e-4, 0.0, -1e-3, -0.5, 0.02, 3.0, -1e6, 1e300, nan, inf, -inf])
+    | st.floats()
+)
+
+
+def copied(state: ControlState) -> ControlState:
+    return ControlState(*(record.copy() for record in state))
+
+
+@pytest.fixture(scope="module")
+def puppets() -> dict[Phase, Puppet]:
+    return {phase: Puppet().enter(phase) for phase in Phase}
+
+
+@compiled_only
+@given(
+    phase=st.sampled_from(Phase),
+    ticks=st.lists(
+        st.tuples(dt, anything | st.none(), st.tuples(lag, lag, lag), st.integers(0, 6)),
+        min_size=1, max_size=25,
+    ),
+)  # fmt: skip
+def test_any_readings_at_any_time_give_a_bounded_command(
+    puppets: dict[Phase, Puppet],
+    phase: Phase,
+    ticks: list[tuple[float, dict[str, Any] | None, tuple[float, float, float], int]],
+) -> None:
+    puppet = puppets[phase]
+    state, good, time = copied(puppet.state), puppet.readings.copy(), puppet.time
+    greatest = float(puppet.parameters.envelope["greatest_opening"][0])
+    command, cycle = new_record(COMMAND), new_record(CYCLE)
+    for interval, changes, lags, request in ticks:
+        time += interval
+        readings = good.copy()
+        readings["time"], readings["encoder_time"] = time, time
+        if changes is not None:
+            readings["encoder_time"] = [time - late for late in lags]
+            for name, value in changes.items():
+                readings[name] = value
+        state.control["request"] = request
+        step(state, puppet.parameters, readings, time, command, cycle)
+        s, c = state.control[0], command[0]
+        assert np.isfinite(c["valve"]).all()
+        assert np.abs(c["valve"]).max() <= greatest
+        assert np.array_equal(c["valve"], s["applied"])
+        assert s["phase"] in set(Phase)
+        assert s["reaction"] in set(Reaction)
+        assert s["cause"] in set(Cause)
+        assert 0 <= s["swing_sample"] < SAMPLES
+        assert -1 <= s["blind_row"] < len(STILL.blind_brake)
+        if s["phase"] == Phase.STANDING or s["reaction"] >= Reaction.PASSIVE:
+            assert unpack_command(command) == PASSIVE
+        assert c["guard_lock"]
+
+
+@compiled_only
+def test_a_tick_leaves_no_memory_behind() -> None:
+    puppet = Puppet().swing(250)
+    given_ = (puppet.state, puppet.parameters, puppet.readings, puppet.time, puppet.record, puppet.cycle)
+    step(*given_)
+    _nrt_python.memsys_enable_stats()
+    tracemalloc.start()
+    try:
+        before, held = rtsys.get_allocation_stats(), tracemalloc.get_traced_memory()[0]
+        for request in (0, STOP, SWING, ARM, RESET) * 100:
+            puppet.state.control["request"] = request
+            step(*given_)
+        after, holding = rtsys.get_allocation_stats(), tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+        _nrt_python.memsys_disable_stats()
+    assert after.alloc - before.alloc == after.free - before.free
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free
+    assert holding - held < 4096
