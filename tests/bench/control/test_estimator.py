@@ -16,7 +16,14 @@ from bench.control.estimator import (
     design_estimator,
     estimate,
 )
+from bench.control.settings import build_controller
+from bench.control.step import SWING
+from bench.lifecycle import Phase
+from bench.lockstep import Lockstep
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from sim.compiled import new_record
+from sim.plant import PlantParameters, build_plant
 
 PERIOD = 1e-3
 COUNTS = 2**16
@@ -126,6 +133,25 @@ def test_equals_filterpy_over_a_swing_with_drop_outs_and_an_impact(swing: Callab
     dt = np.full(len(s.time), PERIOD)
     age = np.zeros(s.angle.shape)
     assert_equal_to_filterpy(sampled(s.angle), age, valid, dt, in_window(s.time))
+
+
+def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
+    profile = load_profile(find_profile("default"))
+    parameters = PlantParameters()
+    bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
+    assert bench.arm()
+    bench.state.control["tee"] = True
+    cycles = bench.advance(len(profile.angle), SWING)
+    assert bench.plant_state["struck"][0]
+    counts = cycles["encoder_count"]
+    # Continuous angles from absolute counts, as the records hold them.
+    angle = np.unwrap(counts * (2 * np.pi / parameters.encoders.counts_per_revolution), axis=0)
+    valid = (np.random.default_rng(7).random(angle.shape) > 0.05).astype("u1")
+    impact = profile.begins[-2]
+    valid[400:430, 0] = 0
+    valid[impact + 1 : impact + 7, 2] = 0  # lost over the impact
+    window = cycles["phase"] == Phase.IMPACT
+    assert_equal_to_filterpy(angle, cycles["encoder_age"].copy(), valid, np.full(len(angle), PERIOD), window)
 
 
 def test_equals_filterpy_with_measured_ticks_and_aged_samples(swing: Callable[..., Any]) -> None:
