@@ -16,7 +16,7 @@ import numpy as np
 from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
-from bench.control.pid import PID_STATE, control, match_output, reset_integral
+from bench.control.pid import PID_STATE, control, reset_integral
 from bench.lifecycle import DISOBEYED, EMERGENCY, LOST, TRUSTED, Cause, Phase, Reaction
 from sim.compiled import compiled, new_record
 from sim.kinematics import head_motion
@@ -246,10 +246,7 @@ def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, t
             s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
             s.swings += 1
             _profile_at(parameters, s, time)
-            match_output(
-                state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity,
-                s.feed_forward, s.desired,
-            )  # fmt: skip
+            # The integrals go on: the output of this tick also holds the damping term's noise.
     elif request == DISARM and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
         s.answer = ACCEPTED
         s.phase = _STANDING
