@@ -1,0 +1,127 @@
+"""The shipped swing, stopped on the plant: at rest, stops and chambers below their ratings, its cause told.
+
+Tried at some instants only; `golfbench swing check` tries all, and shows which valves stuck open end above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.settings import build_controller
+from bench.control.step import ACCEPTED, RESET, SWING
+from bench.lifecycle import Cause, Phase, Reaction
+from bench.lockstep import Lockstep
+from bench.swing.check import FAULTS, Outcome, SwingCheck
+from bench.swing.profile import Profile
+from sim.plant import PlantParameters, build_plant
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+SPACING = 101
+"""Ticks between the instants that are tried."""
+FAULT = {fault.name: fault for fault in FAULTS}
+
+StoppedAt = Callable[[str], list[Outcome]]
+
+
+@pytest.fixture(scope="module")
+def stopped(default_profile: Profile) -> StoppedAt:
+    """Return how a fault, by its name, ends from each instant."""
+    check = SwingCheck(PlantParameters(), default_profile)
+    return lambda name: check.outcomes((FAULT[name],), SPACING)
+
+
+def test_the_instants_lie_in_all_parts_of_the_swing(default_profile: Profile) -> None:
+    phases = {default_profile.phase_of(tick) for tick in range(0, len(default_profile.angle), SPACING)}
+    assert phases >= {
+        Phase.HOLD,
+        Phase.BACKSWING,
+        Phase.TOP,
+        Phase.DOWNSWING,
+        Phase.COMMITTED,
+        Phase.FOLLOW_THROUGH,
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("none", Cause.NONE),
+        ("no ball", Cause.NONE),
+        ("operator stop", Cause.OPERATOR_STOP),
+        ("emergency stop", Cause.EMERGENCY_STOP),
+        ("emergency stop, no ball", Cause.EMERGENCY_STOP),
+        ("encoders lost", Cause.SHOULDER_ENCODER),
+        ("encoders lost, no ball", Cause.SHOULDER_ENCODER),
+    ],
+)
+def test_stops_end_at_rest_within_the_ratings(stopped: StoppedAt, name: str, cause: Cause) -> None:
+    outcomes = stopped(name)
+    assert [outcome.unsafe for outcome in outcomes if outcome.unsafe] == []
+    assert {outcome.cause for outcome in outcomes} == {cause}
+
+
+@pytest.mark.parametrize(
+    "name", ["shoulder valve stuck shut", "arm valve stuck shut", "wrist valve stuck shut"]
+)
+def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> None:
+    outcomes = stopped(name)
+    assert max(outcome.stop_share for outcome in outcomes) <= 1.0
+    assert max(outcome.pressure_share for outcome in outcomes) <= 1.0
+    own = Cause[f"{name.partition(" ")[0].upper()}_FOLLOWING"]
+    assert [outcome.cause for outcome in outcomes if outcome.phase < Phase.DOWNSWING].count(own) > 5
+
+
+@pytest.fixture
+def swinging(default_profile: Profile) -> Lockstep:
+    """Return a bench after the first tick of the shipped swing at a ball."""
+    parameters = PlantParameters()
+    controller = build_controller(parameters, default_profile)
+    bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
+    assert bench.arm()
+    bench.state.control["tee"] = True
+    bench.advance(1, SWING)
+    assert bench.state.control["answer"][0] == ACCEPTED
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("phase", "reaction"),
+    [
+        (Phase.BACKSWING, Reaction.BRAKE),
+        (Phase.DOWNSWING, Reaction.BRAKE),
+        (Phase.COMMITTED, Reaction.BRAKE),
+        (Phase.FOLLOW_THROUGH, Reaction.COMPLETE),
+    ],
+)
+def test_the_record_tells_an_emergency_stop(
+    swinging: Lockstep, default_profile: Profile, phase: Phase, reaction: Reaction
+) -> None:
+    bench = swinging
+    begins = int(np.flatnonzero(default_profile.phases == phase)[0])
+    bench.advance(begins + 30)
+    bench.plant_state["emergency_stop_clear"] = False
+    cycles = bench.advance(4000)
+    assert cycles["phase"][0] == phase
+    assert (cycles["reaction"][0], cycles["trip"][0]) == (reaction, Cause.EMERGENCY_STOP)
+    assert (cycles["trip"] == Cause.EMERGENCY_STOP).all()
+    assert not cycles["emergency_stop_clear"].any()
+    assert (cycles["phase"][-1], cycles["reaction"][-1]) == (Phase.STANDING, Reaction.VENT)
+    standing = cycles["phase"] == Phase.STANDING
+    for name in ("applied_valve", "supply_enable", "exhaust_closed", "beacon", "tee"):
+        assert not cycles[name][standing].any()
+    assert np.diff(standing.astype(int)).min() == 0  # once standing, it stands
+    # With air on until nothing moves; the air is let out at standstill.
+    last = int(np.flatnonzero(~standing)[-1])
+    assert cycles["supply_enable"][: last + 1].all()
+    bench.plant_state["emergency_stop_clear"] = True
+    assert not bench.advance(500)["supply_enable"].any()
+    bench.advance(1, RESET)
+    assert bench.state.control["answer"][0] == ACCEPTED
+    assert not bench.advance(500)["supply_enable"].any()
