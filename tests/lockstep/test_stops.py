@@ -74,7 +74,7 @@ def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> 
     outcomes = stopped(name)
     assert max(outcome.stop_share for outcome in outcomes) <= 1.0
     assert max(outcome.pressure_share for outcome in outcomes) <= 1.0
-    own = Cause[f"{name.partition(" ")[0].upper()}_FOLLOWING"]
+    own = Cause[f"{name.partition(' ')[0].upper()}_FOLLOWING"]
     assert [outcome.cause for outcome in outcomes if outcome.phase < Phase.DOWNSWING].count(own) > 5
 
 
