@@ -80,7 +80,7 @@ class Site:
     sole_depth: Annotated[float, Range(0.0, 0.2, "m")] = 0.03
     """How far the head reaches below its face centre (m)."""
     ball_x: Annotated[float, Range(-1.5, 1.5, "m")] = 0.25
-    ball_y: Annotated[float, Range(-3.0, 0.0, "m")] = -1.565
+    ball_y: Annotated[float, Range(-3.0, 0.0, "m")] = -1.560
     """Centre of the ball on its tee."""
     ground_stiffness: Annotated[float, Range(1e3, 1e8, "N/m")] = 2.0e5
     """N/m."""

@@ -133,7 +133,7 @@ def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Arr
     begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
     return Profile(
         "sketch", "", "", "", period, begins, angle, velocity, velocity * gain, 20,
-        np.zeros((len(angle) // 20 + 1, 6)), (0.25, -1.565), n * period,
+        np.zeros((len(angle) // 20 + 1, 6)), (0.25, -1.560), n * period,
     )  # fmt: skip
 
 
