@@ -174,7 +174,7 @@ def run_demo(
     files = Files.within(_new_folder(output, configuration, begin))
     setup, records = series.setup(), list[ShotRecord]()
     with Screen(series.words, swings) as screen:
-        screen.say("compiling the model, the first time only, and arming")
+        screen.say("arming (the first time the model is compiled: half a minute)")
         list(simulate_swings(series.bench(1), []))
         files.swings.mkdir(parents=True, exist_ok=True)
         with deferred_interrupt() as asked:

@@ -150,11 +150,11 @@ def _way_to_open(path: Path) -> str:
     """Return the file's path with what opens it."""
     match path.suffix:
         case ".html":
-            return f"report     {path}   (any browser)"
+            return f"report     {path}   (opens in any browser)"
         case ".rrd":
             rerun = Path(sys.executable).with_name("rerun")
             shown = os.path.relpath(rerun) if rerun.is_relative_to(Path.cwd()) else rerun
-            return f"recording  {path}   ({shown} {path})"
+            return f"recording  {path}\n           opens with: {shown} {path}"
         case ".csv":
             return f"shots      {path}"
         case _:

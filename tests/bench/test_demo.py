@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
@@ -21,6 +22,7 @@ from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.demo import plan_series, run_demo
 from bench.errors import BenchError, ExitCode
+from bench.simulate import simulate_swing
 from bench.swing.library import find_profile
 from bench.telemetry.recorder import read_swing
 
@@ -102,6 +104,14 @@ def test_the_seed_repeats_the_shots_and_another_one_does_not(
         assert name.split("/")[0] in text
     one, other = (plan_series(configuration, 2, seed, "compiled").bench(1).plant for seed in (1, 2))
     assert one.supply.pressure != other.supply.pressure
+
+
+def test_small_differences_stay_small() -> None:
+    series = plan_series(load_configuration(), 6, 5, "compiled")
+    results = [simulate_swing(series.bench(number)) for number in range(1, 7)]
+    assert [result.reason for result in results] == [""] * 6
+    speeds = [result.delivery.speed for result in results if result.delivery is not None]
+    assert np.std(speeds) < 0.015 * np.mean(speeds)
 
 
 def test_a_tripped_swing_is_a_shot_with_its_reason_and_the_last(
