@@ -444,7 +444,7 @@ def step(
             _react(state, parameters, interlock, EMERGENCY if interlock == _E_STOP_CAUSE else TRUSTED, time)
         elif asked != 0:
             _react(state, parameters, asked, TRUSTED, time)
-        elif s.reaction == _NONE:
+        elif s.reaction <= _COMPLETE:
             broken = motion_cause(
                 parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
                 measured_step, _charging(s, time),

@@ -28,6 +28,9 @@ _TOUCH = 0.005
 """Depth (m) to which the ground may be pressed: a club that sinks to the ground while the air leaves touches
 it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
 
+_LONG_STILL = 1.5  # s
+_STANDING = int(Phase.STANDING)
+
 FAULT = np.dtype(
     [
         ("emergency_stop", "?"),
@@ -146,6 +149,10 @@ def run_fault(
         for i in range(3):
             if not abs(plant_state[0].speed[i]) <= still:
                 rest = (k + 1) * period
+        # Standing still without energy for long enough: nothing more will come.
+        standing = f.silent or state.control[0].phase == _STANDING
+        if standing and (k + 1) * period - rest > _LONG_STILL:
+            break
     return rest
 
 
@@ -168,7 +175,7 @@ class SwingCheck:
         self.plant: Plant = build_plant(parameters)
         self.profile = profile
         self.parameters = build_controller(parameters, profile, control, envelope, estimator)
-        self.watched = round(4.5 / parameters.tick)
+        self.watched = round(8.0 / parameters.tick)
 
     def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, Lockstep]]:
         """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""

@@ -39,6 +39,8 @@ def run(
     save_profile(tmp_path / "wrong.toml", replace(slow_swing, club="putter", limits={}))
     (tmp_path / "mine.toml").write_text(
         'base = "shipped"\n[swing]\nprofile = "slow"\n[bench]\ndata_dir = "here"\n'
+        # Deeper ground: this swing's address hangs lower than a real one's.
+        "[plant.site]\nground = -1.8\n"
     )
     (tmp_path / "bad.toml").write_text('base = "shipped"\n[plant]\nwrist_levr = 0.06\n[air]\nhumid = 1\n')
 
