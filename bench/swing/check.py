@@ -29,6 +29,8 @@ _TOUCH = 0.005
 it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
 
 _LONG_STILL = 1.5  # s
+_WATCHED = 14.0
+"""How long a stop is watched (s): a raised arm sinks slowly on the air that its throttled vents let go."""
 _STANDING = int(Phase.STANDING)
 
 FAULT = np.dtype(
@@ -175,7 +177,7 @@ class SwingCheck:
         self.plant: Plant = build_plant(parameters)
         self.profile = profile
         self.parameters = build_controller(parameters, profile, control, envelope, estimator)
-        self.watched = round(8.0 / parameters.tick)
+        self.watched = round(_WATCHED / parameters.tick)
 
     def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, Lockstep]]:
         """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""
