@@ -17,7 +17,6 @@ from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import Phase, reaction_table
 from bench.swing.profile import Profile
 from sim.compiled import new_record
-from sim.kinematics import right_arm_length
 from sim.plant import PlantParameters
 
 Positive = Annotated[float, Gt(0)]
@@ -158,7 +157,7 @@ def build_controller(
     """
     control, envelope = control or ControlSettings(), envelope or EnvelopeSettings()
     estimator = estimator or EstimatorSettings()
-    robot, site, counts = plant.robot, plant.site, plant.encoders.counts_per_revolution
+    robot, counts = plant.robot, plant.encoders.counts_per_revolution
     return ControlParameters(
         control=_control_record(control),
         encoder=design_encoders(
@@ -182,7 +181,7 @@ def build_controller(
             lowest=(-1.0,) * 3,
             highest=(1.0,) * 3,
         ),
-        envelope=_envelope_record(envelope, plant, profile, site.ground, site.sole_depth),
+        envelope=_envelope_record(envelope, plant, profile),
         robot=robot.record,
         profile=_profile_record(profile),
         angle=profile.angle,
@@ -212,9 +211,7 @@ def _control_record(settings: ControlSettings) -> np.ndarray:
     return record
 
 
-def _envelope_record(
-    settings: EnvelopeSettings, plant: PlantParameters, profile: Profile, ground: float, sole_depth: float
-) -> np.ndarray:
+def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile: Profile) -> np.ndarray:
     record = new_record(ENVELOPE_PARAMETERS)
     for i, actuator in enumerate(plant.actuators):
         margin = settings.minimum_stop_margin * actuator.stop.travel
@@ -229,7 +226,8 @@ def _envelope_record(
         "least_lever",
     ):  # fmt: skip
         record[name] = getattr(settings, name)
-    record["ground"], record["sole_depth"], record["ball_x"] = ground, sole_depth, profile.ball[0]
+    record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
+    record["ball_x"] = profile.ball[0]
     return record
 
 
@@ -238,8 +236,3 @@ def _profile_record(profile: Profile) -> np.ndarray:
     record["samples"], record["period"] = len(profile.angle), profile.period
     record["blind_spacing"], record["blind_rows"] = profile.blind_spacing, len(profile.blind_brake)
     return record
-
-
-def extension_of(plant: PlantParameters, theta2: float) -> float:
-    """Return the rod's extension (m) at `theta2` (rad)."""
-    return float(right_arm_length(plant.robot, theta2)) - plant.robot.l56
