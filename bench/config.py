@@ -16,7 +16,13 @@ from math import asin, hypot, pi
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.control.settings import (
+    ControlSettings,
+    EnvelopeSettings,
+    EstimatorSettings,
+    HomingSettings,
+    LifecycleSettings,
+)
 from bench.errors import BenchError
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
 from sim.air import Air
@@ -51,8 +57,12 @@ class BenchSettings:
 class LoopSettings:
     """The control loop."""
 
-    rate: Annotated[float, Range(100.0, 2000.0, "Hz")]
+    rate: Annotated[float, Range(100.0, 5000.0, "Hz")]
     realtime: Literal["off", "prefer", "require"]
+    priority: Annotated[int, Range(1, 98, "")]
+    """SCHED_FIFO's."""
+    cpu: Annotated[int, Range(-1, 1023, "")]
+    """The core the loop stays on; -1: any."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +70,18 @@ class DriverSettings:
     """What the loop drives."""
 
     name: str
+    time: Literal["wall", "paced"]
+    """Of the `sim` driver: the plant on its own clock in its own process, or in step with the loop's ticks."""
+    watchdog: Annotated[float, Range(0.005, 0.5, "s")]
+    """Silence after which the device itself goes passive."""
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """Where the daemon listens and clients connect."""
+
+    endpoint: str
+    """zenoh endpoint, loopback unless there is good reason."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +101,13 @@ class Configuration:
     bench: BenchSettings
     loop: LoopSettings
     driver: DriverSettings
+    network: NetworkSettings
     swing: SwingSettings
     plant: PlantParameters
     """With the club and the ball of `swing` and the loop's period as its tick."""
     control: ControlSettings
+    lifecycle: LifecycleSettings
+    homing: HomingSettings
     envelope: EnvelopeSettings
     estimator: EstimatorSettings
     clubs: dict[str, Club]

@@ -1,15 +1,102 @@
-"""Phases of a swing, causes of a stop, and the one table that says what is done about them.
+"""States of the bench, phases of a swing, causes of a stop, and the two tables that say what is done.
 
-At 40 m/s the robot carries about 230 J and the air decides what happens, so what is safe depends on the
-phase and on what can still be trusted. The compiled control step reads this table (`reaction_table`).
+`EDGES` says how the bench gets from state to state, `STOPPING` what is done about a cause: at 40 m/s the
+robot carries about 230 J and the air decides what happens, so what is safe depends on the phase and on what
+can still be trusted. The compiled control step reads both (`accepted_table`, `reaction_table`).
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+class State(IntEnum):
+    """What the bench is ready for. The robot moves in HOMING, ARMED, SWINGING and RECOVERING only."""
+
+    STARTING = 0
+    ESTOP = 1
+    """Latched; also after power-up and restart."""
+    SAFE = 2
+    """Vented, not homed."""
+    HOMING = 3
+    READY = 4
+    """Vented, homed."""
+    ARMED = 5
+    """Guard locked, warning given, air on; at the address or on the way to it. Times out."""
+    SWINGING = 6
+    RECOVERING = 7
+    """On the way back to the address after a swing, or braking on the way to READY."""
+    ACCESS = 8
+    """Vented and guard unlocked: clubs and balls are changed here."""
+    FAULT = 9
+    """Latched."""
+
+
+class Request(IntEnum):
+    """What can be asked of the control step; every request is answered in its tick."""
+
+    NONE = 0
+    ARM = 1
+    SWING = 2
+    DISARM = 3
+    RESET = 4
+    STOP = 5
+    EMERGENCY_STOP = 6
+    """From the network: a convenience, not a safety function."""
+    HOME = 7
+    ACCESS = 8
+    SECURE = 9
+    """End ACCESS: lock the guard."""
+    TEE = 10
+    """Raise the next ball."""
+
+
+class Answer(IntEnum):
+    """What became of a request."""
+
+    NONE = 0
+    ACCEPTED = 1
+    REFUSED = 2
+
+
+class Refusal(IntEnum):
+    """Why a request was refused."""
+
+    NONE = 0
+    STATE = 1
+    STOPPING = 2
+    EMERGENCY_STOP = 3
+    GUARD = 4
+    READINGS = 5
+    NOT_AT_ADDRESS = 6
+    NO_LEASE = 7
+    SUPPORT = 8
+    NOT_VENTED = 9
+    LOCAL_RESET = 10
+    READ_ONLY = 11
+    SUPERVISOR = 12
+
+
+REFUSAL_TEXT = {
+    Refusal.NONE: "not refused",
+    Refusal.STATE: "not possible in this state",
+    Refusal.STOPPING: "a stop is under way: wait for standstill",
+    Refusal.EMERGENCY_STOP: "the emergency stop circuit is open: release it",
+    Refusal.GUARD: "the guard is open or not locked: close it",
+    Refusal.READINGS: "an encoder gives no valid readings: check cables and supply",
+    Refusal.NOT_AT_ADDRESS: "the robot does not rest at its address yet: wait, then ask again",
+    Refusal.NO_LEASE: "nobody holds the bench: take the lease",
+    Refusal.SUPPORT: "the recorder or the publisher is not running: nothing is armed without a record",
+    Refusal.NOT_VENTED: "the chambers are not proven empty yet: wait, then ask again",
+    Refusal.LOCAL_RESET: "press the reset button beside the robot, then ask again",
+    Refusal.READ_ONLY: "this bench was started to observe only",
+    Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
+}
+"""What the operator reads, with the cure."""
 
 
 class Phase(IntEnum):
@@ -77,6 +164,12 @@ class Cause(IntEnum):
     OPERATOR_STOP = 24
     EXCEPTION = 25
     ADDRESS_TIMEOUT = 26
+    NETWORK_STOP = 27
+    POWER_UP = 28
+    RESTART = 29
+    SUPERVISOR = 30
+    HOMING_FAILED = 31
+    NOT_VENTED = 32
 
 
 CAUSE_TEXT = {
@@ -107,8 +200,90 @@ CAUSE_TEXT = {
     Cause.OPERATOR_STOP: "stopped by the operator",
     Cause.EXCEPTION: "the cycle failed in this tick: keep the record and report it",
     Cause.ADDRESS_TIMEOUT: "not at the address in time: check supply, valves and what stands in the way",
+    Cause.NETWORK_STOP: "emergency stop asked for over the network: find out why, then reset",
+    Cause.POWER_UP: "the bench was switched on: reset to begin",
+    Cause.RESTART: "the bench was not shut down in order last time: look at its last stop, then reset",
+    Cause.SUPERVISOR: "the loop heard nothing from its supervisor",
+    Cause.HOMING_FAILED: "encoders and mechanical reference do not agree, or no index was found: calibrate",
+    Cause.NOT_VENTED: "the chambers did not empty in time: check vents and valves before going near",
 }
 """What the operator reads, with the cure where one is known."""
+
+EMERGENCIES = frozenset({Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.POWER_UP, Cause.RESTART})
+"""Causes that latch ESTOP; every other one latches FAULT."""
+
+
+class Edge(NamedTuple):
+    """One way from a state to another."""
+
+    source: State
+    event: str
+    target: State
+    guard: str = ""
+    effect: str = ""
+
+
+_S = State
+_CLEAR = "interlocks closed, readings trusted, lease held"
+_LATCHES = (_S.SAFE, _S.HOMING, _S.READY, _S.ARMED, _S.SWINGING, _S.RECOVERING, _S.ACCESS)
+
+EDGES = (
+    Edge(_S.STARTING, "warmed up", _S.ESTOP, "", "cause POWER_UP or RESTART"),
+    Edge(_S.ESTOP, "reset", _S.SAFE, f"cause gone, {_CLEAR}, local reset pressed; not homed", "never moves"),
+    Edge(_S.ESTOP, "reset", _S.READY, f"cause gone, {_CLEAR}, local reset pressed; homed", "never moves"),
+    Edge(_S.FAULT, "reset", _S.SAFE, f"cause gone, {_CLEAR}, local reset pressed; not homed", "never moves"),
+    Edge(_S.FAULT, "reset", _S.READY, f"cause gone, {_CLEAR}, local reset pressed; homed", "never moves"),
+    Edge(_S.SAFE, "home", _S.HOMING, _CLEAR, "the only motion allowed until homed"),
+    Edge(_S.READY, "home", _S.HOMING, _CLEAR),
+    Edge(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
+    Edge(_S.HOMING, "disarm, or lease lost", _S.SAFE, "", "brake, vent"),
+    Edge(
+        _S.READY, "arm", _S.ARMED, f"{_CLEAR}, recorder and supervisor alive", "warn, charge, go to address"
+    ),
+    Edge(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),
+    Edge(_S.ARMED, "disarm, time-out, lease or recorder lost", _S.READY, "at rest", "vent"),
+    Edge(_S.ARMED, "disarm, lease or recorder lost", _S.RECOVERING, "on the way to address", "brake"),
+    Edge(_S.SWINGING, "swing over", _S.RECOVERING, "", "return to the address"),
+    Edge(_S.RECOVERING, "back at the address", _S.READY, "", "vent"),
+    Edge(_S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder still there"),
+    Edge(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
+    Edge(_S.SAFE, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.READY, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.ACCESS, "secure", _S.SAFE, "guard closed, not homed", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.READY, "guard closed, homed", "lock the guard"),
+    Edge(_S.ESTOP, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.FAULT, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.ACCESS, "secure", _S.ESTOP, "guard closed, its cause still latched", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.FAULT, "guard closed, its cause still latched", "lock the guard"),
+    *(Edge(s, "emergency stop", _S.ESTOP, "at standstill", "stopping table, then vent") for s in _LATCHES),
+    *(Edge(s, "fault or stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
+    Edge(_S.FAULT, "emergency stop", _S.ESTOP),
+)
+"""How the bench gets from state to state; there is no other way. Requests are named as in `Request`."""
+
+ACCEPTED_IN: dict[Request, frozenset[State]] = {
+    Request.NONE: frozenset(),
+    Request.ARM: frozenset({_S.READY}),
+    Request.SWING: frozenset({_S.ARMED}),
+    Request.DISARM: frozenset({_S.HOMING, _S.ARMED, _S.RECOVERING}),
+    Request.RESET: frozenset({_S.ESTOP, _S.FAULT}),
+    Request.STOP: frozenset(State),
+    Request.EMERGENCY_STOP: frozenset(State),
+    Request.HOME: frozenset({_S.SAFE, _S.READY}),
+    Request.ACCESS: frozenset({_S.SAFE, _S.READY, _S.ESTOP, _S.FAULT}),
+    Request.SECURE: frozenset({_S.ACCESS}),
+    Request.TEE: frozenset({_S.ARMED}),
+}
+"""The states in which a request may be accepted, if its guard holds."""
+
+NEEDS_LEASE = frozenset(Request) - {Request.NONE, Request.STOP, Request.EMERGENCY_STOP, Request.DISARM}
+"""Requests that only the holder of the lease may make; what ends motion never needs one."""
+
+
+def accepted_table() -> NDArray[np.uint8]:
+    """Return ACCEPTED_IN as an array [request, state] of 0 and 1 for compiled code."""
+    return np.array([[state in ACCEPTED_IN[r] for state in State] for r in Request], dtype=np.uint8)
+
 
 TRUSTED, LOST, EMERGENCY, DISOBEYED = 0, 1, 2, 3
 """Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, an

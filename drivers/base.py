@@ -47,6 +47,8 @@ class Readings(NamedTuple):
     ball_present: bool
     chamber_pressure: tuple[float, float, float, float, float, float]
     """Pa absolute in the order of CHAMBERS; ABSENT when not fitted."""
+    encoder_indexed: tuple[bool, bool, bool] = (True, True, True)
+    """The count is absolute. An incremental encoder's is once its index has passed, which zeroes it."""
 
 
 class Command(NamedTuple):
@@ -97,6 +99,7 @@ READINGS = np.dtype(
         ("local_reset", "?"),
         ("ball_present", "?"),
         ("chamber_pressure", "f8", (6,)),
+        ("encoder_indexed", "u1", (3,)),
     ],
     align=True,
 )
@@ -127,8 +130,11 @@ def pack_readings(readings: Readings, record: np.ndarray[Any, Any]) -> None:
 
 def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
     """Return the Readings of a READINGS record in plain Python types; 1.7 us."""
-    (time, count, sample_time, valid, age, stop, closed, locked, supply, reset, ball, chamber) = record.item()
+    (
+        time, count, sample_time, valid, age, stop, closed, locked, supply, reset, ball, chamber, indexed,
+    ) = record.item()  # fmt: skip
     v1, v2, v3 = valid.tolist()
+    i1, i2, i3 = indexed.tolist()
     return Readings(
         time,
         tuple(count.tolist()),
@@ -142,6 +148,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         reset,
         ball,
         tuple(chamber.tolist()),
+        (i1 != 0, i2 != 0, i3 != 0),
     )
 
 

@@ -52,6 +52,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
         out.encoder_time[i] = s.time - p.latency
         out.encoder_valid[i] = s.encoder_valid[i]
         out.encoder_age[i] = p.latency
+        out.encoder_indexed[i] = 1
     out.emergency_stop_clear = s.emergency_stop_clear
     out.guard_closed = s.guard_closed
     out.guard_locked = s.guard_locked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import inf
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -88,6 +88,48 @@ class ControlSettings:
     """Error at address below which a swing may begin, rad."""
     strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
     """Share of head speed whose loss in the impact window says that a ball was struck."""
+
+
+@dataclass(frozen=True)
+class LifecycleSettings:
+    """Times and proofs between the states of the bench."""
+
+    warning_time: NotNegative = 2.0
+    """Beacon before the air comes on, s."""
+    armed_time: Positive = 120.0
+    """Holding the address for longer disarms, s."""
+    vented_pressure: Positive = 1.3e5
+    """Chambers below it are empty, Pa absolute."""
+    vent_time: Positive = 10.0
+    """In which they are to be empty; without chamber sensors the proof itself, s."""
+    local_reset: bool = False
+    """A reset also takes the button beside the robot; true with hardware."""
+    local_reset_time: Positive = 10.0
+    """How long a press of it counts, s."""
+    series: bool = False
+    """After a swing hold the address for the next one instead of venting."""
+    supervisor_time: Positive = 0.25
+    """Silence of the supervisor that counts as its death, s."""
+
+
+@dataclass(frozen=True)
+class HomingSettings:
+    """How the encoders' zeros are proven."""
+
+    method: Literal["absolute", "index"] = "absolute"
+    """Compare absolute encoders with the vented robot's pose, or search the index at low pressure."""
+    tolerance: PositiveTriple = (0.15, 0.10, 0.15)
+    """rad, of the vented robot's pose; friction keeps it from hanging quite straight."""
+    time: Positive = 0.5
+    """s for which the readings must agree."""
+    speed: PositiveTriple = (0.3, 0.2, 0.4)
+    """rad/s, of the search."""
+    pressure: Positive = 3.0e5
+    """Pa absolute, of the supply during the search."""
+    opening: Annotated[float, Gt(0), Le(0.5)] = 0.15
+    """Greatest valve opening of the search."""
+    longest: Positive = 30.0
+    """s, of the search."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from drivers.base import CHAMBERS, JOINTS
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of FIELDS; stored in every file and message."""
 
 _CHAMBERS = tuple(chamber.replace(" ", "_").lower() for chamber in CHAMBERS)
@@ -51,12 +51,26 @@ FIELDS = (
     Field("tick", "i8", "1", "number of the loop's tick since its start; a gap is a missed tick"),
     Field("time", "f8", "s", "time since the start of this swing's record"),
     Field("measured_step", "f8", "s", "measured time since the tick before"),
+    Field("wake_latency", "f8", "s", "how late the tick began on its grid; 0 on a virtual clock"),
+    Field("work_time", "f8", "s", "time the tick before took; 0 on a virtual clock"),
+    Field("state", "u1", "1", "state of the bench, see enumeration 'state'"),
+    Field("request", "u1", "1", "request put to this tick, see enumeration 'request'"),
+    Field("request_number", "i8", "1", "number of the request answered last"),
+    Field("answer", "u1", "1", "answer to it: 1 accepted, 2 refused"),
+    Field("refusal", "u1", "1", "why it was refused, see enumeration 'refusal'"),
+    Field("lease_held", "?", "1", "somebody holds the bench"),
+    Field("support_ready", "?", "1", "recorder and publisher are running"),
+    Field("supervisor_alive", "?", "1", "the supervisor's heart beats"),
+    Field("homed", "?", "1", "encoders' zeros are proven"),
+    Field("vented", "?", "1", "chambers are proven empty"),
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'"),
     Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'"),
     Field("trip", "i4", "1", "cause that tripped the envelope, see enumeration 'trip'; 0 when none"),
     Field("encoder_count", "i8", "1", "encoder reading in counts", JOINTS),
     Field("encoder_valid", "u1", "1", "1 when the encoder reading is valid", JOINTS),
     Field("encoder_age", "f8", "s", "age of the encoder reading at this tick", JOINTS),
+    Field("encoder_time", "f8", "s", "instant of the encoder reading on the clock of `time`", JOINTS),
+    Field("encoder_indexed", "u1", "1", "1 when the count is absolute or its index was passed", JOINTS),
     Field("angle", "f8", "rad", "estimated joint angle", JOINTS),
     Field("velocity", "f8", "rad/s", "estimated joint velocity", JOINTS),
     Field("angle_variance", "f8", "rad^2", "estimator's variance of the joint angle", JOINTS),

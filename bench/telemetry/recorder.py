@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS, SCHEMA_VERSION, from_arrow, to_arrow
 from bench.telemetry.whole_file import whole_file
 
@@ -20,6 +20,9 @@ METADATA_KEY = b"golfbench"
 """Key of the JSON text in the Parquet file's key-value metadata."""
 
 ENUMERATIONS: dict[str, dict[str, str]] = {
+    "state": {str(state.value): state.name for state in State},
+    "request": {str(request.value): request.name for request in Request},
+    "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
     "phase": {str(phase.value): phase.name for phase in Phase},
     "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
     "trip": {str(cause.value): cause.name for cause in Cause},

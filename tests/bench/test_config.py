@@ -280,7 +280,7 @@ def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) ->
 
 @pytest.mark.parametrize("value", ["-1e30", "1e30"])
 def test_every_physical_value_has_a_range(value: str, overlay: Overlay) -> None:
-    settings_of_control = {"control", "estimator", "envelope"}
+    settings_of_control = {"control", "lifecycle", "homing", "estimator", "envelope"}
     physical = [k for k, v in LEAVES if isinstance(v, float) and k[0] not in settings_of_control]
     assert len(physical) > 100
     for keys in physical:
@@ -290,7 +290,9 @@ def test_every_physical_value_has_a_range(value: str, overlay: Overlay) -> None:
 
 def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
     for keys, value in LEAVES:
-        if keys[0] in {"control", "estimator", "envelope"} and isinstance(value, float):
+        if keys[0] in {"control", "lifecycle", "homing", "estimator", "envelope"} and isinstance(
+            value, float
+        ):
             (fault,) = faults(overlay(setting(keys, "-1.0")))
             assert fault.place.endswith(".".join(keys))
 

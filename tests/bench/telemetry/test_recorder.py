@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bench.errors import BenchError
-from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.telemetry.recorder import METADATA_KEY, read_swing, write_swing
 from bench.telemetry.whole_file import whole_file
 
@@ -40,7 +40,7 @@ def test_a_swing_comes_back_bit_for_bit(tmp_path: Path, make_swing: Callable[[in
     assert again.dtype == CYCLE
     assert again.tobytes() == cycles.tobytes()
     assert METADATA.items() <= metadata.items()
-    assert metadata["schema_version"] == 1
+    assert metadata["schema_version"] == SCHEMA_VERSION
     assert metadata["enumerations"]["phase"]["5"] == "DOWNSWING"
     assert metadata["enumerations"]["reaction"]["3"] == "BLIND_BRAKE"
     assert os.listdir(tmp_path) == ["swing.parquet"]
@@ -124,7 +124,7 @@ def test_files_that_are_no_swing_are_refused_by_name(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": [1]}), path)
     with pytest.raises(BenchError, match="without golfbench metadata"):
         read_swing(path)
-    for metadata, message in ((b'{"schema_version": 99}', "version 99"), (b'{"schema_version": 1}', "tick")):
+    for metadata, message in ((b'{"schema_version": 99}', "version 99"), (b'{"schema_version": 2}', "tick")):
         pq.write_table(pa.table({"a": [1]}).replace_schema_metadata({METADATA_KEY: metadata}), path)
         with pytest.raises(BenchError, match=message):
             read_swing(path)
