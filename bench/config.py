@@ -71,7 +71,7 @@ class DriverSettings:
 
     name: str
     time: Literal["wall", "paced"]
-    """Of the `sim` driver: the plant on its own clock in its own process, or in step with the loop's ticks."""
+    """Of the `sim` driver: the plant on its own clock in its own process, or in step with the ticks."""
     watchdog: Annotated[float, Range(0.005, 0.5, "s")]
     """Silence after which the device itself goes passive."""
 
