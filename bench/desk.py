@@ -1,0 +1,133 @@
+"""What the command plane needs of a running bench: a desk where requests are put and answered.
+
+The supervisor is one; tests have their own. The shape of `Status` is what `golfbench status --json` prints
+and what `golfbench/<id>/state` carries.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, TypedDict
+
+from bench.lifecycle import Request
+
+STATUS_VERSION = 1
+"""Version of Status."""
+
+
+class Reply(NamedTuple):
+    """The bench's answer to a request."""
+
+    accepted: bool
+    state: str
+    """Name of the `State` after the answer."""
+    reason: str
+    """Why it was refused, with the cure; empty when accepted."""
+
+
+class CauseStatus(TypedDict):
+    """Why the bench stopped."""
+
+    name: str
+    """Of the `Cause`."""
+    text: str
+
+
+class LeaseStatus(TypedDict):
+    """Who holds the bench. Never with the key."""
+
+    holder: str
+    seconds_left: float
+
+
+class ProcessStatus(TypedDict):
+    """One process of the bench."""
+
+    pid: int
+    alive: bool
+    note: str
+    """What is to be said of it, for example why it ended."""
+
+
+class LoopStatus(TypedDict):
+    """How the loop keeps time."""
+
+    rate_hz: float
+    """Measured."""
+    skipped: int
+    late: int
+    wake_p50_s: float
+    wake_p99_s: float
+    tick_p99_s: float
+
+
+class CountStatus(TypedDict):
+    """What became of the messages that came to the command plane since its start."""
+
+    commands: int
+    """Answered with accepted."""
+    refused: int
+    """Well formed, answered with refused; also for want of time ("busy")."""
+    malformed: int
+    """Answered with an error."""
+    dropped: int
+    """Not answered: the queue was full, or the bench was going down."""
+
+
+class Status(TypedDict):
+    """A snapshot of the bench, JSON-able: no NaN, None where a value is not there."""
+
+    version: int
+    bench: str
+    """Its id."""
+    state: str
+    phase: str
+    reaction: str
+    cause: CauseStatus | None
+    homed: bool
+    vented: bool
+    tick: int
+    time: float
+    """s, the loop's."""
+    swings: int
+    lease: LeaseStatus | None
+    """Filled in by the command plane."""
+    read_only: bool
+    driver: str
+    profile: str
+    joints_deg: list[float | None]
+    """Three, in the order of `drivers.base.JOINTS`."""
+    supply_pressure_pa: float | None
+    chamber_pressure_pa: list[float | None]
+    """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
+    emergency_stop_clear: bool
+    guard_closed: bool
+    guard_locked: bool
+    support_ready: bool
+    """Recorder and publisher are running."""
+    processes: dict[str, ProcessStatus]
+    loop: LoopStatus
+    real_time: dict[str, Any]
+    """What was asked of the machine and what it granted."""
+    counts: CountStatus
+    """Filled in by the command plane."""
+    last_stop: dict[str, Any] | None
+    """The stop before this start, or the newest one: cause, time."""
+    uptime: float
+    """s since the supervisor's start."""
+
+
+class Desk(Protocol):
+    """A running bench. The command plane calls it from threads of its own: `request` one at a time, the
+    others at any moment, also while `request` waits."""
+
+    def status(self) -> Status:
+        """Return the snapshot; `lease` and `counts` are overwritten by the command plane."""
+
+    def request(self, request: Request) -> Reply:
+        """Put `request` to the loop and wait, 0.2 s at most, for its answer."""
+
+    def stop(self) -> Reply:
+        """Stop as the stopping table says; never waits behind a request."""
+
+    def emergency_stop(self) -> Reply:
+        """Stop as for an open emergency stop circuit; never waits behind a request."""
