@@ -1,0 +1,137 @@
+"""The ring of cycle records between the loop and the processes that read it.
+
+One writer, any readers, records numbered from 1 on (`sim.mapped_slots`). The writer never waits: a reader
+too slow loses the oldest records, knows exactly how many, and goes on with the oldest still there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.errors import BenchError, ExitCode
+from bench.telemetry.cycle_record import CYCLE
+from sim.mapped_slots import MappedSlots, SharedMemoryError
+
+CAPACITY = 16384
+"""Records; over 16 s of a loop at 1 kHz."""
+
+_KIND = "ring"
+_ATTEMPTS = 16
+
+
+class NoRing(BenchError):
+    """The ring cannot be made, or there is none that this program can read."""
+
+    exit_code = ExitCode.DEVICE
+
+
+class RingWriter:
+    """The loop's side: called with a cycle, it publishes it."""
+
+    def __init__(self, path: Path, capacity: int = CAPACITY) -> None:
+        """Make the ring at `path` for `capacity` (a power of two) records, all of its memory reserved.
+
+        Raises:
+            NoRing: `path` exists, or its folder is missing, read-only or full.
+            ValueError: `capacity` is not a power of two.
+        """
+        with _refusing():
+            self._slots = MappedSlots.create(path, _KIND, CYCLE, capacity)
+
+    @property
+    def head(self) -> int:
+        """Records written so far."""
+        return self._slots.head
+
+    def __call__(self, record: np.ndarray[Any, Any]) -> None:
+        """Publish `record` (a one-element array of CYCLE); a few us, never waits.
+
+        Raises:
+            ValueError: `record` has not the size of a CYCLE.
+        """
+        self._slots.put(record.tobytes())
+
+    def close(self) -> None:
+        """Unmap; the file stays. Allowed twice."""
+        self._slots.close()
+
+
+class RingReader:
+    """One reader; each has a place of its own in the ring, and its mapping cannot write."""
+
+    def __init__(self, path: Path, *, from_oldest: bool = False) -> None:
+        """Open the ring at `path` and start with the newest record, or with the oldest still there.
+
+        Raises:
+            NoRing: there is none, or it is no ring, damaged, or of other code.
+        """
+        with _refusing():
+            self._slots = MappedSlots.open(path, _KIND, CYCLE, writable=False)
+        self.lost = 0
+        """Records that were overwritten before this reader came to them."""
+        oldest = self.head - self.capacity + 1 if from_oldest else self.head
+        self._next = max(1, oldest)
+        self._newest = b""
+        self._newest_number = 0
+
+    @property
+    def capacity(self) -> int:
+        """Records the ring holds."""
+        return self._slots.slots
+
+    @property
+    def head(self) -> int:
+        """Records written so far; grows while the loop lives."""
+        return self._slots.head
+
+    def read(self, limit: int = 4096) -> np.ndarray[Any, Any]:
+        """Return up to `limit` new records (n,) of CYCLE in their order, possibly none; never waits."""
+        slots = self._slots
+        found: list[bytes] = []
+        for _ in range(limit):  # a bound on all steps, also over lost records: a faster writer holds nobody
+            if self._next > slots.head:
+                break
+            data = slots.fetch(self._next)
+            if data is not None:
+                found.append(data)
+                self._next += 1
+                continue
+            oldest = slots.head - self.capacity + 1
+            if oldest < self._next:
+                break  # announced, but not all of it is visible yet (ARM): next time
+            # Overwritten; the oldest itself when the writer is just there.
+            follower = max(oldest, self._next + 1)
+            self.lost += follower - self._next
+            self._next = follower
+        return np.frombuffer(bytearray().join(found), CYCLE)
+
+    def newest(self) -> np.ndarray[Any, Any] | None:
+        """Return the newest record as a one-element array of CYCLE; None before the first. Never waits."""
+        slots = self._slots
+        for _ in range(_ATTEMPTS):
+            number = slots.head
+            if number == self._newest_number:
+                break
+            data = slots.fetch(number)
+            if data is not None:
+                self._newest_number, self._newest = number, data
+                break
+        return np.frombuffer(bytearray(self._newest), CYCLE) if self._newest else None
+
+    def close(self) -> None:
+        """Unmap; the file stays. Allowed twice."""
+        self._slots.close()
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Tell the bench's way what the mapped file could not."""
+    try:
+        yield
+    except SharedMemoryError as error:
+        raise NoRing(*error.args) from error

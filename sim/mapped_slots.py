@@ -1,0 +1,238 @@
+"""A mapped file of numbered records: one process writes, any others read, nobody waits, nothing is torn.
+
+A record with sequence number s (from 1 on) stands in slot s modulo the number of slots, laid out as
+
+    begin | checksum | record, padded to 8 bytes | end        (words of 8 bytes; begin and end hold s)
+
+and the header's head word holds the newest s. The writer stores begin, record, checksum, end, head, in this
+order; a reader looks at end, copies, looks at begin. Where stores and loads of a processor keep their order
+(x86), equal numbers alone prove a whole copy: no later write had begun. Where they do not (ARM), the
+checksum, a CRC-32 over record and number, stands in for the missing fences: a mixture passes it once in
+four thousand million times, and only when it also slips through the numbers. A writer that dies or is
+stopped in the middle of a write spoils the oldest slot alone, which the newest record does not use.
+
+Files live in a folder of memory (/dev/shm, /run). multiprocessing.shared_memory will not do: an unrelated
+reader's exit unlinks it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import secrets
+import stat
+import struct
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Self
+from zlib import crc32
+
+import numpy as np
+
+_MAGIC = b"golfslot"
+_VERSION = 1
+_HEADER = struct.Struct("=8sI12sQQ16s")
+"""Magic, layout version, kind of file, slots, bytes of a record, digest of the record's type."""
+
+_HEAD = 64
+"""Byte of the head word: on a cache line of its own, as are the slots."""
+_FIRST = 128
+"""Byte of slot 0."""
+_LINE = 64
+_BEGIN, _CHECK, _RECORD = 0, 1, 2
+"""Words of a slot."""
+
+
+class SharedMemoryError(RuntimeError):
+    """A shared file cannot be made or used: place, what was found, what was expected, what to do."""
+
+    def __init__(self, place: str, found: str, expected: str, cure: str) -> None:
+        super().__init__(place, found, expected, cure)
+
+    def __str__(self) -> str:
+        place, found, expected, cure = self.args
+        return f"{place}: found {found}, expected {expected}. {cure}"
+
+
+class MappedSlots:
+    """The slots of one file. Of all processes that map it, one may `put`."""
+
+    def __init__(self, memory: mmap.mmap, slots: int, size: int) -> None:
+        """Take over `memory`, a checked file with `slots` slots for records of `size` bytes."""
+        self.slots = slots
+        self.size = size
+        self._memory = memory
+        self._words = memoryview(memory).cast("Q")
+        self._mask = slots - 1
+        self._stride = _stride(size)
+        self._end = (_RECORD * 8 + size + 7) // 8
+        self._written = 0
+        """Number of the last record put from here, 0 before the first."""
+
+    @classmethod
+    def create(cls, path: Path, kind: str, dtype: np.dtype[Any], slots: int) -> Self:
+        """Make the file, all of its memory reserved, for `slots` (a power of two) records of `dtype`.
+
+        It appears at `path` whole or not at all, readable by its owner only.
+
+        Raises:
+            ValueError: `slots` is not a power of two, or below 2.
+            SharedMemoryError: `path` exists, or its folder is missing, read-only or full.
+        """
+        if slots < 2 or slots & (slots - 1):
+            raise ValueError(f"{slots} slots, expected a power of two from 2 on")
+        size = _FIRST + slots * _stride(dtype.itemsize)
+        partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+        try:
+            descriptor = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            try:
+                os.posix_fallocate(descriptor, 0, size)  # a full folder shows here, not as SIGBUS in a tick
+                os.pwrite(descriptor, _header(kind, dtype, slots), 0)
+                os.link(partial, path)
+                return cls(mmap.mmap(descriptor, size), slots, dtype.itemsize)
+            finally:
+                os.close(descriptor)
+                with suppress(OSError):
+                    partial.unlink()
+        except FileExistsError as error:
+            raise SharedMemoryError(
+                str(path),
+                "a file of that name",
+                "none",
+                "Another process may use it; remove it when none does.",
+            ) from error
+        except OSError as error:
+            raise SharedMemoryError(
+                str(path),
+                error.strerror or str(error),
+                f"a folder in memory that can be written, with {size} bytes left",
+                "Make the folder, or free some of its memory.",
+            ) from error
+
+    @classmethod
+    def open(cls, path: Path, kind: str, dtype: np.dtype[Any], *, writable: bool) -> Self:
+        """Map the file at `path` after checking that it is of this `kind` and holds records of `dtype`.
+
+        Raises:
+            SharedMemoryError: there is none, or another program's, another version's or a damaged one.
+        """
+        access = os.O_RDWR if writable else os.O_RDONLY
+        try:
+            descriptor = os.open(path, access | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except FileNotFoundError as error:
+            raise SharedMemoryError(
+                str(path), "no such file", f"a shared {kind}", "Start the bench that makes it."
+            ) from error
+        except OSError as error:
+            raise SharedMemoryError(
+                str(path),
+                error.strerror or str(error),
+                f"a shared {kind} that this user may open",
+                "Run as the user of the bench.",
+            ) from error
+        try:
+            slots = _checked(path, descriptor, kind, dtype)
+            size = _FIRST + slots * _stride(dtype.itemsize)
+            protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
+            return cls(mmap.mmap(descriptor, size, prot=protection), slots, dtype.itemsize)
+        finally:
+            os.close(descriptor)  # the map keeps one of its own
+
+    @property
+    def head(self) -> int:
+        """Number of the newest record; 0 before the first."""
+        return self._words[_HEAD >> 3]
+
+    def put(self, data: bytes) -> None:
+        """Write the next record, in place of the oldest; a few us, never waits.
+
+        Raises:
+            ValueError: `data` has not the size of a record.
+        """
+        if len(data) != self.size:
+            raise ValueError(f"a record of {len(data)} bytes, expected {self.size}")
+        words = self._words
+        sequence = (self._written or self._last_written()) + 1
+        start = _FIRST + (sequence & self._mask) * self._stride
+        word = start >> 3
+        words[word] = sequence
+        start += _RECORD * 8
+        self._memory[start : start + self.size] = data
+        words[word + _CHECK] = crc32(data, sequence & 0xFFFFFFFF)
+        words[word + self._end] = sequence
+        words[_HEAD >> 3] = sequence
+        self._written = sequence
+
+    def fetch(self, sequence: int) -> bytes | None:
+        """Return record number `sequence`; None when it is gone, being overwritten or not there yet."""
+        words = self._words
+        start = _FIRST + (sequence & self._mask) * self._stride
+        word = start >> 3
+        if words[word + self._end] != sequence:
+            return None
+        start += _RECORD * 8
+        data = self._memory[start : start + self.size]
+        check = words[word + _CHECK]
+        if words[word + _BEGIN] != sequence or check != crc32(data, sequence & 0xFFFFFFFF):
+            return None
+        return data
+
+    def close(self) -> None:
+        """Unmap; the file stays. Allowed twice."""
+        self._words.release()
+        self._memory.close()
+
+    def _last_written(self) -> int:
+        """Return the last whole record's number: a writer before us may have died between end and head."""
+        head = self.head
+        return head if self.fetch(head + 1) is None else head + 1
+
+
+def _stride(size: int) -> int:
+    """Return the bytes from slot to slot for records of `size` bytes."""
+    return -(-(size + 4 * 8) // _LINE) * _LINE
+
+
+def _digest(dtype: np.dtype[Any]) -> bytes:
+    """Return what tells one record type from another: names, types, shapes, order and places of fields."""
+    return sha256(repr((dtype.descr, dtype.itemsize)).encode()).digest()[:16]
+
+
+def _header(kind: str, dtype: np.dtype[Any], slots: int) -> bytes:
+    return _HEADER.pack(_MAGIC, _VERSION, kind.encode(), slots, dtype.itemsize, _digest(dtype))
+
+
+def _checked(path: Path, descriptor: int, kind: str, dtype: np.dtype[Any]) -> int:
+    """Return the number of slots in the file; SharedMemoryError unless it is whole and of our making."""
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode):
+        raise SharedMemoryError(str(path), "no regular file", f"a shared {kind}", "Remove it.")
+    start = os.pread(descriptor, _HEADER.size, 0)
+    if len(start) < _HEADER.size or not start.startswith(_MAGIC):
+        raise SharedMemoryError(
+            str(path),
+            f"{status.st_size} bytes that begin with {start[:8]!r}",
+            f"a shared {kind}, which begins with {_MAGIC!r}",
+            "Remove the file and start the bench anew.",
+        )
+    _, version, padded, slots, size, digest = _HEADER.unpack(start)
+    stored = padded.rstrip(b"\0")
+    anew = "Start all processes of the bench anew from one installation."
+    if version != _VERSION:
+        raise SharedMemoryError(str(path), f"layout version {version}", f"version {_VERSION}", anew)
+    if stored != kind.encode():
+        raise SharedMemoryError(str(path), f"kind {stored!r}", f"kind {kind.encode()!r}", anew)
+    if (size, digest) != (dtype.itemsize, _digest(dtype)):
+        raise SharedMemoryError(
+            str(path),
+            f"records of other code: {size} bytes, type {digest.hex()}",
+            f"{dtype.itemsize} bytes, type {_digest(dtype).hex()}",
+            anew,
+        )
+    whole = _FIRST + slots * _stride(size)
+    if slots < 2 or slots & (slots - 1) or status.st_size != whole:
+        raise SharedMemoryError(
+            str(path), f"{status.st_size} bytes with {slots} slots", f"{whole} bytes", "Start the bench anew."
+        )
+    return int(slots)
