@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.requests import near_address
 from bench.control.step import (
     ARM,
     ControlParameters,
     ControlState,
-    near_address,
     new_control_state,
     step,
 )

@@ -1,15 +1,24 @@
-"""The cycle: read, decide, write, publish. Around it a driver, inside it one compiled function."""
+"""The cycle: read, estimate, decide, limit, write, publish; a driver around it, compiled functions inside."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import monotonic_ns as now
 from typing import Any, Protocol
 
 import numpy as np
 
 from bench.clock import Clock
-from bench.control.step import STOP, ControlParameters, ControlState, new_control_state, step
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.control.step import (
+    STOP,
+    ControlParameters,
+    ControlState,
+    decide_tick,
+    estimate_tick,
+    limit_tick,
+    new_control_state,
+)
+from bench.lifecycle import Cause, Phase, Reaction, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import (
     ABSENT,
@@ -27,6 +36,7 @@ from sim.compiled import new_record
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE."""
 
+
 _BETWEEN_LOOKS = 10
 """Ticks between two looks at the phase."""
 
@@ -38,7 +48,8 @@ class Cycle:
     """One driver, one controller, one record; `run_tick` is everything that happens in a tick.
 
     Requests are put with `request`; `state` holds the answer. `read_error` and `publish_error` keep the
-    first exception of their kind: neither ends a tick, both forbid to arm again.
+    first exception of their kind: neither ends a tick, both forbid to arm again. `marks` holds the instants
+    (ns of CLOCK_MONOTONIC) of the last tick: begin, after read, estimate, decide, limit, write and publish.
     """
 
     def __init__(
@@ -49,10 +60,12 @@ class Cycle:
         *,
         name: str,
         note_truth: Publish | None = None,
+        state: State = State.READY,
     ) -> None:
         """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
         self.driver, self.parameters, self.publish, self.name = driver, parameters, publish, name
-        self.state = new_control_state()
+        self.state = new_control_state(state)
+        self.marks = np.zeros(7, np.int64)
         self.record = new_record(CYCLE)
         self.read_error: Exception | None = None
         self.publish_error: Exception | None = None
@@ -77,11 +90,19 @@ class Cycle:
         Readings that fail count as lost in this very tick. Whatever else fails makes the driver passive in
         this tick, latches Cause.EXCEPTION and is raised again with the driver's name.
         """
+        state, parameters, readings, marks = self.state, self.parameters, self._readings, self.marks
         decided = False
         try:
+            marks[0] = now()
             trusted = self._read(time)
-            before = 0 if trusted else int(self.state.control["cause"][0])
-            step(self.state, self.parameters, self._readings, time, self._command, self.record)
+            before = 0 if trusted else int(state.control["cause"][0])
+            marks[1] = now()
+            estimate_tick(state, parameters, readings, time)
+            marks[2] = now()
+            decide_tick(state, parameters, readings, time)
+            marks[3] = now()
+            limit_tick(state, parameters, readings, self._command, self.record)
+            marks[4] = now()
             decided = True
             if not trusted and before == 0:
                 self._blame_exception()
@@ -91,14 +112,16 @@ class Cycle:
                 self._note_applied(applied)
             if self._note_truth is not None:
                 self._note_truth(self.record)
+            marks[5] = now()
         except BaseException as error:
-            self._give_up(decided)
-            where = f"driver {self.name!r}, tick {int(self.state.control['tick'][0])}"
+            self._give_up(decided, time)
+            where = f"driver {self.name!r}, tick {int(state.control['tick'][0])}"
             if isinstance(error, DriverError):
                 raise DriverError(f"{where}: {error}; the passive command was sent") from error
             error.add_note(f"{where}: the passive command was sent")
             raise
         self._publish()
+        marks[6] = now()
 
     def _read(self, time: float) -> bool:
         """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
@@ -110,7 +133,7 @@ class Cycle:
         r = self._readings
         for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "local_reset", "ball_present"):
             r[name] = False
-        r["encoder_valid"] = 0
+        r["encoder_valid"] = r["encoder_indexed"] = 0
         r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = ABSENT
         # A driver that raises is no single lost sample: the stopping table is not to wait for more.
         self.state.estimator["without_sample"] = np.inf
@@ -122,7 +145,7 @@ class Cycle:
         if control["cause"][0] != 0:
             control["cause"] = control["latest_cause"] = self.record["trip"] = Cause.EXCEPTION
 
-    def _give_up(self, decided: bool) -> None:
+    def _give_up(self, decided: bool, time: float) -> None:
         """Make the driver passive, latch the exception, and publish the tick if it was decided."""
         self.driver.make_passive()
         control = self.state.control
@@ -130,9 +153,13 @@ class Cycle:
             control["cause"] = Cause.EXCEPTION
         control["latest_cause"] = Cause.EXCEPTION
         control["reaction"], control["phase"] = Reaction.PASSIVE, Phase.STANDING
-        control["swinging"] = control["moving"] = False
+        control["state"] = State.ESTOP if control["emergency"][0] else State.FAULT
+        control["state_since"] = control["vent_start"] = time
+        for name in ("swinging", "moving", "disarming", "air", "vented", "tee"):
+            control[name] = False
         if decided:
-            self.record["trip"], self.record["reaction"] = control["cause"], Reaction.PASSIVE
+            for name, field in (("trip", "cause"), ("reaction", "reaction"), ("state", "state")):
+                self.record[name] = control[field]
             self._note_applied(PASSIVE)
             self._publish()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Annotated, Literal
 
@@ -14,9 +14,18 @@ from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
 from bench.control.pid import design_pid
 from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
-from bench.lifecycle import Phase, reaction_table
+from bench.lifecycle import (
+    EMERGENCIES,
+    NEEDS_LEASE,
+    Cause,
+    Phase,
+    Request,
+    accepted_table,
+    reaction_table,
+)
 from bench.swing.profile import Profile
 from sim.compiled import new_record
+from sim.driver import hanging_pose
 from sim.plant import PlantParameters
 
 Positive = Annotated[float, Gt(0)]
@@ -185,14 +194,24 @@ _FOLLOWED = {
 }
 
 
+SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
+"""Of a bench without anybody beside it: no warning, and the address is held after a swing."""
+
+
 def build_controller(
     plant: PlantParameters,
     profile: Profile,
     control: ControlSettings | None = None,
     envelope: EnvelopeSettings | None = None,
     estimator: EstimatorSettings | None = None,
+    lifecycle: LifecycleSettings = SIMULATED,
+    homing: HomingSettings | None = None,
+    *,
+    read_only: bool = False,
 ) -> ControlParameters:
     """Turn settings, the machine's data and a profile into the records that `step` takes.
+
+    With `read_only` nothing but the passive command is ever given.
 
     Raises:
         ValueError: an estimator, encoder or PID value is outside its meaning.
@@ -201,7 +220,7 @@ def build_controller(
     estimator = estimator or EstimatorSettings()
     robot, counts = plant.robot, plant.encoders.counts_per_revolution
     return ControlParameters(
-        control=_control_record(control),
+        control=_control_record(control, lifecycle, homing or HomingSettings(), plant, read_only),
         encoder=design_encoders(
             counts_per_revolution=(counts,) * 3,
             zero_count=(0.0, 0.0, 0.0),
@@ -244,12 +263,25 @@ def _angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
     )
 
 
-def _control_record(settings: ControlSettings) -> np.ndarray:
+def _control_record(
+    control: ControlSettings,
+    lifecycle: LifecycleSettings,
+    homing: HomingSettings,
+    plant: PlantParameters,
+    read_only: bool,
+) -> np.ndarray:
     record = new_record(CONTROL_PARAMETERS)
-    for name in CONTROL_PARAMETERS.names or ():
-        if name != "reactions":
-            record[name] = getattr(settings, name)
-    record["reactions"] = reaction_table()
+    for settings in (control, lifecycle):
+        for setting in fields(settings):
+            if setting.name in (CONTROL_PARAMETERS.names or ()):
+                record[setting.name] = getattr(settings, setting.name)
+    for name in ("tolerance", "time", "speed", "pressure", "opening", "longest"):
+        record[f"home_{name}"] = getattr(homing, name)
+    record["home_by_index"], record["home_pose"] = homing.method == "index", hanging_pose(plant)
+    record["reactions"], record["accepted"] = reaction_table(), accepted_table()
+    record["needs_lease"] = [request in NEEDS_LEASE for request in Request]
+    record["emergencies"] = [cause in EMERGENCIES for cause in Cause]
+    record["read_only"] = read_only
     return record
 
 

@@ -1,9 +1,10 @@
 """The deciding part of the cycle: one compiled function from readings to command.
 
-`step` estimates, moves the swing on, computes reference, PID and feed-forward, asks the envelope, picks
-the reaction from the stopping table and limits the command. It reads no clock, allocates nothing, raises
-nothing; all it remembers is in the records of `ControlState`. The same function runs in the real-time
-loop, in lock-step simulation and in sweeps.
+`step` estimates (`estimate_tick`), answers requests, moves the swing on, computes reference, PID and
+feed-forward, asks the envelope, picks the reaction from the stopping table, moves the bench from state to
+state (`decide_tick`) and limits the command (`limit_tick`). It reads no clock, allocates nothing, raises
+nothing; all it remembers is in the records of `ControlState`. The same functions run in the real-time loop,
+which takes the time of each, in lock-step simulation and in sweeps.
 """
 
 from __future__ import annotations
@@ -17,14 +18,27 @@ from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
 from bench.control.pid import PID_STATE, control, reset_integral
-from bench.lifecycle import DISOBEYED, EMERGENCY, LOST, TRUSTED, Cause, Phase, Reaction
+from bench.control.requests import near_address, note_local_reset, take_request
+from bench.lifecycle import (
+    DISOBEYED,
+    EMERGENCY,
+    LOST,
+    TRUSTED,
+    Answer,
+    Cause,
+    Phase,
+    Reaction,
+    Request,
+    State,
+)
 from sim.compiled import compiled, new_record
 from sim.kinematics import head_motion
 
-NO_REQUEST, ARM, SWING, DISARM, RESET, STOP = range(6)
+ARM, SWING, DISARM = int(Request.ARM), int(Request.SWING), int(Request.DISARM)
+RESET, STOP = int(Request.RESET), int(Request.STOP)
 """Requests, put into `state.control.request` before a tick; the step answers in `answer`."""
 
-ACCEPTED, REFUSED = 1, 2
+ACCEPTED, REFUSED = int(Answer.ACCEPTED), int(Answer.REFUSED)
 
 CONTROL_PARAMETERS = np.dtype(
     [
@@ -46,7 +60,26 @@ CONTROL_PARAMETERS = np.dtype(
         ("address_tolerance", "f8", (3,)),
         ("rest_band", "f8", (3,)),
         ("strike_drop", "f8"),
-        ("reactions", "u1", (10, 4)),
+        ("reactions", "u1", (len(Phase), 4)),
+        ("accepted", "u1", (len(Request), len(State))),
+        ("needs_lease", "u1", (len(Request),)),
+        ("emergencies", "u1", (len(Cause),)),
+        ("warning_time", "f8"),
+        ("armed_time", "f8"),
+        ("vented_pressure", "f8"),
+        ("vent_time", "f8"),
+        ("local_reset", "?"),
+        ("local_reset_time", "f8"),
+        ("series", "?"),
+        ("read_only", "?"),
+        ("home_by_index", "?"),
+        ("home_pose", "f8", (3,)),
+        ("home_tolerance", "f8", (3,)),
+        ("home_time", "f8"),
+        ("home_speed", "f8", (3,)),
+        ("home_pressure", "f8"),
+        ("home_opening", "f8"),
+        ("home_longest", "f8"),
     ],
     align=True,
 )
@@ -58,9 +91,34 @@ CONTROL_STATE = np.dtype(
     [
         ("tick", "i8"),
         ("time", "f8"),
+        ("measured_step", "f8"),
         ("started", "?"),
+        ("lost", "i4"),
+        ("seen", "?"),
         ("request", "u1"),
+        ("request_number", "i8"),
+        ("lease_held", "?"),
+        ("support_ready", "?"),
+        ("supervisor_alive", "?"),
+        ("warm", "?"),
+        ("first_cause", "i4"),
+        ("asked", "u1"),
+        ("answered_number", "i8"),
         ("answer", "u1"),
+        ("refusal", "u1"),
+        ("state", "u1"),
+        ("state_since", "f8"),
+        ("emergency", "?"),
+        ("homed", "?"),
+        ("home_good", "f8"),
+        ("vented", "?"),
+        ("vent_start", "f8"),
+        ("air", "?"),
+        ("air_from", "f8"),
+        ("securing", "?"),
+        ("disarming", "?"),
+        ("reset_was_low", "?"),
+        ("reset_pressed", "f8"),
         ("tee", "?"),
         ("phase", "u1"),
         ("reaction", "u1"),
@@ -89,6 +147,10 @@ CONTROL_STATE = np.dtype(
     ],
     align=True,
 )
+"""From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
+`supervisor_alive`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it), `tee`.
+`lost` is this tick's verdict on the readings, `seen` that they were trusted once; `emergency` says that the
+stop under way ends in ESTOP; `air` that the supply is on."""
 
 PROFILE = np.dtype(
     [
@@ -106,6 +168,21 @@ _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(React
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
 _E_STOP_CAUSE, _OPERATOR = int(Cause.EMERGENCY_STOP), int(Cause.OPERATOR_STOP)
 _FOLLOWING, _ADDRESS_TIMEOUT = int(Cause.SHOULDER_FOLLOWING), int(Cause.ADDRESS_TIMEOUT)
+_NETWORK, _SUPERVISOR, _HOMING_FAILED = (
+    int(Cause.NETWORK_STOP), int(Cause.SUPERVISOR), int(Cause.HOMING_FAILED),
+)  # fmt: skip
+_GUARD_CAUSE, _NOT_VENTED, _ENCODER = (
+    int(Cause.GUARD), int(Cause.NOT_VENTED), int(Cause.SHOULDER_ENCODER),
+)  # fmt: skip
+_ARM, _SWING, _DISARM, _RESET = ARM, SWING, DISARM, RESET
+_STOP, _EMERGENCY_STOP, _HOME = STOP, int(Request.EMERGENCY_STOP), int(Request.HOME)
+_ACCESS, _SECURE, _TEE = int(Request.ACCESS), int(Request.SECURE), int(Request.TEE)
+_STARTING, _ESTOP, _SAFE, _HOMING = int(State.STARTING), int(State.ESTOP), int(State.SAFE), int(State.HOMING)
+_READY, _ARMED, _SWINGING = int(State.READY), int(State.ARMED), int(State.SWINGING)
+_RECOVERING, _IN_ACCESS, _FAULT = int(State.RECOVERING), int(State.ACCESS), int(State.FAULT)
+
+_SECURING_TIME = 2.0
+"""In which a guard that is to be locked must be seen locked, s."""
 
 
 class ControlState(NamedTuple):
@@ -137,14 +214,24 @@ class ControlParameters(NamedTuple):
     """(m, 6) openings and durations (s)."""
 
 
-def new_control_state() -> ControlState:
-    """Return the state at power-up: standing, nothing read yet."""
-    return ControlState(
+def new_control_state(state: State = State.READY) -> ControlState:
+    """Return the state at power-up: standing, nothing read yet.
+
+    A simulation begins in READY, homed and with the lease; a bench begins in State.STARTING.
+    """
+    made = ControlState(
         new_record(CONTROL_STATE),
         new_record(ENCODER_STATE),
         new_record(ESTIMATOR_STATE),
         new_record(PID_STATE),
     )
+    control, begun = made.control, state != State.STARTING
+    control["state"], control["first_cause"] = state, Cause.POWER_UP
+    control["homed"] = begun and state != State.SAFE
+    for name in ("lease_held", "support_ready", "supervisor_alive"):
+        control[name] = begun
+    control["reset_pressed"] = control["vent_start"] = -np.inf
+    return made
 
 
 @compiled
@@ -206,54 +293,6 @@ def _move_at(parameters: Any, s: Any, time: float) -> bool:
 
 
 @compiled
-def near_address(parameters: Any, estimator: Any) -> bool:
-    """Tell whether every joint is at the address within its tolerance and at rest."""
-    p, e = parameters.control[0], estimator[0]
-    for i in range(3):
-        if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
-            return False
-        if not abs(e.velocity[i]) <= 2.0 * p.still_speed[i]:
-            return False
-    return True
-
-
-@compiled
-def _answer_request(state: Any, parameters: Any, readings: Any, trusted: bool, time: float) -> int:
-    """Carry out the request, if any, or refuse it; return the cause that an accepted stop gives, or 0."""
-    s, e = state.control[0], state.estimator[0]
-    request = s.request
-    s.request = NO_REQUEST
-    if request == NO_REQUEST:
-        return 0
-    s.answer = REFUSED
-    standing = s.phase == _STANDING
-    clear = trusted and interlock_cause(readings) == 0
-    if request == STOP:
-        s.answer = ACCEPTED
-        return 0 if standing else _OPERATOR
-    if request == RESET and standing and clear:
-        s.answer = ACCEPTED
-        s.cause = s.latest_cause = 0
-        s.reaction = _NONE
-    elif request == ARM and standing and clear and s.reaction == _NONE:
-        s.answer = ACCEPTED
-        reset_integral(state.pid)
-        # Set-point := measured; the move begins when the chambers are charged.
-        _begin_move(parameters, s, e.angle, time + parameters.control[0].precharge_time)
-    elif request == SWING and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
-        if near_address(parameters, state.estimator):
-            s.answer = ACCEPTED
-            s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
-            s.swings += 1
-            _profile_at(parameters, s, time)
-            # The integrals go on: the output of this tick also holds the damping term's noise.
-    elif request == DISARM and s.phase == _HOLD and not s.swinging and s.reaction == _NONE:
-        s.answer = ACCEPTED
-        s.phase = _STANDING
-    return 0
-
-
-@compiled
 def _note_impact(p: Any, s: Any) -> None:
     """Notice the drop of head speed that only a struck ball gives; no drop seen is the event 'no ball'."""
     speed = sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])
@@ -264,15 +303,47 @@ def _note_impact(p: Any, s: Any) -> None:
 
 
 @compiled
+def _enter(s: Any, state: int, time: float) -> None:
+    """Go to `state`."""
+    s.state, s.state_since = state, time
+
+
+@compiled
+def _stand(s: Any, time: float) -> None:
+    """Be at rest: whatever was under way is over, the air is let out, and a cause latches its state."""
+    s.swinging = s.moving = s.disarming = s.air = s.vented = False
+    s.phase, s.vent_start = _STANDING, time
+    if s.cause != 0:
+        s.reaction = _VENT
+        _enter(s, _ESTOP if s.emergency else _FAULT, time)
+    else:
+        s.reaction = _NONE
+        _enter(s, _READY if s.homed else _SAFE, time)
+
+
+@compiled
+def _latch(p: Any, s: Any, cause: int, time: float) -> None:
+    """Latch ESTOP or FAULT while standing; the first cause is kept, unless an emergency comes on top."""
+    emergency = p.emergencies[cause] != 0
+    s.latest_cause = cause
+    if s.cause == 0 or (emergency and not s.emergency):
+        s.cause = cause
+    s.emergency = s.emergency or emergency
+    s.reaction, s.securing = _VENT, False
+    _enter(s, _ESTOP if s.emergency else _FAULT, time)
+
+
+@compiled
 def _react(state: Any, parameters: Any, cause: int, column: int, time: float) -> None:
     """Enter the table's reaction to `cause`, unless a more severe one is under way."""
     s, p = state.control[0], parameters.control[0]
     s.latest_cause = cause
+    s.emergency = s.emergency or p.emergencies[cause] != 0
+    if s.cause == 0:
+        s.cause = cause
     reaction = p.reactions[s.phase, column]
     if reaction <= s.reaction:
         return
-    if s.reaction == _NONE:
-        s.cause = cause
     s.reaction = reaction
     s.reaction_start = time
     s.still_since = time
@@ -281,17 +352,151 @@ def _react(state: Any, parameters: Any, cause: int, column: int, time: float) ->
         row = s.swing_sample // profile.blind_spacing
         s.blind_row = min(row, profile.blind_rows - 1) if s.swinging else -1
     if reaction == _VENT:
-        s.swinging = s.moving = False
-        s.phase = _STANDING
+        _stand(s, time)
 
 
 @compiled
-def _stand(s: Any) -> None:
-    """Be at rest: whatever was under way is over, and the air is let out."""
-    s.swinging = s.moving = False
-    s.phase = _STANDING
-    if s.reaction != _NONE:
-        s.reaction = _VENT
+def _disarm(s: Any, time: float) -> None:
+    """Let go in order: vent when at rest, else brake first. No cause, nothing is latched."""
+    if s.phase in (_HOLD, _STANDING) or not s.air:
+        _stand(s, time)
+    elif s.reaction == _NONE:
+        s.reaction, s.moving = _BRAKE, False
+        s.reaction_start = s.still_since = time
+        if s.state == _ARMED:
+            _enter(s, _RECOVERING, time)
+
+
+@compiled
+def _carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
+    """Do what the accepted `request` asks for; stops are not done here."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    if request == _RESET:
+        s.cause = s.latest_cause = 0
+        s.emergency = False
+        s.reaction, s.reset_pressed = _NONE, -np.inf
+        _enter(s, _READY if s.homed else _SAFE, time)
+    elif request == _HOME:
+        s.homed, s.home_good = False, time
+        _enter(s, _HOMING, time)
+    elif request == _ARM:
+        reset_integral(state.pid)
+        s.disarming = s.tee = False
+        s.air_from = time + p.warning_time
+        # Set-point := measured; the move begins when the chambers are charged.
+        _begin_move(parameters, s, e.angle, s.air_from + p.precharge_time)
+        _enter(s, _ARMED, time)
+    elif request == _SWING:
+        s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
+        s.swings += 1
+        _profile_at(parameters, s, time)
+        # The integrals go on: the output of this tick also holds the damping term's noise.
+        _enter(s, _SWINGING, time)
+    elif request == _DISARM:
+        if s.state == _RECOVERING:
+            s.disarming = True  # the return is the safe way home; then nothing stays armed
+        else:
+            _disarm(s, time)
+    elif request == _ACCESS:
+        s.securing = False
+        _enter(s, _IN_ACCESS, time)
+    elif request == _SECURE:
+        s.securing, s.state_since = True, time
+    elif request == _TEE:
+        s.tee = True
+
+
+@compiled
+def _watch_vent(p: Any, s: Any, readings: Any, time: float) -> bool:
+    """Judge whether the chambers are empty; return True when they should be and are not."""
+    fitted = empty = True
+    for i in range(6):
+        pressure = readings[0].chamber_pressure[i]
+        if not np.isfinite(pressure):
+            fitted = False
+        elif pressure > p.vented_pressure:
+            empty = False
+    late = time - s.vent_start >= p.vent_time
+    s.vented = empty and (fitted or late)
+    return late and not empty
+
+
+@compiled
+def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> None:
+    """Compare absolute encoders with the vented robot's pose; nothing moves."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    good = True
+    for i in range(3):
+        good = good and abs(e.angle[i] - p.home_pose[i]) <= p.home_tolerance[i]
+        good = good and readings[0].encoder_indexed[i] != 0
+    if not good:
+        s.home_good = time
+    if time - s.home_good >= p.home_time:
+        s.homed = True
+        _enter(s, _READY, time)
+    elif time - s.state_since >= 2.0 * p.home_time:
+        _latch(p, s, _HOMING_FAILED, time)
+
+
+@compiled
+def _watch_standing(
+    state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
+) -> None:
+    """Latch what must not be while the robot stands, and move on the states in which it does."""
+    s, p = state.control[0], parameters.control[0]
+    pressed = _watch_vent(p, s, readings, time)
+    for i in range(3):
+        if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
+            s.homed = False
+    if s.state == _STARTING:
+        if s.warm:
+            _latch(p, s, s.first_cause, time)
+        return
+    if interlock == _E_STOP_CAUSE or asked == _NETWORK:
+        if s.state != _ESTOP:
+            _latch(p, s, interlock if interlock == _E_STOP_CAUSE else asked, time)
+        return
+    if s.state in (_ESTOP, _FAULT):
+        return
+    if not s.supervisor_alive:
+        _latch(p, s, _SUPERVISOR, time)
+    elif s.state == _IN_ACCESS:
+        if not s.vented:
+            _latch(p, s, _NOT_VENTED, time)
+        elif s.securing and interlock == 0:
+            s.securing = False
+            if s.cause != 0:
+                _enter(s, _ESTOP if s.emergency else _FAULT, time)
+            else:
+                _enter(s, _READY if s.homed else _SAFE, time)
+        elif s.securing and time - s.state_since >= _SECURING_TIME:
+            _latch(p, s, _GUARD_CAUSE, time)
+    elif interlock != 0:
+        _latch(p, s, interlock, time)
+    elif asked != 0 and s.state == _HOMING:
+        _latch(p, s, asked, time)
+    elif s.lost != 0 and s.seen and s.state != _SAFE:
+        _latch(p, s, s.lost, time)
+    elif pressed:
+        _latch(p, s, _NOT_VENTED, time)
+    elif s.state == _READY and not s.homed:
+        _enter(s, _SAFE, time)
+    elif s.state == _HOMING:
+        if not s.lease_held:
+            _disarm(s, time)
+        else:
+            _watch_homing(state, parameters, readings, time)
+
+
+@compiled
+def _watch_permission(s: Any, p: Any, time: float) -> None:
+    """Disarm when nobody holds the bench any more, nothing would be recorded, or it waited for too long."""
+    if s.state == _ARMED and s.reaction == _NONE:
+        waited = s.phase == _HOLD and time - s.state_since > p.armed_time
+        if waited or not (s.lease_held and s.support_ready):
+            _disarm(s, time)
+    elif s.state == _HOMING and s.reaction == _NONE and not s.lease_held:
+        _disarm(s, time)
 
 
 @compiled
@@ -315,7 +520,7 @@ def _rest_or_wait(s: Any, p: Any, e: Any, trusted: bool, time: float) -> None:
     if not still:
         s.still_since = time
     if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
-        _stand(s)
+        _stand(s, time)
 
 
 @compiled
@@ -351,7 +556,19 @@ def _brake_blind(s: Any, parameters: Any, time: float) -> None:
             if since < duration:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
     if since >= longest + parameters.control[0].blind_settle:
-        _stand(s)
+        _stand(s, time)
+
+
+@compiled
+def _arrive(s: Any, p: Any, time: float) -> None:
+    """Be at the address: hold it, or vent after a swing that is not followed by another."""
+    s.moving = False
+    s.phase = _HOLD
+    again = p.series and s.lease_held and s.support_ready and not s.disarming
+    if s.state == _ARMED or (again and s.reaction == _NONE):
+        _enter(s, _ARMED, time)
+    elif s.reaction == _NONE:
+        _stand(s, time)
 
 
 @compiled
@@ -360,7 +577,7 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     if s.swinging:
         if not _profile_at(parameters, s, time):
-            s.swinging = False
+            s.swinging = s.tee = False
             if s.reaction == _COMPLETE:
                 s.reaction = _BRAKE  # the planned braking is done; BRAKE holds until rest is proven
                 s.reaction_start = s.still_since = time
@@ -368,10 +585,10 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
                 reset_integral(state.pid)
                 _begin_move(parameters, s, e.angle, time)
                 _move_at(parameters, s, time)
+                _enter(s, _RECOVERING, time)
     elif s.moving:
         if not _move_at(parameters, s, time) and near_address(parameters, state.estimator):
-            s.moving = False
-            s.phase = _HOLD
+            _arrive(s, p, time)
     else:
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
@@ -408,6 +625,111 @@ def _charging(s: Any, time: float) -> bool:
 
 
 @compiled
+def estimate_tick(state: ControlState, parameters: ControlParameters, readings: Any, time: float) -> None:
+    """Judge the READINGS at `time` (s) and estimate angles, velocities and the club head from them."""
+    s, e = state.control[0], state.estimator[0]
+    if not s.started:
+        s.vent_start = time
+    s.measured_step = time - s.time if s.started else 0.0
+    s.started, s.time = True, time
+    s.tick += 1
+    decode_encoders(state.encoder, parameters.encoder, readings, time)
+    estimate(
+        state.estimator, parameters.estimator, state.encoder[0].angle, state.encoder[0].age,
+        state.encoder[0].fresh, s.measured_step, s.phase == _IMPACT,
+    )  # fmt: skip
+    s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
+        parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
+    )
+    s.lost = readings_cause(parameters.envelope, state.estimator)
+    for i in range(3):
+        # An absolute count that is none any more, as after a loss of the encoder's power.
+        if s.lost == 0 and s.homed and readings[0].encoder_valid[i] != 0:
+            if readings[0].encoder_indexed[i] == 0:
+                s.lost = _ENCODER + i
+    s.seen = s.seen or s.lost == 0
+    _note_impact(parameters.control[0], s)
+
+
+@compiled
+def decide_tick(state: ControlState, parameters: ControlParameters, readings: Any, time: float) -> None:
+    """Answer the request, move swing or move on, ask the envelope, and set the desired openings."""
+    s, p = state.control[0], parameters.control[0]
+    interlock = interlock_cause(readings)
+    note_local_reset(s, readings[0].local_reset, time)
+    request = take_request(state, parameters, readings, time)
+    asked = _OPERATOR if request == _STOP else _NETWORK if request == _EMERGENCY_STOP else 0
+    if request != 0 and asked == 0:
+        _carry_out(state, parameters, request, time)
+    if s.phase != _STANDING and s.reaction <= _COMPLETE:
+        _follow(state, parameters, time, s.measured_step)
+    if s.phase == _STANDING:
+        _watch_standing(state, parameters, readings, interlock, asked, time)
+    else:
+        _watch_motion(state, parameters, readings, interlock, asked, time)
+        _watch_permission(s, p, time)
+    if s.reaction == _BRAKE:
+        _brake(state, parameters, s.lost == 0, time)
+    elif s.reaction == _PASSIVE:
+        _go_limp(state, parameters, s.lost == 0, time)
+    elif s.reaction == _BLIND:
+        _brake_blind(s, parameters, time)
+
+
+@compiled
+def _watch_motion(
+    state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
+) -> None:
+    """Stop as the table says what must not go on while the robot moves or holds; the first cause counts."""
+    s = state.control[0]
+    emergency = interlock == _E_STOP_CAUSE or asked == _NETWORK
+    s.emergency = s.emergency or emergency
+    if s.lost != 0:
+        _react(state, parameters, s.lost, LOST, time)
+    elif interlock != 0:
+        _react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
+    elif asked != 0:
+        _react(state, parameters, asked, EMERGENCY if emergency else TRUSTED, time)
+    elif not s.supervisor_alive:
+        _react(state, parameters, _SUPERVISOR, TRUSTED, time)
+    elif s.reaction <= _COMPLETE:
+        broken = motion_cause(
+            parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
+            s.measured_step, _charging(s, time),
+        )  # fmt: skip
+        longest = s.move_time + parameters.control[0].move_timeout
+        if broken == 0 and s.moving and time - s.move_start > longest:
+            broken = _ADDRESS_TIMEOUT
+        if broken != 0:
+            column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
+            _react(state, parameters, broken, column, time)
+
+
+@compiled
+def limit_tick(
+    state: ControlState, parameters: ControlParameters, readings: Any, command: Any, cycle: Any
+) -> None:
+    """Bound the desired openings, and write COMMAND and the tick's CYCLE record."""
+    s, p, c = state.control[0], parameters.control[0], command[0]
+    if s.phase != _STANDING and s.reaction <= _COMPLETE and s.time >= s.air_from:
+        s.air = True
+    powered = s.air and s.phase != _STANDING and s.reaction != _PASSIVE and not p.read_only
+    for i in range(3):
+        if not powered:
+            s.desired[i] = 0.0
+            s.applied[i] = 0.0
+        else:
+            s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
+        c.valve[i] = s.applied[i]
+    c.supply_enable = c.exhaust_closed = powered
+    c.beacon = s.phase != _STANDING and s.reaction != _PASSIVE and not p.read_only
+    c.guard_lock = s.state != _IN_ACCESS or s.securing
+    s.tee = s.tee and powered  # after a stop no ball rises by itself
+    c.tee = s.tee
+    _record(state, readings, command, cycle)
+
+
+@compiled
 def step(
     state: ControlState, parameters: ControlParameters, readings: Any, time: float, command: Any, cycle: Any
 ) -> None:
@@ -415,79 +737,29 @@ def step(
 
     Any reading is allowed, also one that is not a number; so is a clock that stands still or runs backwards.
     """
-    s, e, c = state.control[0], state.estimator[0], command[0]
-    measured_step = time - s.time if s.started else 0.0
-    s.started, s.time = True, time
-    s.tick += 1
-
-    # Estimate.
-    decode_encoders(state.encoder, parameters.encoder, readings, time)
-    estimate(
-        state.estimator, parameters.estimator, state.encoder[0].angle, state.encoder[0].age,
-        state.encoder[0].fresh, measured_step, s.phase == _IMPACT,
-    )  # fmt: skip
-    s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
-        parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
-    )
-    lost = readings_cause(parameters.envelope, state.estimator)
-    _note_impact(parameters.control[0], s)
-
-    # Decide: request, then where the swing or move is, then the envelope, then the reaction.
-    asked = _answer_request(state, parameters, readings, lost == 0, time)
-    if s.phase != _STANDING and s.reaction <= _COMPLETE:
-        _follow(state, parameters, time, measured_step)
-    if s.phase != _STANDING:
-        interlock = interlock_cause(readings)
-        if lost != 0:
-            _react(state, parameters, lost, LOST, time)
-        elif interlock != 0:
-            _react(state, parameters, interlock, EMERGENCY if interlock == _E_STOP_CAUSE else TRUSTED, time)
-        elif asked != 0:
-            _react(state, parameters, asked, TRUSTED, time)
-        elif s.reaction <= _COMPLETE:
-            broken = motion_cause(
-                parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
-                measured_step, _charging(s, time),
-            )  # fmt: skip
-            longest = s.move_time + parameters.control[0].move_timeout
-            if broken == 0 and s.moving and time - s.move_start > longest:
-                broken = _ADDRESS_TIMEOUT
-            if broken != 0:
-                column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
-                _react(state, parameters, broken, column, time)
-    if s.reaction == _BRAKE:
-        _brake(state, parameters, lost == 0, time)
-    elif s.reaction == _PASSIVE:
-        _go_limp(state, parameters, lost == 0, time)
-    elif s.reaction == _BLIND:
-        _brake_blind(s, parameters, time)
-
-    # Limit and command.
-    powered = s.phase != _STANDING and s.reaction != _PASSIVE
-    for i in range(3):
-        if not powered:
-            s.desired[i] = 0.0
-            s.applied[i] = 0.0
-        else:
-            s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], measured_step)
-        c.valve[i] = s.applied[i]
-    c.supply_enable = c.exhaust_closed = c.beacon = powered
-    c.guard_lock = True
-    s.tee = s.tee and powered  # after a stop no ball rises by itself
-    c.tee = s.tee
-    _record(state, readings, command, measured_step, cycle)
+    estimate_tick(state, parameters, readings, time)
+    decide_tick(state, parameters, readings, time)
+    limit_tick(state, parameters, readings, command, cycle)
 
 
 @compiled
-def _record(state: ControlState, readings: Any, command: Any, measured_step: float, cycle: Any) -> None:
+def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> None:
     """Write the tick's CYCLE record; what only the plant knows is left to the plant's side."""
     s, e, d, r, c, out = state.control[0], state.estimator[0], state.pid[0], readings[0], command[0], cycle[0]
-    out.tick, out.time, out.measured_step = s.tick, s.time, measured_step
+    out.tick, out.time, out.measured_step = s.tick, s.time, s.measured_step
+    out.state, out.request, out.request_number = s.state, s.asked, s.answered_number
+    out.answer, out.refusal = s.answer, s.refusal
+    out.lease_held, out.support_ready, out.supervisor_alive = (
+        s.lease_held, s.support_ready, s.supervisor_alive,
+    )  # fmt: skip
+    out.homed, out.vented = s.homed, s.vented
     out.phase, out.reaction, out.trip = s.phase, s.reaction, s.cause
     for i in range(3):
         out.encoder_count[i] = r.encoder_count[i]
         out.encoder_valid[i] = r.encoder_valid[i]
         out.encoder_age[i] = r.encoder_age[i]
+        out.encoder_time[i] = r.encoder_time[i]
+        out.encoder_indexed[i] = r.encoder_indexed[i]
         out.angle[i], out.velocity[i] = e.angle[i], e.velocity[i]
         out.angle_variance[i] = e.covariance[i, 0]
         out.reference_angle[i], out.reference_velocity[i] = s.reference[i], s.reference_velocity[i]

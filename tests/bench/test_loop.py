@@ -14,7 +14,7 @@ from bench.clock import FreeClock, PacedClock
 from bench.control.settings import ControlSettings, PidSettings, build_controller
 from bench.control.step import ACCEPTED, ARM, REFUSED, RESET, SWING, ControlParameters
 from bench.interrupt import deferred_interrupt
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.lifecycle import Cause, Phase, Reaction, State
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
@@ -161,8 +161,14 @@ def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty
     driver.fail_read = DriverError("bus off")
     loop.advance(1, ARM)
     assert control(loop)["answer"] == REFUSED
-    assert control(loop)["cause"] == Cause.NONE
+    assert (control(loop)["cause"], control(loop)["state"]) == (
+        Cause.EXCEPTION,
+        State.ESTOP,
+    )  # nothing said the circuit is closed
     driver.fail_read = None
+    loop.advance(1, ARM)
+    assert control(loop)["answer"] == REFUSED
+    loop.advance(1, RESET)
     loop.advance(1, ARM)
     assert control(loop)["answer"] == ACCEPTED
 
@@ -224,7 +230,7 @@ def test_numerics_that_fail_make_passive_too(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("in the step")
 
-    monkeypatch.setattr(bench.loop, "step", fail)
+    monkeypatch.setattr(bench.loop, "decide_tick", fail)
     kept = CycleArray(1)
     holding.cycle.publish = kept
     with pytest.raises(ZeroDivisionError) as raised:

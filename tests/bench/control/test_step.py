@@ -28,7 +28,18 @@ from bench.control.step import (
     new_control_state,
     step,
 )
-from bench.lifecycle import DISOBEYED, EMERGENCY, LOST, STOPPING, TRUSTED, Cause, Phase, Reaction
+from bench.lifecycle import (
+    DISOBEYED,
+    EMERGENCY,
+    LOST,
+    STOPPING,
+    TRUSTED,
+    Cause,
+    Phase,
+    Reaction,
+    Request,
+    State,
+)
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
@@ -80,6 +91,7 @@ class Puppet:
         for name in GOOD:
             r[name] = True
         r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = 8e5, nan, 1
+        r["encoder_indexed"] = 1
 
     @property
     def control(self) -> Any:
@@ -187,7 +199,8 @@ def test_arming_needs_every_interlock(name: str) -> None:
     puppet.readings[name] = True
     puppet.run(5)
     assert puppet.phase is Phase.STANDING  # a refused request is forgotten
-    assert puppet.tick(ARM) == ACCEPTED
+    assert puppet.tick(ARM) == REFUSED  # and the interlock has latched
+    assert (puppet.tick(RESET), puppet.tick(ARM)) == (ACCEPTED, ACCEPTED)
 
 
 @pytest.mark.parametrize("joint", range(3))
@@ -308,11 +321,16 @@ def test_a_swing_begins_without_a_bump() -> None:
 
 
 @each_phase
-def test_disarming_is_for_a_quiet_hold(phase: Phase) -> None:
+def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
-    assert puppet.tick(DISARM) == (ACCEPTED if phase is Phase.HOLD else REFUSED)
-    if phase is Phase.HOLD:
+    quiet, slow = phase is Phase.HOLD, phase in {Phase.RETURN, Phase.HOMING}
+    assert puppet.tick(DISARM) == (ACCEPTED if quiet or slow else REFUSED)
+    if quiet:
         assert (puppet.phase, puppet.is_without_energy()) == (Phase.STANDING, True)
+    if slow:
+        assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.NONE)
+        puppet.run(1600)
+        assert (puppet.control["state"], puppet.is_without_energy()) == (State.READY, True)
 
 
 def test_disarming_does_not_cut_a_brake_short() -> None:
@@ -336,13 +354,13 @@ def test_a_stop_is_always_accepted(phase: Phase) -> None:
 
 
 @each_phase
-@pytest.mark.parametrize("request_", [*range(1, 9), 255])
+@pytest.mark.parametrize("request_", [*range(1, len(Request)), 11, 255])
 def test_every_request_is_answered_once(phase: Phase, request_: int) -> None:
     puppet = Puppet().enter(phase)
     answer = puppet.tick(request_)
     assert answer in {ACCEPTED, REFUSED}
     assert puppet.tick() == 0
-    if request_ > STOP:
+    if request_ >= len(Request):
         assert answer == REFUSED
 
 
