@@ -1,0 +1,37 @@
+"""Ticks on the wall's clock: late ones are made up, at most some at once, and the rest is let go."""
+
+from __future__ import annotations
+
+from math import ceil, floor
+
+
+class WallGrid:
+    """The multiples of `period` (s) on a clock that is given, from the first one not before `now` on.
+
+    Nothing is ever due before its instant.
+    """
+
+    def __init__(self, period: float, now: float, burst: int) -> None:
+        self.period, self.burst = period, burst
+        self.line = ceil(now / period)
+        """Number of the next tick; its instant is that many periods."""
+        self.slips = 0
+        self.slipped_ticks = 0
+
+    @property
+    def instant(self) -> float:
+        """When the next tick is due, s."""
+        return self.line * self.period
+
+    def take_due(self, now: float) -> int:
+        """Return how many ticks are to be done at `now` (s), 0 … burst, after slipping what is too late.
+
+        The caller does them and adds one to `line` for each.
+        """
+        due = floor(now / self.period) - self.line + 1
+        if due > self.burst:
+            self.slips += 1
+            self.slipped_ticks += due - self.burst
+            self.line += due - self.burst
+            return self.burst
+        return max(due, 0)
