@@ -1,0 +1,318 @@
+"""Who runs a bench on this machine: a folder in memory, and the lock on the file `owner` in it.
+
+The daemon takes the bench before anything moves and hands the locked descriptor to its loop, so the bench
+stays taken as long as one of the two lives. The kernel lets the lock go with the last of them, however they
+end; whoever takes the bench next clears what killed ones have left. The folder holds the files that the
+daemon's processes share.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pwd
+import re
+import shutil
+import stat
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+from bench.errors import BenchError, ExitCode, Refused
+
+MEMORY = Path("/dev/shm")  # noqa: S108 - the folder made in it is checked to be ours alone
+"""Where shared memory has its files unless systemd gives a place."""
+
+BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
+"""What a bench may be called: its id is part of addresses and of files' names."""
+
+OWNER = "owner"
+"""Name of the locked file."""
+
+_SIZE = 512
+"""Bytes of that file: always the same, so that whoever reads it while it is rewritten finds it whole."""
+_ATTEMPTS, _PAUSE = 20, 0.01
+"""How often, and after how many seconds, to look again while another process is just leaving."""
+
+
+class NoBenchFolder(BenchError):
+    """The bench's folder in memory cannot be made or used."""
+
+    exit_code = ExitCode.FILE
+
+
+class Process(NamedTuple):
+    """A process, told from a later one of the same number by the instant it was started."""
+
+    pid: int
+    start: int
+    """Clock ticks after the machine's start."""
+
+    @property
+    def lives(self) -> bool:
+        """Whether it still runs."""
+        return _start_of(self.pid) == self.start
+
+
+class Owner(NamedTuple):
+    """What the file `owner` says."""
+
+    bench_id: str
+    supervisor: Process
+    loop: Process | None = None
+
+
+class Ownership:
+    """A bench that is ours, until `leave`. Both supervisor and loop have one."""
+
+    def __init__(self, owner: Owner, folder: Path, descriptor: int) -> None:
+        """Hold `descriptor`, the locked file `owner` in `folder`; see `take_bench` and `adopt`."""
+        self.owner = owner
+        self.folder = folder
+        """Where the processes of the bench keep the files they share."""
+        self.descriptor = descriptor
+        """Give it to the loop process (`pass_fds`), which calls `adopt` with its number; to no other."""
+
+    def note_loop(self, pid: int) -> None:
+        """Write down that `pid`, a child that inherits the lock, is the loop."""
+        self.owner = self.owner._replace(loop=Process(pid, _start_of(pid) or 0))
+        _write(self.descriptor, self.owner)
+
+    def leave(self) -> None:
+        """Give the bench back; the last process to leave removes the folder. Allowed twice."""
+        if self.descriptor < 0:
+            return
+        os.close(self.descriptor)
+        self.descriptor = -1
+        with suppress(OSError):  # gone already
+            folder = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            try:
+                self._remove(folder)
+            finally:
+                os.close(folder)
+
+    def _remove(self, folder: int) -> None:
+        """Empty and remove `folder` if nobody holds its lock."""
+        descriptor = os.open(OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
+        try:
+            if _locked(descriptor):
+                _clear(folder, but="")
+                self.folder.rmdir()
+        finally:
+            os.close(descriptor)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.leave()
+
+
+def bench_folder(bench_id: str, environment: Mapping[str, str] = os.environ) -> Path:
+    """Return the folder in memory of bench `bench_id`, which exists while the bench is run.
+
+    It stands in the first folder of $RUNTIME_DIRECTORY (systemd's), else in /dev/shm.
+
+    Raises:
+        BenchError: `bench_id` is not of the form BENCH_ID.
+    """
+    if not re.fullmatch(BENCH_ID, bench_id):
+        raise BenchError(
+            "bench.id", repr(bench_id), "letters, digits, - and _, at most 63", "Give the bench another id."
+        )
+    given = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    return (Path(given) if given else MEMORY) / f"golfbench-{bench_id}"
+
+
+def take_bench(bench_id: str, environment: Mapping[str, str] = os.environ) -> Ownership:
+    """Take the bench for this process; files that a killed daemon left behind are removed.
+
+    Raises:
+        Refused: another process has it (named), or the folder of that name is not safe to use: a symbolic
+            link, another user's, or open to others.
+        NoBenchFolder: memory's file system is missing, read-only or full.
+    """
+    path = bench_folder(bench_id, environment)
+    found: Owner | None = None
+    for attempt in range(_ATTEMPTS):
+        if attempt:
+            time.sleep(_PAUSE)
+        try:
+            taken = _try_to_take(bench_id, path)
+        except FileNotFoundError:
+            if path.parent.is_dir():
+                continue  # the last owner is just removing it
+            raise NoBenchFolder(str(path), "no folder around it", "one", "Mount /dev/shm.") from None
+        except OSError as error:
+            raise NoBenchFolder(
+                str(path),
+                error.strerror or str(error),
+                "a folder in memory of this user's, with space left",
+                "Make it writable or free some memory.",
+            ) from error
+        if isinstance(taken, Ownership):
+            return taken
+        found = taken
+        if found and (found.supervisor.lives or (found.loop and found.loop.lives)):
+            break
+    raise _refusal(bench_id, path, found)
+
+
+def adopt(descriptor: int) -> Ownership:
+    """Return the bench that this process inherited with the locked `descriptor`: for the loop.
+
+    The bench stays taken while this process lives, whatever becomes of its parent.
+
+    Raises:
+        Refused: `descriptor` is not the locked file of a bench.
+    """
+    try:
+        owner = _read(descriptor)
+        ours = owner is not None and _locked(descriptor)
+        path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+    except OSError:
+        owner, ours, path = None, False, Path()
+    if owner is None or not ours or path.name != OWNER:
+        raise Refused(
+            f"file descriptor {descriptor}",
+            "no locked bench",
+            "the descriptor that the supervisor holds",
+            "Let `golfbench run` start the loop.",
+        )
+    os.set_inheritable(descriptor, False)
+    return Ownership(owner, path.parent, descriptor)
+
+
+def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
+    """Return the bench, or who has it (None: a process that has not yet said).
+
+    Raises FileNotFoundError when the folder goes away meanwhile, OSError, and Refused.
+    """
+    with suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    folder = _open_folder(path)
+    descriptor = -1
+    try:
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        descriptor = os.open(OWNER, flags, 0o600, dir_fd=folder)
+        if not _locked(descriptor):
+            return _read(descriptor)
+        if not os.path.samestat(os.fstat(descriptor), os.stat(path / OWNER, follow_symlinks=False)):
+            raise FileNotFoundError  # locked, but just removed by the last owner
+        _clear(folder, but=OWNER)
+        pid = os.getpid()
+        ownership = Ownership(Owner(bench_id, Process(pid, _start_of(pid) or 0)), path, descriptor)
+        _write(descriptor, ownership.owner)
+        descriptor = -1  # now the ownership's
+        return ownership
+    finally:
+        os.close(folder)
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+def _open_folder(path: Path) -> int:
+    """Return a descriptor of the folder `path`; Refused unless it is this user's alone.
+
+    Anyone may make files in /dev/shm: a folder prepared there by another user would let him read and steer.
+    """
+    status = path.lstat()
+    unsafe = ""
+    if stat.S_ISLNK(status.st_mode):
+        unsafe = "a symbolic link"
+    elif not stat.S_ISDIR(status.st_mode):
+        unsafe = "a file"
+    elif status.st_uid != os.geteuid():
+        unsafe = f"a folder of user {_user(status.st_uid)}"
+    elif status.st_mode & 0o077:
+        unsafe = f"a folder open to others (mode {stat.S_IMODE(status.st_mode):04o})"
+    if not unsafe:
+        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        if os.path.samestat(os.fstat(folder), status):
+            return folder
+        os.close(folder)
+        unsafe = "a folder that has just been exchanged"
+    raise Refused(
+        str(path),
+        unsafe,
+        f"none, or a folder of user {_user(os.geteuid())} with mode 0700",
+        "Run as that user if the bench is his; else find out who made it, then remove it.",
+    )
+
+
+def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
+    """Tell who has the bench and what to do."""
+    free = "a bench that nobody runs"
+    place = f"bench {bench_id}"
+    if owner and owner.supervisor.lives:
+        pid = owner.supervisor.pid
+        cure = f"End it first (kill {pid}), or give this bench another id."
+        return Refused(place, f"it run by process {pid}", free, cure)
+    if owner:
+        loop = f"process {owner.loop.pid}" if owner.loop and owner.loop.lives else "a process"
+        return Refused(
+            place,
+            f"its daemon (process {owner.supervisor.pid}) dead, but its loop ({loop}) still at work",
+            free,
+            "Wait until the loop has stopped the robot and ends. Should it hang, kill -9 it, which leaves "
+            f"the valves to the device's watchdog; fuser -v {path / OWNER} shows it.",
+        )
+    return Refused(
+        place, f"{path / OWNER} locked by an unnamed process", free, f"See who: fuser -v {path / OWNER}"
+    )
+
+
+def _locked(descriptor: int) -> bool:
+    """Lock the open file for us, and for those who inherit it; False when another has it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _write(descriptor: int, owner: Owner) -> None:
+    os.pwrite(descriptor, json.dumps(owner).ljust(_SIZE - 1).encode() + b"\n", 0)
+
+
+def _read(descriptor: int) -> Owner | None:
+    """Return who the file says has the bench; None when it does not say."""
+    try:
+        bench_id, supervisor, loop = json.loads(os.pread(descriptor, _SIZE, 0))
+        return Owner(
+            str(bench_id), Process(*map(int, supervisor)), Process(*map(int, loop)) if loop else None
+        )
+    except (ValueError, TypeError):
+        return None
+
+
+def _clear(folder: int, but: str) -> None:
+    """Remove the files in the open `folder`, `owner` last, all but the one named."""
+    for name in sorted(set(os.listdir(folder)) - {but}, key=OWNER.__eq__):
+        try:
+            os.unlink(name, dir_fd=folder)
+        except IsADirectoryError:
+            shutil.rmtree(name, dir_fd=folder)
+
+
+def _start_of(pid: int) -> int | None:
+    """Return when process `pid` was started (clock ticks after the machine's start); None when it is dead."""
+    try:
+        state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except (OSError, ValueError):
+        return None
+    return None if state in "ZX" else int(fields[18])
+
+
+def _user(uid: int) -> str:
+    """Return the name of user `uid`."""
+    try:
+        return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
+    except KeyError:
+        return f"with uid {uid}"
