@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
+from ipaddress import ip_address
 from math import asin, hypot, pi
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -40,6 +41,7 @@ VARIANTS = Path(__file__).with_name("configurations")
 LONGEST_SUBSTEP = 0.00025
 """s; the plant's delivery is converged up to this internal step."""
 
+_PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
 _DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
 
 
@@ -51,6 +53,8 @@ class BenchSettings:
     """Part of every address on the network."""
     data_dir: Path
     """Relative to the working directory."""
+    database: str = ""
+    """URL; empty is SQLite in `data_dir`."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +134,9 @@ class Configuration:
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
 
     def effective(self) -> dict[str, Any]:
-        """Return all values nested as in the file, SI and radians, for records and reports."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        """Return all values nested as in the file, SI and radians, for records and reports; no password."""
+        shown_here = replace(self.bench, database=_PASSWORD.sub(r"\1***@", self.bench.database))
+        return {name: _plain(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
 
 
 def shipped_configuration() -> Path:
@@ -192,6 +197,16 @@ def load_configuration(path: Path | None = None) -> Configuration:
         once = {str(fault): fault for fault in faults}
         raise ExceptionGroup(f"{file} does not hold", list(once.values()))
     return configuration  # type: ignore[no-any-return]
+
+
+def contradictions(configuration: Configuration) -> list[BenchError]:
+    """Return what does not hold together in a configuration that was changed after it was loaded."""
+    place = ", ".join(map(str, configuration.files))
+    return [
+        BenchError(f"{place}: {key}", found, wanted, mend)
+        for check in _CHECKS
+        for key, found, wanted, mend in check(configuration, {})
+    ]
 
 
 def _read(file: Path, faults: list[BenchError], above: tuple[Path, ...]) -> tuple[Tree, tuple[Path, ...]]:
@@ -287,6 +302,13 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             "letters, digits, - and _, at most 63",
             "It is part of addresses.",
         )
+    if c.bench.database:
+        from bench.store.database import database_url
+
+        try:
+            database_url(c.bench.database, c.bench.data_dir)
+        except BenchError as error:
+            yield error.place, error.found, error.expected, error.cure
     for key, entries in (("club", c.clubs), ("ball", c.balls)):
         name = getattr(c.swing, key)
         if name not in entries:
@@ -300,6 +322,19 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"
         yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
+
+
+def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    endpoint = c.network.endpoint
+    form = re.fullmatch(r"tcp/(?:\[(?P<six>[0-9a-f:]+)\]|(?P<four>[0-9.]+)):(?P<port>[0-9]{1,5})", endpoint)
+    try:
+        loopback = form is not None and ip_address(form["six"] or form["four"]).is_loopback
+    except ValueError:
+        loopback = False
+    if form is None or not loopback or not 1 <= int(form["port"]) <= 65535:
+        # Commands travel in the clear: beyond this machine they would be anybody's.
+        wanted = "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only, PORT 1 to 65535"
+        yield "network.endpoint", shown(endpoint), wanted, "Correct it."
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -351,7 +386,7 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 def _leaf(tree: Tree, path: str) -> Leaf | None:
     node: Any = tree
     for part in path.split("."):
-        node = node[part]
+        node = node.get(part, {})
     return node if isinstance(node, Leaf) else None
 
 
@@ -401,5 +436,5 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 
 _CHECKS: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
-    _names, _actuators, _linkage, _times, _air, _site,
+    _names, _network, _actuators, _linkage, _times, _air, _site,
 )  # fmt: skip

@@ -48,17 +48,30 @@ __all__ = [
 ]
 
 
+ZeroCount = Annotated[float, Range(-(2.0**24), 2.0**24, "counts")]
+Sign = Annotated[int, Range(-1, 1, "")]
+
+
 @dataclass(frozen=True)
 class Encoders:
     """Three absolute single-turn rotary encoders on R1, R2, R3."""
 
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")] = 2**17
+    zero_count: tuple[ZeroCount, ZeroCount, ZeroCount] = (0.0, 0.0, 0.0)
+    """Count at joint angle zero; calibration finds it."""
+    sign: tuple[Sign, Sign, Sign] = (1, 1, 1)
+    """-1 where the count falls as the angle rises."""
     latency: Annotated[float, Range(0.0, 0.005, "s")] = 0.0001
     """From the shaft's position to the reading, s."""
     jitter: Annotated[float, Range(0.0, 0.001, "s")] = 0.0
     """Standard deviation of the sampling instant, s."""
     noise: Annotated[float, Range(0.0, 0.1, "rad")] = 0.0
     """Standard deviation, rad."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError when a sign is none."""
+        if 0 in self.sign:
+            raise ValueError("sign: 1 or -1 for each joint")
 
 
 @dataclass(frozen=True)
@@ -167,6 +180,7 @@ PLANT_PARAMETERS = np.dtype(
         ("critical_ratio", "f8", (3,)),
         ("dead_band", "f8", (3,)),
         ("leakage", "f8", (3,)),
+        ("centre", "f8", (3,)),
         ("cross_leakage", "f8", (3,)),
         ("spool", "f8", (3, 4)),
         ("wrist_lever", "f8"),
@@ -181,7 +195,8 @@ PLANT_PARAMETERS = np.dtype(
         ("vent_delay", "f8"),
         ("atmosphere", "f8"),
         ("exponent", "f8"),
-        ("encoder_scale", "f8"),
+        ("encoder_scale", "f8", (3,)),
+        ("encoder_zero", "f8", (3,)),
         ("encoder_counts", "i8"),
         ("latency", "f8"),
         ("jitter", "f8"),
@@ -302,6 +317,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
             "critical_ratio": valve.critical_ratio,
             "dead_band": valve.dead_band,
             "leakage": valve.leakage,
+            "centre": valve.centre,
             "cross_leakage": actuator.cross_leakage,
             "spool": valve.half_step_matrix(half_step).ravel(),
         }
@@ -312,6 +328,8 @@ def build_plant(parameters: PlantParameters) -> Plant:
         record[name][0, 2] = parameters.wrist_lever * sin(record[name][0, 2])
     supply, site, shaft = parameters.supply, parameters.site, parameters.shaft
     omega = 2 * pi * shaft.frequency
+    record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
+    record["encoder_zero"] = encoders.zero_count
     scalars: dict[str, float] = {
         "wrist_lever": parameters.wrist_lever,
         "regulated": supply.pressure,
@@ -325,7 +343,6 @@ def build_plant(parameters: PlantParameters) -> Plant:
         "vent_delay": supply.vent_delay,
         "atmosphere": supply.atmosphere,
         "exponent": supply.polytropic_exponent,
-        "encoder_scale": encoders.counts_per_revolution / (2 * pi),
         "encoder_counts": encoders.counts_per_revolution,
         "latency": encoders.latency,
         "jitter": encoders.jitter,
@@ -412,8 +429,9 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
         for i in range(3):
             nodes[0, i] = s.spool[i]
             for half in range(1, 3):
-                offset, rate = s.spool[i] - c.valve[i], s.spool_speed[i]
-                s.spool[i] = c.valve[i] + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+                wanted = c.valve[i] - p.centre[i]
+                offset, rate = s.spool[i] - wanted, s.spool_speed[i]
+                s.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
                 s.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
                 nodes[half, i] = s.spool[i]
         move(r, p, y, nodes, 0.0, 1.0, step, feed, vent, scratch, trial)

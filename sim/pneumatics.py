@@ -65,6 +65,8 @@ class Valve:
     """Overlap on each side of the centre, share of the stroke."""
     leakage: Annotated[float, Range(0.0, 0.1, "")] = 0.001
     """Opening that remains at a closed edge, share of the full one."""
+    centre: Annotated[float, Range(-0.2, 0.2, "")] = 0.0
+    """Command at which the spool is truly centred; calibration finds it."""
 
     def half_step_matrix(self, half_step: float) -> np.ndarray:
         """Return the exact 2x2 propagation of (opening - command, rate) over `half_step` s."""

@@ -48,7 +48,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
         angle = newer + part * (older - newer)
         if p.noise > 0.0:
             angle += p.noise * _normal(s)
-        out.encoder_count[i] = floor(angle * p.encoder_scale) % p.encoder_counts
+        out.encoder_count[i] = floor(angle * p.encoder_scale[i] + p.encoder_zero[i]) % p.encoder_counts
         out.encoder_time[i] = s.time - p.latency
         out.encoder_valid[i] = s.encoder_valid[i]
         out.encoder_age[i] = p.latency

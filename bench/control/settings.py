@@ -223,8 +223,8 @@ def build_controller(
         control=_control_record(control, lifecycle, homing or HomingSettings(), plant, read_only),
         encoder=design_encoders(
             counts_per_revolution=(counts,) * 3,
-            zero_count=(0.0, 0.0, 0.0),
-            sign=(1, 1, 1),
+            zero_count=plant.encoders.zero_count,
+            sign=plant.encoders.sign,
             travel=_angle_travel(plant),
             greatest_speed=(60.0, 60.0, 120.0),
         ),
