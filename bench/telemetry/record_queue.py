@@ -1,0 +1,98 @@
+"""Records on their way to the disk: the oldest first, tried again while the disk does not take them."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.errors import BenchError
+from bench.telemetry.recorder import write_swing
+from bench.telemetry.swing_cutter import Cycles
+
+
+class Record(NamedTuple):
+    """One record and where it is to stand."""
+
+    path: Path
+    cycles: Cycles
+    """As stored: `time` from the record's begin."""
+    metadata: Mapping[str, Any]
+
+
+class RecordQueue:
+    """Holds at most `room` records; memory is bounded, so what does not fit is lost and counted."""
+
+    def __init__(self, room: int, pause: float) -> None:
+        """`pause`: s between two tries after a failure."""
+        self._room, self._pause = room, pause
+        self._waiting: deque[Record] = deque()
+        self._next_try = 0.0
+        self.dropped = 0
+        """Records that had no room."""
+        self.trouble = ""
+        """Why the last one could not be stored; empty when it could."""
+
+    def __len__(self) -> int:
+        """Return how many records wait."""
+        return len(self._waiting)
+
+    def put(self, record: Record) -> None:
+        """Take `record`; when there is no room, a continuous segment goes first, then the newcomer."""
+        if len(self._waiting) >= self._room:
+            self.dropped += 1
+            segment = next((r for r in self._waiting if r.metadata["kind"] == "segment"), None)
+            if segment is None:
+                return
+            # By place: arrays do not compare to one truth.
+            del self._waiting[[r is segment for r in self._waiting].index(True)]
+        self._waiting.append(record)
+
+    def store(self, now: float, *, at_once: bool = False) -> Record | None:
+        """Store the oldest record, unless a pause is to be kept at `now` (s); return it when it is stored."""
+        if not self._waiting or (now < self._next_try and not at_once):
+            return None
+        record = self._waiting[0]
+        try:
+            record.path.parent.mkdir(parents=True, exist_ok=True)
+            write_swing(record.path, record.cycles, record.metadata)
+        except (BenchError, OSError, MemoryError) as error:
+            self.trouble = str(error) or repr(error)
+            self._next_try = now + self._pause
+            return None
+        self.trouble = ""
+        return self._waiting.popleft()
+
+
+def record_path(folder: Path, time_utc: datetime, number: int) -> Path:
+    """Return the path of record `number` that begins at `time_utc`."""
+    return folder / f"{time_utc.astimezone(UTC):%Y%m%dT%H%M%S%fZ}-{number}.parquet"
+
+
+def folder_trouble(folder: Path, least_free: int) -> str:
+    """Return why a record may not find its place in `folder`, made if missing; empty when it should.
+
+    `least_free` is in bytes. A cheap look every few seconds; the disk's own word is `RecordQueue.trouble`.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        state = os.statvfs(folder)
+    except OSError as error:
+        return f"{folder}: {error.strerror or error}"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder}: cannot be written to. Give its user the right, or name another data_dir"
+    free = state.f_bavail * state.f_frsize
+    if free < least_free:
+        return f"{folder}: {free >> 20} MiB left on its disk, expected {least_free >> 20}. Free some space"
+    return ""
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what a recorder killed while writing left in `folder`; only one recorder may write there."""
+    for path in folder.glob(".*.parquet.*.partial"):
+        with suppress(OSError):
+            path.unlink()

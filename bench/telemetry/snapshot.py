@@ -1,0 +1,83 @@
+"""The controller's memory at one tick: what a replay needs to begin with.
+
+The loop puts a snapshot into shared memory in each tick that accepts a request to move (home, arm, swing),
+after the step; a replay of the record sets it and goes on with the tick after it. In a record's metadata it
+stands as text, see `bench.telemetry.swing_metadata.snapshot_entry`.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.control.encoder import ENCODER_STATE
+from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.pid import PID_STATE
+from bench.control.step import CONTROL_STATE, ControlState, new_control_state
+from bench.errors import BenchError
+from bench.telemetry.swing_metadata import layout_of
+
+SNAPSHOT = np.dtype(
+    [
+        ("tick", "i8"),
+        ("time", "f8"),
+        ("control", CONTROL_STATE),
+        ("encoder", ENCODER_STATE),
+        ("estimator", ESTIMATOR_STATE),
+        ("pid", PID_STATE),
+    ],
+    align=True,
+)
+"""All of a ControlState after the step of `tick` at `time` (s, the loop's)."""
+
+
+def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
+    """Copy `state` into `snapshot` (one-element array of SNAPSHOT)."""
+    snapshot["tick"], snapshot["time"] = state.control["tick"], state.control["time"]
+    for name, record in zip(ControlState._fields, state, strict=True):
+        snapshot[name] = record
+
+
+def unpack_snapshot(snapshot: np.ndarray[Any, Any]) -> ControlState:
+    """Return a ControlState of its own with the values of `snapshot`."""
+    state = new_control_state()
+    for name, record in zip(ControlState._fields, state, strict=True):
+        record[:] = snapshot[name]
+    return state
+
+
+def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, Any]:
+    """Return the snapshot (one-element array of SNAPSHOT) in a record's `metadata`.
+
+    Raises:
+        BenchError: there is none, it is damaged, or this program's controller has another memory; `place` is
+            the record's path.
+    """
+    entry = metadata.get("snapshot")
+    place = f"{place}: snapshot"
+    if not isinstance(entry, Mapping):
+        raise BenchError(
+            place, "none", "the controller's memory before the first tick to replay", "Replay another record."
+        )
+    if entry.get("layout") != layout_of(SNAPSHOT):
+        raise BenchError(
+            place,
+            f"a controller's memory of layout {entry.get('layout')}",
+            f"layout {layout_of(SNAPSHOT)}",
+            "Replay it with the version of golfbench that wrote it, or renew the record.",
+        )
+    # A damaged text may promise any length: no more is unpacked than belongs there.
+    inflate = zlib.decompressobj()
+    try:
+        data = inflate.decompress(base64.b64decode(entry["data"], validate=True), SNAPSHOT.itemsize + 1)
+    except (KeyError, TypeError, ValueError, zlib.error) as error:
+        data, found = b"", f"not readable: {error}"
+    else:
+        found = f"{len(data)} bytes"
+    if len(data) != SNAPSHOT.itemsize or not inflate.eof:
+        raise BenchError(place, found, f"{SNAPSHOT.itemsize} bytes", "Restore the record from a copy.")
+    return np.frombuffer(bytearray(data), SNAPSHOT)

@@ -1,0 +1,197 @@
+"""What stands beside the cycles in a record of the daemon: the keys of its JSON metadata.
+
+Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
+
+`kind`           "swing"; "stop", a stop or fault without a swing; "segment", part of a continuous recording
+`bench`          id of the bench
+`number`         number of the record since the bench was started
+`time_utc`       first cycle, ISO 8601; names the file
+`begin`          s; the loop's time is the columns `time` and `encoder_time` + `begin`, exactly: `begin` is
+                 the first cycle's time rounded down to 1/1024 s, so neither sum nor difference rounds
+`complete`       true when every tick's record from first to last is there and the robot stood at the end
+`lost_records`   records the ring lost inside
+`missed_ticks`   ticks that the loop itself skipped inside
+`continued`      goes on where the record before was cut
+`outcome`        `states`: [tick, name] at the first cycle and at each change; `cause`, `text`: first cause
+                 of a stop; `ended`: why the record ends before the robot stood, else empty
+`configuration`, `versions`, `real_time`, `calibrations`   as the supervisor gave them
+`profile`        `name`, `golfer`, `club`, `impact_time`, and `data`: all of the profile, see `profile_entry`
+`snapshot`       null, or the controller's memory after the step of `tick` (which is in the record) at the
+                 loop's `time`: `layout`, digest of its type; `data`, base64 of zlib of its bytes
+`replayable`     there is a snapshot, and no record is lost
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from hashlib import sha256
+from math import floor
+from typing import Any
+
+import numpy as np
+
+from bench.errors import BenchError
+from bench.lifecycle import CAUSE_TEXT, Cause, State
+from bench.swing.profile import Profile
+from bench.telemetry.swing_cutter import MOVING, Cut, Cycles
+
+_GRID = 1024
+"""`begin` is a multiple of its inverse, s."""
+_LONGEST_PROFILE = 64 << 20
+"""Bytes of a profile's JSON."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is the same for all records of one run; JSON-able, without NaN."""
+
+    bench: str
+    profile: Profile
+    configuration: Mapping[str, Any]
+    versions: Mapping[str, Any]
+    real_time: Mapping[str, Any]
+    calibrations: Mapping[str, Any]
+
+    def entries(self) -> dict[str, Any]:
+        """Return their keys of the metadata.
+
+        Raises:
+            ValueError, TypeError: something is no JSON, for example not a number.
+        """
+        given = {
+            "bench": self.bench,
+            "configuration": self.configuration,
+            "versions": self.versions,
+            "real_time": self.real_time,
+            "calibrations": self.calibrations,
+            "profile": profile_entry(self.profile),
+        }
+        entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
+        return entries
+
+
+def swing_metadata(
+    cut: Cut,
+    entries: Mapping[str, Any],
+    *,
+    number: int,
+    begin: float,
+    time_utc: datetime,
+    snapshots: Iterable[np.ndarray[Any, Any]] = (),
+) -> dict[str, Any]:
+    """Return the metadata of record `number` with the cycles of `cut` (loop's times, at least one).
+
+    `entries` are those of Surroundings; of `snapshots` (one-element arrays with `tick` and `time`) the first
+    that the record can be replayed from is stored.
+    """
+    cycles = cut.cycles
+    ticks = cycles["tick"]
+    missing = int(ticks[-1] - ticks[0]) + 1 - len(cycles)
+    within = sorted(
+        (s for s in snapshots if ticks[0] <= s["tick"][0] < ticks[-1]), key=lambda s: int(s["tick"][0])
+    )
+    snapshot = within[0] if within else None
+    return {
+        **entries,
+        "kind": cut.kind,
+        "number": number,
+        "time_utc": time_utc.astimezone(UTC).isoformat(timespec="microseconds"),
+        "begin": begin,
+        "complete": not cut.lost and not cut.ended and not cut.continued,
+        "lost_records": cut.lost,
+        "missed_ticks": max(0, missing - cut.lost),
+        "continued": cut.continued,
+        "outcome": _outcome(cut),
+        "snapshot": None if snapshot is None else snapshot_entry(snapshot),
+        "replayable": snapshot is not None and not cut.lost,
+    }
+
+
+def begin_of(cycles: Cycles) -> float:
+    """Return what is taken off the times of `cycles`, s."""
+    return floor(float(cycles["time"][0]) * _GRID) / _GRID
+
+
+def since(cycles: Cycles, begin: float) -> Cycles:
+    """Return a copy of `cycles` with times from `begin` (s) on; -`begin` gives the loop's times back."""
+    moved: Cycles = np.frombuffer(bytearray(cycles.tobytes()), cycles.dtype)
+    moved["time"] -= begin
+    moved["encoder_time"] -= begin
+    return moved
+
+
+def _outcome(cut: Cut) -> dict[str, Any]:
+    states, trips = cut.cycles["state"], cut.cycles["trip"]
+    changes = [0, *(np.flatnonzero(np.diff(states)) + 1)]
+    tripped = np.flatnonzero((trips != 0) & np.isin(states, list(MOVING)))
+    cause = Cause(int(trips[tripped[0]])) if len(tripped) else Cause.NONE
+    return {
+        "states": [[int(cut.cycles["tick"][i]), State(int(states[i])).name] for i in changes],
+        "cause": cause.name,
+        "text": CAUSE_TEXT[cause],
+        "ended": cut.ended,
+    }
+
+
+def snapshot_entry(snapshot: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Return `snapshot` (one element) for the metadata; `bench.telemetry.snapshot` reads it back."""
+    return {
+        "tick": int(snapshot["tick"][0]),
+        "time": float(snapshot["time"][0]),
+        "layout": layout_of(snapshot.dtype),
+        "data": base64.b64encode(zlib.compress(snapshot.tobytes())).decode(),
+    }
+
+
+def layout_of(dtype: np.dtype[Any]) -> str:
+    """Return a digest of names, types and places of all fields of `dtype`."""
+    return sha256(f"{dtype.itemsize} {dtype.descr}".encode()).hexdigest()[:16]
+
+
+def profile_entry(profile: Profile) -> dict[str, Any]:
+    """Return `profile` for the metadata: what people look for, and `data`, base64 of zlib of its JSON.
+
+    JSON keeps every bit of a number, the profile's TOML file rounds.
+    """
+    values = {field.name: getattr(profile, field.name) for field in fields(profile)}
+    text = json.dumps(
+        {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}, allow_nan=False
+    )
+    return {
+        "name": profile.name,
+        "golfer": profile.golfer,
+        "club": profile.club,
+        "impact_time": profile.impact_time,
+        "data": base64.b64encode(zlib.compress(text.encode(), 9)).decode(),
+    }
+
+
+def read_profile(metadata: Mapping[str, Any], place: str) -> Profile:
+    """Return the profile in a record's `metadata`, bit for bit.
+
+    Raises:
+        BenchError: there is none, or it is damaged; `place` is the record's path.
+    """
+    try:
+        inflate = zlib.decompressobj()
+        text = inflate.decompress(
+            base64.b64decode(metadata["profile"]["data"], validate=True), _LONGEST_PROFILE
+        )
+        values = json.loads(text)
+        arrays = {
+            key: np.array(values[key], dtype=float) for key in ("angle", "velocity", "valve", "blind_brake")
+        }
+        pairs = {key: tuple(values[key]) for key in ("begins", "ball")}
+        return Profile(**{**values, **arrays, **pairs})
+    except (KeyError, TypeError, ValueError, zlib.error) as error:
+        raise BenchError(
+            f"{place}: profile",
+            f"not readable: {error!r}",
+            "the profile's data",
+            "Replay a record that the daemon wrote, or restore it from a copy.",
+        ) from error
