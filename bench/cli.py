@@ -28,6 +28,7 @@ EXIT_CODES = """[bold]Exit codes[/bold]
   69  a device or service cannot do its work
   70  an error of golfbench itself
   74  a file or folder cannot be read or written
+  75  no answer from the bench: denied or not running
  130  interrupted by Ctrl-C
 """
 

@@ -117,8 +117,11 @@ class Status(TypedDict):
 
 
 class Desk(Protocol):
-    """A running bench. The command plane calls it from threads of its own: `request` one at a time, the
-    others at any moment, also while `request` waits."""
+    """A running bench.
+
+    The command plane calls it from threads of its own: `request` one at a time, the others at any moment,
+    also while `request` waits.
+    """
 
     def status(self) -> Status:
         """Return the snapshot; `lease` and `counts` are overwritten by the command plane."""

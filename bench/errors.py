@@ -19,6 +19,8 @@ class ExitCode(IntEnum):
     """A mistake of golfbench itself."""
     FILE = 74
     """A file or folder cannot be read or written."""
+    NO_ANSWER = 75
+    """The bench does not answer: denied or not running."""
     INTERRUPTED = 130
     """Ctrl-C."""
 

@@ -1,0 +1,123 @@
+"""Who holds the bench: one named holder at a time, with a secret key, until an instant.
+
+A restart of the daemon begins a new book and so voids every lease.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+LONGEST_HOLDER = 64
+"""Characters of a holder's name."""
+
+SHORTEST, DEFAULT, LONGEST = 5.0, 30.0, 600.0
+"""s for which a lease is taken or renewed."""
+
+
+class LeaseRefused(Exception):
+    """A lease is not given or does not count; the text says why, and what to do. Never holds a key."""
+
+
+@dataclass(frozen=True)
+class Lease:
+    """One holder's right to move the bench."""
+
+    holder: str
+    key: str = field(repr=False)
+    """Known to the book and to the holder only."""
+    expiry: float
+    """s, on the clock that every call of the book is given."""
+    sequence: int = 0
+    """Of the newest command that carried the key; the next one's must be higher."""
+
+
+def new_key() -> str:
+    """Return a key of 128 random bits, 22 characters."""
+    return secrets.token_urlsafe(16)
+
+
+def is_holder(name: str) -> bool:
+    """Tell whether `name` may stand in a lease, in logs and on a terminal."""
+    return 0 < len(name) <= LONGEST_HOLDER and name.isprintable() and name == name.strip()
+
+
+def is_duration(seconds: float) -> bool:
+    """Tell whether a lease may be taken for `seconds`."""
+    return SHORTEST <= seconds <= LONGEST
+
+
+class LeaseBook:
+    """The one lease of a bench. `now` is s on a clock that never goes back."""
+
+    def __init__(self, make_key: Callable[[], str] = new_key) -> None:
+        self._make_key = make_key
+        self._lease: Lease | None = None
+
+    def held(self, now: float) -> Lease | None:
+        """Return the lease that counts at `now`."""
+        if self._lease is not None and now >= self._lease.expiry:
+            self._lease = None
+        return self._lease
+
+    def take(self, holder: str, seconds: float, now: float) -> Lease:
+        """Give the bench to `holder` for `seconds`.
+
+        Raises:
+            LeaseRefused: somebody holds it; also a holder of the same name, who has a key already.
+            ValueError: `holder` or `seconds` is none (`is_holder`, `is_duration`).
+        """
+        if not (is_holder(holder) and is_duration(seconds)):
+            raise ValueError(f"no lease for {holder!r} and {seconds!r} s")
+        if lease := self.held(now):
+            raise LeaseRefused(_held_by(lease, now))
+        self._lease = Lease(holder, self._make_key(), now + seconds)
+        return self._lease
+
+    def use(self, key: str, sequence: int, now: float) -> Lease:
+        """Let one command with `key` and `sequence` pass, and return its lease.
+
+        Raises:
+            LeaseRefused: the key is not the holder's, or the sequence does not rise.
+        """
+        lease = self.held(now)
+        if lease is None:
+            raise LeaseRefused(
+                "nobody holds the bench, the lease has ended: take it (golfbench lease take), then ask again"
+            )
+        if not secrets.compare_digest(key.encode(), lease.key.encode()):
+            raise LeaseRefused(_held_by(lease, now))
+        if sequence <= lease.sequence:
+            raise LeaseRefused(
+                f"sequence {sequence} after {lease.sequence}, repeated or out of order: it was not done; "
+                "look at the state, then ask anew"
+            )
+        self._lease = replace(lease, sequence=sequence)
+        return self._lease
+
+    def renew(self, key: str, sequence: int, seconds: float, now: float) -> Lease:
+        """Let the holder of `key` keep the bench for `seconds` from `now`; also less than was left.
+
+        Raises:
+            LeaseRefused: as `use`.
+            ValueError: `seconds` is none (`is_duration`).
+        """
+        if not is_duration(seconds):
+            raise ValueError(f"no lease for {seconds!r} s")
+        self._lease = replace(self.use(key, sequence, now), expiry=now + seconds)
+        return self._lease
+
+    def release(self, key: str, sequence: int, now: float) -> None:
+        """End the lease of `key`.
+
+        Raises:
+            LeaseRefused: as `use`.
+        """
+        self.use(key, sequence, now)
+        self._lease = None
+
+
+def _held_by(lease: Lease, now: float) -> str:
+    left = max(0.0, lease.expiry - now)
+    return f"{lease.holder} holds the bench for {left:.0f} s more: wait, or ask {lease.holder} to release it"
