@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import errno
+import os
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -64,3 +67,74 @@ class PacedClock:
             self.slips += 1
             self.slipped += late
         return virtual
+
+
+LATE = 1_000_000
+"""ns after its due time from which on a tick counts as late."""
+
+
+class GridClock:
+    """Wall time: ticks on an absolute grid of CLOCK_MONOTONIC.
+
+    A grid point that has passed when the loop comes to wait is skipped and counted, never caught up:
+    after a stall the loop goes on with the next point ahead.
+    """
+
+    def __init__(
+        self,
+        period_ns: int,
+        now: Callable[[], int] = time.monotonic_ns,
+        sleep_until: Callable[[int], None] | None = None,
+    ) -> None:
+        """The grid starts one period after the first `wait`; `sleep_until` may return early."""
+        self.period_ns, self.period = period_ns, period_ns * 1e-9
+        self._now, self._sleep_until = now, sleep_until or absolute_sleep()
+        self.due = 0
+        """Grid point of the current tick, ns of CLOCK_MONOTONIC; 0 before the first."""
+        self.woke = 0
+        """When the current tick truly began, ns."""
+        self.skipped = 0
+        """Grid points without a tick."""
+        self.late = 0
+        """Ticks that began more than LATE after their grid point."""
+
+    def wait(self) -> float:
+        """Wait for the next grid point ahead; return the measured time of the tick (s)."""
+        now = self._now()
+        due = (self.due or now) + self.period_ns
+        if now > due:
+            missed = -(-(now - due) // self.period_ns)
+            self.skipped += missed
+            due += missed * self.period_ns
+        self.due = due
+        while (woke := self._now()) < due:  # again when a signal has ended the sleep
+            self._sleep_until(due)
+        self.woke = woke
+        if woke - due > LATE:
+            self.late += 1
+        return woke * 1e-9
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+def absolute_sleep() -> Callable[[int], None]:
+    """Return `sleep_until(due)`: sleep until `due` (ns of CLOCK_MONOTONIC) or a signal.
+
+    `time.sleep` takes a duration: whatever delays the thread between reading the clock and that call is
+    added to it. `clock_nanosleep` with TIMER_ABSTIME takes the grid point itself.
+    """
+    library = ctypes.CDLL(None)
+    nanosleep = library.clock_nanosleep
+    nanosleep.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+    request = _Timespec()
+    address, clock, absolute = ctypes.addressof(request), time.CLOCK_MONOTONIC, 1
+
+    def sleep_until(due: int) -> None:
+        request.seconds, request.nanoseconds = divmod(due, 1_000_000_000)
+        code = nanosleep(clock, absolute, address, None)
+        if code not in (0, errno.EINTR):
+            raise OSError(code, os.strerror(code))
+
+    return sleep_until

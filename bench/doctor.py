@@ -28,7 +28,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from bench.probe import PRIORITY
+from bench.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
 SCHEMA_VERSION = 1
 """Version of the JSON report; it changes when a field is renamed or changes its meaning."""
@@ -339,40 +339,27 @@ def realtime_probes() -> Iterator[Probe]:
         answer: dict[str, Any] = json.loads(_child("realtime"))
         return answer
 
-    def policy() -> Outcome:
-        value = granted()["policy"]
-        if value.startswith("FIFO"):
-            return Outcome(Status.OK, f"{value} granted and read back")
-        return Outcome(Status.LIMITED, value, _limits_advice("rtprio", str(PRIORITY)))
-
-    def memory_lock() -> Outcome:
-        value = granted()["memory"]
-        if value.startswith("locked"):
-            return Outcome(Status.OK, f"granted, {value}")
-        return Outcome(Status.LIMITED, value, _limits_advice("memlock", "unlimited"))
+    def setting(name: str) -> Outcome:
+        found = granted()["settings"][name]
+        if found["held"]:
+            return Outcome(Status.OK, f"{found['granted']}: granted and read back")
+        return Outcome(Status.LIMITED, f"{found['granted']}: {found['reason']}", found["cure"])
 
     def wake_up() -> Outcome:
         figures: dict[str, float] = granted()["latency"]
         value = "median {p50_us:.0f} µs, 99 % {p99_us:.0f} µs, longest {max_us:.0f} µs".format(**figures)
-        value += (
-            f" of 500 at 1 kHz, {granted()['policy'].split(':')[0].replace('refused', 'normal')} scheduling"
-        )
+        value += f" of 500 at 1 kHz, scheduling {granted()['settings'][SCHEDULING]['granted']}"
         if figures["p99_us"] <= LATE * 1e6:
             return Outcome(Status.OK, value, figures=figures)
         return Outcome(
             Status.LIMITED, value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures
         )
 
-    def timer_slack() -> Outcome:
-        nanoseconds = granted()["timer_slack_ns"]
-        return Outcome(Status.OK, f"{nanoseconds / 1000:.0f} µs (none under SCHED_FIFO)")
-
-    yield Probe("real time", "SCHED_FIFO", policy)
-    yield Probe("real time", "memory lock", memory_lock)
+    for item, name in (("SCHED_FIFO", SCHEDULING), (MEMORY, MEMORY), (SLACK, SLACK), (IDLE, IDLE)):
+        yield Probe("real time", item, functools.partial(setting, name))
     yield Probe("real time", "limits", limits)
     yield Probe("real time", "throttling", throttling)
     yield Probe("real time", "clock", clock)
-    yield Probe("real time", "timer slack", timer_slack)
     yield Probe("real time", "wake-up latency", wake_up)
 
 
@@ -422,13 +409,6 @@ def clock() -> Outcome:
 
 def _limit(value: int, unit: int = 1, name: str = "") -> str:
     return "unlimited" if value == resource.RLIM_INFINITY else f"{value / unit:g}{name}"
-
-
-def _limits_advice(limit: str, value: str) -> str:
-    return (
-        f"give it to the user: `@golfbench - {limit} {value}` in /etc/security/limits.conf; "
-        f"to a service: Limit{limit.upper()}={value}; to a container: SYS_NICE, IPC_LOCK"
-    )
 
 
 # CAN -------------------------------------------------------------------------------------------------

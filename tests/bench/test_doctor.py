@@ -197,18 +197,19 @@ def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 # Real time -------------------------------------------------------------------------------------------
 
-GRANTED = {
-    "policy": "FIFO 80",
-    "memory": "locked 15 MiB",
-    "timer_slack_ns": 50_000,
-    "latency": {"p50_us": 8.0, "p99_us": 40.0, "max_us": 300.0},
-}
-REFUSED = {
-    "policy": "refused: Operation not permitted",
-    "memory": "refused: Cannot allocate memory",
-    "timer_slack_ns": 50_000,
-    "latency": {"p50_us": 60.0, "p99_us": 900.0, "max_us": 4000.0},
-}
+
+def _answer(held: bool, p99_us: float) -> dict[str, Any]:
+    """What the child process tells when the kernel grants everything or nothing."""
+    told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the cure")}[held]
+    names = ("scheduling", "memory lock", "timer slack", "idle states")
+    setting = dict(zip(("granted", "reason", "cure"), told, strict=True)) | {"held": held}
+    return {
+        "settings": dict.fromkeys(names, setting),
+        "latency": {"p50_us": 8.0, "p99_us": p99_us, "max_us": 4000.0},
+    }
+
+
+SETTINGS = ("SCHED_FIFO", "memory lock", "timer slack", "idle states")
 
 
 def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[str, Finding]:
@@ -217,20 +218,18 @@ def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[s
 
 
 def test_real_time_granted(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = _realtime(monkeypatch, GRANTED)
-    assert found["SCHED_FIFO"].status is found["memory lock"].status is Status.OK
-    assert found["wake-up latency"].status is Status.OK
-    assert found["wake-up latency"].figures == GRANTED["latency"]
+    found = _realtime(monkeypatch, _answer(True, 40.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.OK}
+    assert "FIFO 80" in found["SCHED_FIFO"].value
+    assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
 
 
 def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = _realtime(monkeypatch, REFUSED)
-    assert {found[item].status for item in ("SCHED_FIFO", "memory lock", "wake-up latency")} == {
-        Status.LIMITED
-    }
-    assert "rtprio 80" in found["SCHED_FIFO"].advice
-    assert "memlock unlimited" in found["memory lock"].advice
-    assert "normal scheduling" in found["wake-up latency"].value
+    found = _realtime(monkeypatch, _answer(False, 900.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.LIMITED}
+    assert "Operation not permitted" in found["SCHED_FIFO"].value
+    assert {found[item].advice for item in SETTINGS} == {"the cure"}
+    assert "scheduling OTHER 0" in found["wake-up latency"].value
 
 
 def test_a_child_that_fails_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:

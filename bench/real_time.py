@@ -1,0 +1,267 @@
+"""Real-time settings of the calling process: asked of the kernel, read back, undone at the end.
+
+A setting counts only as it reads back after all were asked: a call may succeed without effect, and one
+setting may change another (a SCHED_FIFO task has no timer slack). What was granted is published and stored
+with every record.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from bench.errors import Refused
+
+Mode = Literal["off", "prefer", "require"]
+
+PRIORITY = 80
+"""Usual SCHED_FIFO priority: above the kernel's threaded interrupts (50), below its watchdogs (99)."""
+
+SCHEDULING, MEMORY, SLACK, IDLE = "scheduling", "memory lock", "timer slack", "idle states"
+"""Names of settings that others look up."""
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
+_CPU_DMA_LATENCY = "/dev/cpu_dma_latency"
+_POLICIES = {os.SCHED_OTHER: "OTHER", os.SCHED_FIFO: "FIFO", os.SCHED_RR: "RR", os.SCHED_BATCH: "BATCH"}
+
+
+class Setting(NamedTuple):
+    """One setting: what was asked, and what is in force."""
+
+    name: str
+    asked: str
+    granted: str
+    """As read back."""
+    held: bool
+    """What was asked is in force; False when nothing was asked."""
+    reason: str
+    """Why it is not held."""
+    cure: str
+    """What to do then."""
+    required: bool
+    """`require` insists on it; the others only make ticks a little more even."""
+
+
+@dataclass(frozen=True)
+class RealTime:
+    """What the kernel granted the loop."""
+
+    mode: Mode
+    settings: tuple[Setting, ...]
+
+    @property
+    def lacking(self) -> tuple[Setting, ...]:
+        """The settings asked for and not in force, though `require` would insist on them."""
+        if self.mode == "off":
+            return ()
+        return tuple(setting for setting in self.settings if setting.required and not setting.held)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything as plain values, the settings by name."""
+        return {
+            "mode": self.mode,
+            "held": self.mode != "off" and not self.lacking,
+            "settings": {setting.name: setting._asdict() for setting in self.settings},
+        }
+
+
+class _Item(NamedTuple):
+    name: str
+    asked: str
+    ask: Callable[[ExitStack], object]
+    """Asks, and lays onto the stack what undoes it; raises OSError when refused."""
+    read: Callable[[], tuple[str, bool]]
+    """Reads back: what is in force, and whether it is what was asked."""
+    cure: str
+    required: bool = True
+
+
+@contextmanager
+def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterator[RealTime]:
+    """Ask for real-time settings, yield what was granted, and restore what was before at the block's end.
+
+    Enter it after imports and warm-up, so that their objects are frozen and their memory is locked, and
+    before the first tick. Scheduling and `cpu` (-1: any) are the calling thread's; threads and processes
+    started inside run with normal scheduling. With "off" nothing is asked, only read.
+
+    Raises:
+        Refused: with "require", naming every setting that is not held and its cure; everything is restored.
+    """
+    # Scheduling last: before it the memory is locked and the garbage collected, both long.
+    items = (_collector(), _memory(), _processor(cpu), _timer_slack(), _idle_states(), _scheduling(priority))
+    with ExitStack() as undo:
+        asked = mode != "off"
+        refusals = [_try(item, undo) if asked else "" for item in items]
+        granted = RealTime(
+            mode, tuple(_settled(item, asked, why) for item, why in zip(items, refusals, strict=True))
+        )
+        if mode == "require" and granted.lacking:
+            raise Refused(
+                'loop.realtime = "require"',
+                "; ".join(f"{s.name}: {s.reason}, {s.granted}" for s in granted.lacking),
+                "; ".join(f"{s.name}: {s.asked}" for s in granted.lacking),
+                "; ".join(dict.fromkeys(s.cure for s in granted.lacking))
+                + '; or set loop.realtime = "prefer" to run without (never with hardware)',
+            )
+        yield granted
+
+
+def limit_cure(limit: str, value: str) -> str:
+    """Return how a user, a service and a container get resource `limit` (`rtprio`, `memlock`)."""
+    return (
+        f"give it to the user: `@golfbench - {limit} {value}` in /etc/security/limits.conf; "
+        f"to a service: Limit{limit.upper()}={value}; to a container: SYS_NICE, IPC_LOCK"
+    )
+
+
+def _try(item: _Item, undo: ExitStack) -> str:
+    """Ask for `item`; return why it was refused, '' when it was not."""
+    try:
+        item.ask(undo)
+    except OSError as error:
+        return os.strerror(error.errno) if error.errno else str(error)
+    return ""
+
+
+def _settled(item: _Item, asked: bool, refusal: str) -> Setting:
+    granted, as_asked = item.read()
+    if not asked:
+        return Setting(item.name, "nothing", granted, False, "not asked", "", item.required)
+    if as_asked and not refusal:
+        return Setting(item.name, item.asked, granted, True, "", "", item.required)
+    reason = refusal or "not in force after the call"
+    return Setting(item.name, item.asked, granted, False, reason, item.cure, item.required)
+
+
+# The settings ----------------------------------------------------------------------------------------
+
+
+def _collector() -> _Item:
+    def ask(undo: ExitStack) -> None:
+        if gc.isenabled():
+            undo.callback(gc.enable)
+        undo.callback(gc.unfreeze)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+
+    def read() -> tuple[str, bool]:
+        frozen = gc.get_freeze_count()
+        return (
+            f"{'on' if gc.isenabled() else 'off'}, {frozen} objects frozen",
+            not gc.isenabled() and frozen > 0,
+        )
+
+    return _Item("garbage collector", "off, objects frozen", ask, read, "report it: nothing may forbid this")
+
+
+def _memory() -> _Item:
+    def ask(undo: ExitStack) -> None:
+        _call("mlockall", _MCL_CURRENT | _MCL_FUTURE)
+        undo.callback(_call, "munlockall")
+
+    def read() -> tuple[str, bool]:
+        locked, resident = _status_kibibytes("VmLck"), _status_kibibytes("VmRSS")
+        held = locked >= 0.9 * resident > 0  # the kernel counts resident pages only roughly
+        return f"{locked // 1024} MiB locked, {resident // 1024} MiB resident", held
+
+    return _Item(MEMORY, "all, now and later", ask, read, limit_cure("memlock", "unlimited"))
+
+
+def _processor(cpu: int) -> _Item:
+    def ask(undo: ExitStack) -> None:
+        if cpu >= 0:
+            before = os.sched_getaffinity(0)
+            try:
+                os.sched_setaffinity(0, {cpu})
+            except (ValueError, OverflowError) as error:
+                raise OSError(0, str(error)) from error
+            undo.callback(os.sched_setaffinity, 0, before)
+
+    def read() -> tuple[str, bool]:
+        cores = os.sched_getaffinity(0)
+        return f"core {', '.join(map(str, sorted(cores)))}", cpu < 0 or cores == {cpu}
+
+    cure = f"set loop.cpu to one of {', '.join(map(str, sorted(os.sched_getaffinity(0))))}, or -1 for any"
+    return _Item("processor", "any core" if cpu < 0 else f"core {cpu}", ask, read, cure)
+
+
+def _timer_slack() -> _Item:
+    def ask(undo: ExitStack) -> None:
+        before = _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
+        _call("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)
+        undo.callback(_call, "prctl", _PR_SET_TIMERSLACK, before, 0, 0, 0)
+
+    def read() -> tuple[str, bool]:
+        slack = _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
+        return f"{slack} ns", slack <= 1  # a real-time task has none at all: 0
+
+    return _Item(SLACK, "1 ns", ask, read, "report it: nothing may forbid this")
+
+
+def _idle_states() -> _Item:
+    descriptors: list[int] = []
+
+    def ask(undo: ExitStack) -> None:
+        # In force as long as the file stays open. Without it a core that was asleep wakes late.
+        descriptors.append(os.open(_CPU_DMA_LATENCY, os.O_RDWR))
+        undo.callback(os.close, descriptors[0])
+        os.write(descriptors[0], bytes(4))
+
+    def read() -> tuple[str, bool]:
+        if not descriptors:
+            return "the system's own", False
+        latency = int.from_bytes(os.pread(descriptors[0], 4, 0), sys.byteorder, signed=True)
+        return f"{latency} µs", latency == 0
+
+    cure = f"let the user write {_CPU_DMA_LATENCY}: a udev rule, or DeviceAllow= of a service"
+    return _Item(IDLE, "0 µs to wake up", ask, read, cure, required=False)
+
+
+def _scheduling(priority: int) -> _Item:
+    def ask(undo: ExitStack) -> None:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        # Threads and processes started later do not inherit it: they would outrun the loop.
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        undo.callback(_restore_scheduling, *before)
+
+    def read() -> tuple[str, bool]:
+        policy, got = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+        resets = policy & os.SCHED_RESET_ON_FORK
+        name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, str(policy))
+        return (
+            f"{name} {got}" + (", reset on fork" if resets else ""),
+            name == "FIFO" and got == priority and bool(resets),
+        )
+
+    cure = limit_cure("rtprio", str(priority))
+    return _Item(SCHEDULING, f"FIFO {priority}, reset on fork", ask, read, cure)
+
+
+def _restore_scheduling(policy: int, parameter: os.sched_param) -> None:
+    try:
+        os.sched_setscheduler(0, policy, parameter)
+    except PermissionError:  # without CAP_SYS_NICE the flag stays; it harms nobody
+        os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameter)
+
+
+def _call(name: str, *arguments: int) -> int:
+    """Call `name` of the C library; raise OSError when it returns -1."""
+    function = getattr(ctypes.CDLL(None, use_errno=True), name)
+    result = int(function(*map(ctypes.c_ulong, arguments)))
+    if result == -1:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    return result
+
+
+def _status_kibibytes(name: str) -> int:
+    with open("/proc/self/status", encoding="utf-8", errors="replace") as status:
+        return next((int(line.split()[1]) for line in status if line.startswith(f"{name}:")), 0)

@@ -1,0 +1,164 @@
+"""Clocks of the loop: the grid is absolute, missed ticks are skipped and counted, no tick is early."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.clock import LATE, GridClock, absolute_sleep
+
+PERIOD = 1_000_000
+START = 5_000_000_123
+
+
+class World:
+    """A machine whose time passes only while somebody sleeps or works."""
+
+    def __init__(self, latency: int = 0) -> None:
+        self.now, self.latency, self.sleeps = START, latency, 0
+
+    def sleep_until(self, due: int) -> None:
+        self.now = max(self.now, due) + self.latency
+        self.sleeps += 1
+
+    def clock(self) -> GridClock:
+        return GridClock(PERIOD, lambda: self.now, self.sleep_until)
+
+
+def test_ticks_lie_on_the_grid() -> None:
+    world = World(latency=7_000)
+    clock = world.clock()
+    for k in range(1, 2000):
+        time_s = clock.wait()
+        world.now += 100_000
+        assert clock.due == START + k * PERIOD
+        assert clock.woke == clock.due + 7_000
+        assert time_s == pytest.approx(clock.woke * 1e-9, abs=1e-9)
+    assert (clock.skipped, clock.late) == (0, 0)
+    assert clock.period == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("work", "skipped"),
+    [
+        (PERIOD - 1, 0),
+        (PERIOD, 0),
+        (PERIOD + 1, 1),
+        (2 * PERIOD, 1),
+        (2 * PERIOD + 1, 2),
+        (100 * PERIOD + 5, 100),
+    ],
+)
+def test_grid_points_that_passed_are_skipped_and_counted(work: int, skipped: int) -> None:
+    world = World()
+    clock = world.clock()
+    clock.wait()
+    first = clock.due
+    world.now += work
+    clock.wait()
+    assert clock.skipped == skipped
+    assert clock.due == clock.woke == first + (1 + skipped) * PERIOD
+    clock.wait()
+    assert clock.due == first + (2 + skipped) * PERIOD, "no burst follows"
+
+
+def test_a_late_wake_up_is_counted_and_told() -> None:
+    world = World()
+    clock = world.clock()
+    clock.wait()
+    world.latency = LATE
+    clock.wait()
+    assert clock.late == 0
+    world.now, world.latency = world.now + 1, LATE + 1
+    clock.wait()
+    assert clock.late == 1
+    assert clock.woke == clock.due + LATE + 1
+
+
+@given(st.lists(st.tuples(st.integers(0, 10 * PERIOD), st.integers(0, 10 * PERIOD)), max_size=50))
+def test_whatever_happens_the_counts_add_up(delays: list[tuple[int, int]]) -> None:
+    world = World()
+    clock = world.clock()
+    clock.wait()
+    first, before = clock.due, clock.due
+    for ticks, (work, latency) in enumerate(delays, start=1):
+        world.now += work
+        asked, world.latency = world.now, latency
+        clock.wait()
+        assert clock.due >= asked, "the grid point lay ahead when the loop came to wait"
+        assert clock.woke >= clock.due > before
+        assert clock.due == first + (ticks + clock.skipped) * PERIOD
+        before = clock.due
+
+
+def test_a_sleep_that_ends_early_makes_no_tick_early() -> None:
+    world = World()
+
+    def interrupted(due: int) -> None:
+        world.now += 300_000
+        world.sleeps += 1
+
+    clock = GridClock(PERIOD, lambda: world.now, interrupted)
+    clock.wait()
+    assert clock.woke >= clock.due
+    assert world.sleeps == 4
+
+
+@pytest.fixture
+def alarms() -> Iterator[list[int]]:
+    """SIGALRM every 3 ms; the list grows with each."""
+    seen: list[int] = []
+    before = signal.signal(signal.SIGALRM, lambda number, _: seen.append(number))
+    signal.setitimer(signal.ITIMER_REAL, 0.003, 0.003)
+    yield seen
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_signals_make_no_tick_early(alarms: list[int]) -> None:
+    clock = GridClock(10 * PERIOD)
+    for _ in range(20):
+        time_s = clock.wait()
+        assert time.monotonic() >= time_s >= clock.due * 1e-9 - 1e-9
+    assert len(alarms) >= 10, "the handlers ran"
+
+
+def test_an_exception_of_a_signal_handler_leaves_the_wait(alarms: list[int]) -> None:
+    def leave(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGALRM, leave)
+    clock = GridClock(30_000 * PERIOD)
+    with pytest.raises(KeyboardInterrupt):
+        clock.wait()
+
+
+def test_the_wall_clock_keeps_to_monotonic_time() -> None:
+    clock = GridClock(2 * PERIOD)
+    before = time.monotonic()
+    times = np.array([clock.wait() for _ in range(25)])
+    after = time.monotonic()
+    assert before < times[0]
+    assert times[-1] < after
+    assert np.all(np.diff(times) > 0.0)
+    grid_points = 25 + clock.skipped
+    assert times[-1] - before >= grid_points * 2e-3
+
+
+def test_sleeping_until_the_past_returns_at_once() -> None:
+    sleep_until = absolute_sleep()
+    before = time.monotonic_ns()
+    sleep_until(before - 1_000_000_000)
+    sleep_until(0)
+    assert time.monotonic_ns() - before < 1_000_000_000
+
+
+def test_an_impossible_sleep_is_an_error() -> None:
+    with pytest.raises(OSError, match="Invalid argument"):
+        absolute_sleep()(-1_000_000_000)
