@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
+
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench.config import Configuration
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import apply
+from bench.config import Configuration, contradictions
 from bench.session import Session
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -23,6 +27,14 @@ def check_all(session: Session, name: str | None, console: Console) -> None:
     """
     configuration = session.configuration()
     console.print(_summary(configuration), highlight=False)
+    now = datetime.now(UTC)
+    calibration = calibration_of(configuration, now)
+    configuration = apply(calibration, configuration)
+    if faults := contradictions(configuration):
+        raise ExceptionGroup("calibration and configuration contradict each other", faults)
+    console.print(f"calibration of bench {calibration.bench}: {calibration.summary()}", highlight=False)
+    for problem in calibration.problems(now):
+        console.print(f"warning: not to be armed: {problem}", style="yellow", highlight=False, soft_wrap=True)
     path = find_profile(name or configuration.swing.profile)
     profile = load_profile(path)
     console.print(

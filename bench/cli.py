@@ -15,6 +15,8 @@ from typing import Annotated, Literal, NoReturn
 
 import typer
 
+from bench.calibration.commands import app as calibration_app
+from bench.control_commands import app as control_app
 from bench.errors import BenchError, ExitCode
 from bench.session import Session
 from bench.swing.commands import app as swing_app
@@ -40,6 +42,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(swing_app, name="swing")
+app.add_typer(control_app)
+app.add_typer(calibration_app, name="calibrate")
 
 
 def _version(wanted: bool) -> None:

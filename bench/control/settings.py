@@ -225,7 +225,7 @@ def build_controller(
             counts_per_revolution=(counts,) * 3,
             zero_count=plant.encoders.zero_count,
             sign=plant.encoders.sign,
-            travel=_angle_travel(plant),
+            travel=angle_travel(plant),
             greatest_speed=(60.0, 60.0, 120.0),
         ),
         estimator=design_estimator(
@@ -253,7 +253,7 @@ def build_controller(
     )
 
 
-def _angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
+def angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
     """Return each joint's travel (rad) with its cushions, for the encoders' unwrapping."""
     shoulder, _, wrist = plant.actuators
     return (

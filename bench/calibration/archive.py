@@ -1,0 +1,146 @@
+"""Calibrations in the bench's database: added, listed, never changed."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from sqlalchemy import Engine, func, insert, select
+from sqlalchemy.exc import IntegrityError
+
+from bench.calibration.calibration import Calibration, Entry
+from bench.calibration.values import KINDS, Kind, Values, content_of, values_of
+from bench.config import Configuration
+from bench.errors import BenchError
+from bench.store.database import database_url, is_there, open_database
+from bench.store.tables import CalibrationRow
+
+SIMULATED = frozenset({"sim", "mock"})
+"""Drivers without a machine behind them: there nominal values are right."""
+
+
+def add_calibration(
+    database: Engine,
+    bench: str,
+    values: Values,
+    *,
+    date: datetime,
+    expires: datetime,
+    by: str,
+    method: str,
+    note: str = "",
+) -> Entry:
+    """Store `values` as the next version of their kind and return the entry.
+
+    Raises:
+        BenchError: it expires before it begins, a newer one is there already, or `by` or `method` is empty.
+    """
+    kind = _kind_of(values)
+    for name, found in (("by", by), ("method", method)):
+        if not found.strip():
+            raise BenchError(f"calibrate {kind}: --{name}", "nothing", "a text", "Say it.")
+    if not date < expires:
+        raise BenchError(
+            f"calibrate {kind}: expires", f"{expires}", f"later than {date}", "Give it a later day."
+        )
+    subject = getattr(values, "club", "")
+    newest = select(func.max(CalibrationRow.version)).where(
+        CalibrationRow.bench == bench, CalibrationRow.kind == kind.value
+    )
+    statement = insert(CalibrationRow).values(
+        bench=bench,
+        kind=kind.value,
+        version=func.coalesce(newest.scalar_subquery(), 0) + 1,
+        subject=subject,
+        date=date,
+        expires=expires,
+        by=by.strip(),
+        method=method.strip(),
+        note=note.strip(),
+        content=content_of(values),
+    )
+    with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
+        before = connection.scalar(
+            select(func.max(CalibrationRow.date)).where(
+                CalibrationRow.bench == bench, CalibrationRow.kind == kind.value
+            )
+        )
+        if before is not None and before > date:
+            raise BenchError(
+                f"calibrate {kind}: date",
+                f"{date:%Y-%m-%d %H:%M:%S} UTC",
+                f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC",
+                "Set this machine's clock: a calibration is only superseded by a later one.",
+            )
+        try:
+            identity = connection.execute(statement.returning(CalibrationRow.id)).scalar_one()
+        except IntegrityError as error:  # SQLite writes in turn, a server may not
+            raise BenchError(
+                f"calibrate {kind}", "another one at the same instant", "one at a time", "Try again."
+            ) from error
+    return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
+
+
+def list_calibrations(database: Engine, bench: str, kind: Kind | None = None) -> list[Entry]:
+    """Return all calibrations of `bench`, of one kind or of every one, oldest first.
+
+    Raises:
+        ExceptionGroup: of BenchErrors: what is stored was not written by golfbench.
+    """
+    wanted = select(CalibrationRow).where(CalibrationRow.bench == bench)
+    if kind is not None:
+        wanted = wanted.where(CalibrationRow.kind == kind.value)
+    with database.connect() as connection:
+        rows = connection.execute(wanted.order_by(CalibrationRow.date, CalibrationRow.id)).all()
+    return [_entry(row) for row in rows]
+
+
+def effective_calibration(
+    database: Engine, bench: str, when: datetime, *, club: str = "", required: bool = False
+) -> Calibration:
+    """Return what is in force on `bench` at `when` with `club` mounted: of each kind the newest until then.
+
+    `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
+    """
+    newest: dict[Kind, Entry] = {}
+    for entry in list_calibrations(database, bench):
+        if entry.date <= when and entry.subject in {"", club}:
+            newest[entry.kind] = entry
+    entries = tuple(newest[kind] for kind in Kind if kind in newest)
+    return Calibration(bench, club, when, entries, required)
+
+
+def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
+    """Return what is in force for `configuration` at `when`; reading makes no database.
+
+    Raises:
+        BenchError: the database cannot be read.
+    """
+    c = configuration
+    required = c.driver.name not in SIMULATED
+    url = database_url(c.bench.database, c.bench.data_dir)
+    if not is_there(url):
+        return Calibration(c.bench.id, c.swing.club, when, (), required)
+    with open_database(url, when) as database:
+        return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
+
+
+def _kind_of(values: Values) -> Kind:
+    return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
+
+
+def _entry(row: object) -> Entry:
+    r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
+    kind = Kind(r.kind)
+    place = f"calibration {kind} version {r.version} in the database"
+    return Entry(
+        r.id,
+        r.bench,
+        kind,
+        r.version,
+        r.date,
+        r.expires,
+        r.by,
+        r.method,
+        r.note,
+        values_of(kind, r.content, place),
+    )

@@ -1,0 +1,189 @@
+"""What is in force of a bench's calibrations at an instant, and what follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Any
+
+from bench.calibration.values import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    Kind,
+    Values,
+    ValveCentres,
+    content_of,
+)
+from bench.config import Configuration
+from bench.errors import BenchError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One calibration as it is stored."""
+
+    id: int
+    bench: str
+    kind: Kind
+    version: int
+    """Rises by one per bench and kind."""
+    date: datetime
+    expires: datetime
+    by: str
+    method: str
+    note: str
+    values: Values
+
+    @property
+    def subject(self) -> str:
+        """What was calibrated when there are several of a kind: the club's name; else empty."""
+        return self.values.club if isinstance(self.values, ClubInMount) else ""
+
+    @property
+    def name(self) -> str:
+        """Kind, subject and version for messages."""
+        return " ".join(filter(None, ("calibration", self.kind, self.subject, f"version {self.version}")))
+
+    def expired(self, now: datetime) -> bool:
+        """Tell whether it no longer counts at `now`."""
+        return now >= self.expires
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {
+            "id": self.id,
+            "bench": self.bench,
+            "kind": self.kind.value,
+            "version": self.version,
+            "subject": self.subject,
+            "date": self.date.isoformat(),
+            "expires": self.expires.isoformat(),
+            "by": self.by,
+            "method": self.method,
+            "note": self.note,
+            "values": content_of(self.values),
+        }
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The newest of each kind; a kind without one is nominal: as the configuration has it."""
+
+    bench: str
+    club: str
+    """The mounted club; calibrations of other clubs are not in force."""
+    when: datetime
+    entries: tuple[Entry, ...] = field(default=())
+    """At most one of each kind, in the order of Kind."""
+    required: bool = False
+    """Whether a missing calibration is a problem: with a machine, not in simulation."""
+
+    @property
+    def nominal(self) -> tuple[Kind, ...]:
+        """The kinds that were never calibrated."""
+        return tuple(kind for kind in Kind if self.of(kind) is None)
+
+    def of(self, kind: Kind) -> Entry | None:
+        """Return what is in force of `kind`, if anything; it may have expired."""
+        return next((entry for entry in self.entries if entry.kind is kind), None)
+
+    def problems(self, now: datetime) -> list[str]:
+        """Return why nothing may be armed at `now`, each with its cure; empty when nothing is wrong."""
+        found = [
+            f"{entry.name} expired on {entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
+            for entry in self.entries
+            if entry.expired(now)
+        ]
+        if self.required:
+            names = {kind: f"club {self.club}" if kind is Kind.CLUB else kind for kind in self.nominal}
+            found += [
+                f"{name} of bench {self.bench} never calibrated: golfbench calibrate {kind}"
+                for kind, name in names.items()
+            ]
+        return found
+
+    def record(self) -> dict[str, Any]:
+        """Return what is stored with each swing: every calibration in force, and what is nominal."""
+        return {
+            "bench": self.bench,
+            "club": self.club,
+            "when": self.when.isoformat(),
+            "in_force": [entry.record() for entry in self.entries],
+            "expired": [entry.kind.value for entry in self.entries if entry.expired(self.when)],
+            "nominal": [kind.value for kind in self.nominal],
+        }
+
+    def summary(self) -> str:
+        """Return one line for people."""
+        parts = [f"{entry.kind} version {entry.version} of {entry.date:%Y-%m-%d}" for entry in self.entries]
+        if self.nominal:
+            parts.append(f"nominal: {', '.join(self.nominal)}")
+        return "; ".join(parts)
+
+
+def apply(calibration: Calibration, configuration: Configuration) -> Configuration:
+    """Return `configuration` with the values in force, expired ones too: they are the best known.
+
+    Raises:
+        BenchError: a calibration is of other encoders, or of a club that is not in the configuration.
+    """
+    c = configuration
+    for entry in calibration.entries:
+        match entry.values:
+            case EncoderZeros() as zeros:
+                c = _with_zeros(c, zeros, entry.name)
+            case BallPosition() as ball:
+                site = replace(c.plant.site, ball_x=ball.x, ball_y=ball.y)
+                c = replace(c, plant=replace(c.plant, site=site))
+            case ClubInMount() as club:
+                c = _with_club(c, club, entry.name)
+            case ValveCentres() as valves:
+                c = _with_valves(c, valves)
+    return c
+
+
+def _with_zeros(c: Configuration, zeros: EncoderZeros, name: str) -> Configuration:
+    counts = c.plant.encoders.counts_per_revolution
+    if zeros.counts_per_revolution != counts:
+        raise BenchError(
+            name,
+            f"encoders of {zeros.counts_per_revolution} counts per revolution",
+            f"{counts}, as plant.encoders.counts_per_revolution says",
+            "Calibrate the encoders again, or correct the configuration.",
+        )
+    encoders = replace(c.plant.encoders, zero_count=zeros.zero_count, sign=zeros.sign)
+    return replace(c, plant=replace(c.plant, encoders=encoders))
+
+
+def _with_club(c: Configuration, measured: ClubInMount, name: str) -> Configuration:
+    if measured.club not in c.clubs:
+        raise BenchError(
+            name, "a club that is not configured", f"one of {', '.join(c.clubs)}", "Add it under [clubs]."
+        )
+    club = c.clubs[measured.club]
+    club = replace(
+        club,
+        # A club that is clamped further out carries its head's mass with it.
+        shaft_length=club.shaft_length + measured.length_to_face - club.length_to_face,
+        length_to_face=measured.length_to_face,
+        loft=measured.loft,
+        lie=measured.lie,
+    )
+    c = replace(c, clubs=c.clubs | {measured.club: club})
+    if measured.club != c.swing.club:
+        return c
+    return replace(c, plant=replace(c.plant, robot=replace(c.plant.robot, club=club)))
+
+
+def _with_valves(c: Configuration, valves: ValveCentres) -> Configuration:
+    actuators = {
+        name: replace(
+            getattr(c.plant, name),
+            valve=replace(
+                getattr(c.plant, name).valve, centre=valves.centre[i], dead_band=valves.dead_band[i]
+            ),
+        )
+        for i, name in enumerate(("shoulder", "right_arm", "wrist"))
+    }
+    return replace(c, plant=replace(c.plant, **actuators))

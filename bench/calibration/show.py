@@ -1,0 +1,82 @@
+"""Calibrations for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from math import degrees
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from bench.calibration.calibration import Calibration, Entry
+from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Kind, Values, ValveCentres
+
+
+def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
+    """Return all `entries`, the newest of each kind last, each with who, how and why."""
+    table = Table.grid(padding=(0, 2, 1, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for entry in sorted(entries, key=lambda entry: (list(Kind).index(entry.kind), entry.version)):
+        title = Text.assemble(
+            (" ".join(filter(None, (entry.kind, entry.subject))), "bold"), f"\nversion {entry.version}\n"
+        )
+        title.append_text(_mark(entry, in_force, now))
+        lines = (
+            f"{entry.date:%Y-%m-%d %H:%M} to {entry.expires:%Y-%m-%d %H:%M} UTC, by {entry.by}",
+            in_words(entry.values),
+            "; ".join(filter(None, (entry.method, entry.note))),
+        )
+        table.add_row(title, Text("\n".join(lines)))
+    return table
+
+
+def overview(in_force: Calibration, now: datetime) -> Table:
+    """Return a table of what is in force, kind by kind."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for column in ("kind", "version", "date (UTC)", "expires", "values", ""):
+        table.add_column(column, overflow="fold")
+    for kind in Kind:
+        entry = in_force.of(kind)
+        if entry is None:
+            mark = Text("missing", "bold red") if in_force.required else Text("nominal", "dim")
+            table.add_row(kind, "", "", "", "as the configuration has it", mark)
+            continue
+        table.add_row(
+            *(" ".join(filter(None, (kind, entry.subject))), str(entry.version)),
+            *(f"{entry.date:%Y-%m-%d %H:%M}", f"{entry.expires:%Y-%m-%d}"),
+            *(in_words(entry.values), _mark(entry, in_force, now)),
+        )
+    return table
+
+
+def in_words(values: Values) -> str:
+    """Return `values` with their units."""
+    match values:
+        case EncoderZeros(zero, sign, counts, uncertainty):
+            signs = "".join("+" if s > 0 else "-" for s in sign)
+            known = f"± {degrees(uncertainty):.3g} deg"
+            return f"zero {_three(zero, '.1f')} of {counts} counts, sign {signs}, {known}"
+        case BallPosition(x, y, uncertainty):
+            return f"x {x:.4f}, y {y:.4f} m ± {1e3 * uncertainty:.3g} mm"
+        case ClubInMount():
+            v = values
+            return (
+                f"length {v.length_to_face:.4f} m ± {1e3 * v.length_uncertainty:.3g} mm, "
+                f"loft {degrees(v.loft):.2f}, lie {degrees(v.lie):.2f} deg "
+                f"± {degrees(v.angle_uncertainty):.3g} deg"
+            )
+        case ValveCentres(centre, band, uncertainty):
+            return f"centre {_three(centre, 'z.4f')}, dead band {_three(band, 'z.4f')} ± {uncertainty:.2g}"
+
+
+def _three(values: tuple[float, float, float], form: str) -> str:
+    return " ".join(format(value, form) for value in values)
+
+
+def _mark(entry: Entry, in_force: Calibration, now: datetime) -> Text:
+    if in_force.of(entry.kind) != entry:
+        return Text("other club" if entry.subject not in {"", in_force.club} else "superseded", "dim")
+    return Text("expired", "bold red") if entry.expired(now) else Text("in force", "green")

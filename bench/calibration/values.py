@@ -1,0 +1,142 @@
+"""What is calibrated, with the range in which each value can lie; SI and radians."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from math import pi, radians
+from pathlib import Path
+from typing import Annotated, Any
+
+from bench.errors import BenchError
+from bench.from_toml import Builder, as_tree
+from sim.plant import Sign, ZeroCount
+from sim.ranges import Range
+
+Coordinate = Annotated[float, Range(-3.0, 3.0, "m")]
+Centre = Annotated[float, Range(-0.2, 0.2, "")]
+DeadBand = Annotated[float, Range(0.0, 0.5, "")]
+
+
+class Kind(StrEnum):
+    """What can be calibrated."""
+
+    ENCODERS = "encoders"
+    BALL = "ball"
+    CLUB = "club"
+    VALVES = "valves"
+
+
+VALID_DAYS: Mapping[Kind, int] = {Kind.ENCODERS: 365, Kind.BALL: 30, Kind.CLUB: 90, Kind.VALVES: 180}
+"""Days after which a calibration expires unless told otherwise. Assumption: absolute encoders hold until they
+are taken off, a tee is moved often, a club works loose in its mount, seals and springs age."""
+
+
+@dataclass(frozen=True)
+class EncoderZeros:
+    """Counts of the three encoders at joint angle zero, and which way they count."""
+
+    zero_count: tuple[ZeroCount, ZeroCount, ZeroCount]
+    sign: tuple[Sign, Sign, Sign]
+    counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")]
+    """Of the encoders that were calibrated."""
+    uncertainty: Annotated[float, Range(0.0, radians(5.0), "rad")]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError when a sign is none."""
+        if 0 in self.sign:
+            raise ValueError("sign: 1 or -1 for each joint")
+
+    @classmethod
+    def from_pose(
+        cls,
+        count: tuple[int, int, int],
+        angle: tuple[float, float, float],
+        sign: tuple[int, int, int],
+        counts_per_revolution: int,
+        uncertainty: float,
+    ) -> EncoderZeros:
+        """Return the zeros of encoders that show `count` while the joints stand at `angle` (rad)."""
+        per_radian = counts_per_revolution / (2 * pi)
+        # Half a count: a reading is the floor of what the shaft shows.
+        a, b, c = (
+            (n + 0.5 - s * q * per_radian) % counts_per_revolution
+            for n, q, s in zip(count, angle, sign, strict=True)
+        )
+        return cls((a, b, c), sign, counts_per_revolution, uncertainty)
+
+
+@dataclass(frozen=True)
+class BallPosition:
+    """Centre of the ball on its tee, in the swing plane from the shoulder axis R1."""
+
+    x: Coordinate
+    y: Coordinate
+    uncertainty: Annotated[float, Range(0.0, 0.05, "m")]
+
+
+@dataclass(frozen=True)
+class ClubInMount:
+    """One club as it is clamped."""
+
+    club: str
+    """Its name in the configuration."""
+    length_to_face: Annotated[float, Range(0.3, 1.5, "m")]
+    """Wrist axis R3 to the centre of the face."""
+    loft: Annotated[float, Range(0.0, radians(70.0), "rad")]
+    lie: Annotated[float, Range(radians(35.0), radians(80.0), "rad")]
+    length_uncertainty: Annotated[float, Range(0.0, 0.05, "m")]
+    angle_uncertainty: Annotated[float, Range(0.0, radians(5.0), "rad")]
+
+
+@dataclass(frozen=True)
+class ValveCentres:
+    """Commands at which the three spools are centred, and the overlap to either side of that."""
+
+    centre: tuple[Centre, Centre, Centre]
+    dead_band: tuple[DeadBand, DeadBand, DeadBand]
+    uncertainty: Annotated[float, Range(0.0, 0.1, "")]
+
+
+Values = EncoderZeros | BallPosition | ClubInMount | ValveCentres
+
+KINDS: Mapping[Kind, type[Values]] = {
+    Kind.ENCODERS: EncoderZeros,
+    Kind.BALL: BallPosition,
+    Kind.CLUB: ClubInMount,
+    Kind.VALVES: ValveCentres,
+}
+
+
+def values_of(kind: Kind, content: Mapping[str, Any], place: str) -> Values:
+    """Return the checked values of `content`, whose keys are the fields of the kind's class.
+
+    Raises:
+        ExceptionGroup: of BenchErrors at `place`, one for each key that is missing, unknown, of the wrong
+            type or outside its range.
+    """
+    faults: list[BenchError] = []
+    file = Path(place)
+    builder = Builder(
+        as_tree({key: _listed(value) for key, value in content.items()}, file, faults),
+        file,
+        "Measure again, or correct the value.",
+        "Give it.",
+        faults=faults,
+    )
+    values = builder.build(KINDS[kind])
+    if faults:
+        for fault in faults:
+            fault.place = fault.place.removesuffix(": ")  # of the values as a whole
+        raise ExceptionGroup(f"{place} does not hold", faults)
+    return values  # type: ignore[no-any-return]
+
+
+def content_of(values: Values) -> dict[str, Any]:
+    """Return `values` as JSON has them; `values_of` reads them back."""
+    return {key: _listed(value) for key, value in asdict(values).items()}
+
+
+def _listed(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

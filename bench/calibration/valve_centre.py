@@ -1,0 +1,133 @@
+"""Find the true centre and the dead band of a proportional valve from how the chambers answer.
+
+Within its overlap a spool passes hardly any air, whatever the command; beyond it the flow rises in
+proportion. A line with a flat middle, fitted to the rate at which the difference of the two chambers'
+pressures changes, shows both edges.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+
+from drivers.base import COMMAND
+from sim.compiled import new_record
+from sim.driver import hanging_pose
+from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
+
+Array = NDArray[np.float64]
+
+_NEAR = 0.04
+"""Opening beyond an edge up to which the flow counts: further out emptying and filling bend the line."""
+_LEAST_BEYOND = 4
+"""Measurements wanted beyond each edge."""
+_CLEAR = 5.0
+"""Rate beyond an edge over the fit's scatter from which the edge counts as seen."""
+_NO_ANSWER = (
+    "the pressures do not go from falling to rising: check the supply, the chamber sensors and the hoses "
+    "(A and B swapped?), or ramp further"
+)
+
+SWEEP = np.linspace(-0.3, 0.3, 241)
+"""Openings of the ramp."""
+_HOLD = 0.02
+"""s for which each opening is held: the spool's own motion takes a small part of it."""
+
+
+class ValveCentre(NamedTuple):
+    """What the ramp shows of one valve, in openings."""
+
+    centre: float
+    dead_band: float
+    """To either side of the centre."""
+    residual: float
+    """Opening: the fit's scatter over its slope, a measure of the uncertainty."""
+
+
+def find_centre(openings: ArrayLike, pressure_rates: ArrayLike) -> ValveCentre:
+    """Return centre and dead band from commands (n,) and the rates (n,) of p_A - p_B (Pa/s) they gave.
+
+    Raises:
+        ValueError: the values are no such measurement, or an edge is not in it; the text says what to do.
+    """
+    x, rate = np.asarray(openings, dtype=float), np.asarray(pressure_rates, dtype=float)
+    if x.ndim != 1 or x.shape != rate.shape or not (np.isfinite(x).all() and np.isfinite(rate).all()):
+        raise ValueError(f"openings {x.shape} and rates {rate.shape}, expected finite values of one length")
+    order = np.argsort(x)
+    x, rate = x[order], rate[order]
+    edges = _coarse_edges(x, rate)
+    edges, _, _ = _refined(x, rate, *edges)
+    # Once more, on the measurements around the edges just found.
+    (lower, upper), slope, scatter = _refined(x, rate, *edges)
+    if slope * _NEAR <= _CLEAR * scatter:
+        raise ValueError(_NO_ANSWER)
+    return ValveCentre((lower + upper) / 2, (upper - lower) / 2, scatter / slope)
+
+
+def _refined(x: Array, rate: Array, lower: float, upper: float) -> tuple[tuple[float, float], float, float]:
+    """Return edges, lesser slope and scatter of the best line over the measurements near the given edges."""
+    near = (x > lower - _NEAR) & (x < upper + _NEAR)
+    for beyond, edge in ((x < lower, "lower"), (x > upper, "upper")):
+        if np.count_nonzero(near & beyond) < _LEAST_BEYOND:
+            raise ValueError(f"the {edge} edge is not in it: ramp further, or in finer steps")
+    some, rates = x[near], rate[near]
+
+    def error(edges: Array) -> float:
+        return _fit(some, rates, *sorted(edges))[1]
+
+    start = np.array([(lower, upper), (lower + _NEAR / 4, upper), (lower, upper - _NEAR / 4)])
+    least_change = 1e-12 * float(np.var(rates))
+    answer = minimize(
+        error,
+        start[0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-7, "fatol": least_change, "initial_simplex": start},
+    )
+    lower, upper = sorted(map(float, answer.x))
+    (_, below, above), least = _fit(some, rates, lower, upper)
+    return (lower, upper), float(min(below, above)), float(np.sqrt(least))
+
+
+def _fit(x: Array, rate: Array, lower: float, upper: float) -> tuple[Array, float]:
+    """Return (level, slope below, slope above) of the best line, flat between the edges, and its error."""
+    columns = np.stack([np.ones_like(x), np.minimum(x - lower, 0.0), np.maximum(x - upper, 0.0)], axis=1)
+    solution = np.linalg.lstsq(columns, rate, rcond=None)[0]
+    return solution, float(np.mean((columns @ solution - rate) ** 2))
+
+
+def _coarse_edges(x: Array, rate: Array) -> tuple[float, float]:
+    """Return about where the flat middle begins and ends: around the change of sign, a tenth of the ends."""
+    if len(x) < 3 * _LEAST_BEYOND or x[0] == x[-1]:
+        raise ValueError(f"{len(x)} measurements, expected at least {3 * _LEAST_BEYOND} over a ramp")
+    reach = 0.1 * min(rate.max(), -rate.min())
+    falling, rising = np.flatnonzero(rate < -reach), np.flatnonzero(rate > reach)
+    if reach <= 0.0 or falling[-1] > rising[0]:
+        raise ValueError(_NO_ANSWER)
+    return float(x[falling[-1]]), float(x[rising[0]])
+
+
+def ramp_valve(parameters: PlantParameters, actuator: int) -> tuple[Array, Array]:
+    """Return openings (n,) and rates of p_A - p_B (n,) Pa/s of one valve (0 to 2) of the software plant.
+
+    The robot hangs with charged chambers before each opening, which is held for a few hundredths of a second.
+    """
+    plant = build_plant(parameters)
+    pose = hanging_pose(parameters)
+    rates = [_rate_at(plant, pose, actuator, opening) for opening in SWEEP]
+    return SWEEP.copy(), np.array(rates)
+
+
+def _rate_at(plant: Plant, pose: Array, actuator: int, opening: float) -> float:
+    state, command = initial_state(plant, pose, pressurised=True), new_record(COMMAND)
+    for name in ("supply_enable", "exhaust_closed", "guard_lock"):
+        command[name] = True
+    command["valve"] = [valve.valve.centre for valve in plant.parameters.actuators]
+    command["valve"][0, actuator] = opening
+    ticks = max(round(_HOLD / plant.parameters.tick), 1)
+    for _ in range(ticks):
+        advance(*plant.records, state, command)
+    pressure: Any = state["pressure"][0]
+    return float(pressure[2 * actuator] - pressure[2 * actuator + 1]) / (ticks * plant.parameters.tick)

@@ -1,0 +1,1 @@
+"""The bench's database: what is kept beside the records of the swings."""

@@ -1,0 +1,146 @@
+"""One database per bench: SQLite in WAL mode below `data_dir`, or any other by its URL.
+
+The version of the tables stands in them. An older database is migrated step by step, in one transaction; one
+of a newer golfbench is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, make_url, select
+from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
+
+from bench.errors import BenchError
+from bench.store.tables import Row, SchemaVersionRow
+
+SCHEMA_VERSION = 1
+
+MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {}
+"""Version -> what turns its tables into those of the next one."""
+
+FILE = "golfbench.sqlite"
+
+BUSY_TIMEOUT = 5.0
+"""s to wait for another process' write."""
+
+
+def database_url(database: str, data_dir: Path) -> URL:
+    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
+
+    Raises:
+        BenchError: `database` is no URL of a database that several processes can open.
+    """
+    if not database:
+        return URL.create("sqlite", database=str(data_dir / FILE))
+    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
+    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
+    try:
+        url = make_url(database)
+        url.get_dialect()
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise BenchError("bench.database", "no URL that SQLAlchemy knows", wanted, cure) from None
+    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
+        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
+    return url
+
+
+def is_there(url: URL) -> bool:
+    """Tell whether there may be something to read: a server, or SQLite's file."""
+    return url.get_backend_name() != "sqlite" or Path(str(url.database)).exists()
+
+
+@contextmanager
+def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
+    """Open the database at `url`, made or migrated to SCHEMA_VERSION if need be (dated `now`), and close it.
+
+    What the database itself cannot do within the block becomes a BenchError; a broken constraint does not.
+
+    Raises:
+        BenchError: it cannot be opened, is no database of golfbench, or is one of a newer version.
+        OSError: its folder cannot be made.
+    """
+    place = url.render_as_string(hide_password=True)
+    if url.get_backend_name() == "sqlite":
+        place = str(url.database)
+        Path(place).parent.mkdir(parents=True, exist_ok=True)
+    try:
+        engine = create_engine(url, connect_args=_connect_arguments(url))
+    except ModuleNotFoundError as error:
+        raise BenchError(
+            place, f"no Python package {error.name}", "the database's driver", f"Install {error.name}."
+        ) from error
+    if url.get_backend_name() == "sqlite":
+        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    try:
+        _bring_up_to_date(engine, place, now or datetime.now(UTC))
+        yield engine
+    except IntegrityError:
+        raise
+    except DatabaseError as error:
+        raise BenchError(
+            place,
+            str(error.orig).strip(),
+            "a database of golfbench that can be read and written",
+            "Check that this user may write to it and its folder, and that the disk has room.",
+        ) from error
+    finally:
+        engine.dispose()
+
+
+def _connect_arguments(url: URL) -> dict[str, Any]:
+    return {"timeout": BUSY_TIMEOUT} if url.get_backend_name() == "sqlite" else {}
+
+
+def _prepare_sqlite(connection: Any, _: Any) -> None:
+    """Set what SQLite keeps per connection; its driver's own transactions, which begin late, are off."""
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute("PRAGMA journal_mode=WAL")
+    cursor.execute("PRAGMA synchronous=FULL")  # a shot that is in the database survives a power cut
+    cursor.execute("PRAGMA foreign_keys=ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    """Begin the transaction in earnest; one that is to write takes its turn at once."""
+    kind = connection.get_execution_options().get("sqlite_begin", "DEFERRED")
+    connection.exec_driver_sql(f"BEGIN {kind}")
+
+
+def _bring_up_to_date(engine: Engine, place: str, now: datetime) -> None:
+    with engine.connect() as connection:
+        if _version(connection, place) == SCHEMA_VERSION:
+            return
+    with engine.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
+        found = _version(connection, place)  # another process may have been faster
+        if found is None:
+            Row.metadata.create_all(connection)
+        for version in range(found or SCHEMA_VERSION, SCHEMA_VERSION):
+            MIGRATIONS[version](connection)
+        if found != SCHEMA_VERSION:
+            connection.execute(
+                SchemaVersionRow.__table__.insert().values(version=SCHEMA_VERSION, date=now)  # type: ignore[attr-defined]
+            )
+
+
+def _version(connection: Connection, place: str) -> int | None:
+    """Return the version of the tables, None when there are none."""
+    tables = inspect(connection).get_table_names()
+    if not tables:
+        return None
+    if SchemaVersionRow.__tablename__ not in tables:
+        found = f"tables {', '.join(sorted(tables)[:5])}, but no {SchemaVersionRow.__tablename__}"
+        raise BenchError(place, found, "a database of golfbench, or an empty one", "Name another one.")
+    version: int | None = connection.scalar(select(func.max(SchemaVersionRow.version)))
+    if version is None or not 1 <= version <= SCHEMA_VERSION:
+        found = f"schema version {version}" + (", of a newer golfbench" if version else "")
+        raise BenchError(
+            place, found, f"version 1 to {SCHEMA_VERSION}", "Update golfbench, or name another database."
+        )
+    return version
