@@ -16,7 +16,7 @@ from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from threading import Event, Lock, Thread
-from typing import Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import zenoh
 
@@ -29,12 +29,14 @@ from bench.command import (
     parse_answer,
     parse_error,
 )
-from bench.config import Configuration, NetworkSettings
 from bench.desk import STATUS_VERSION, Status
 from bench.errors import BenchError, Refused
 from bench.lease import DEFAULT
 from bench.lifecycle import ACCEPTED_IN
 from bench.zenoh_session import NoAnswer, open_client
+
+if TYPE_CHECKING:
+    from bench.config import Configuration, NetworkSettings
 
 TIMEOUT = 2.0
 """s that an answer is waited for: longer than the bench lets a request wait for its turn and for the loop."""

@@ -8,12 +8,14 @@ telemetry of the publisher process, a client as well, reaches a viewer through t
 from __future__ import annotations
 
 import json
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
 
-from bench.config import NetworkSettings
 from bench.errors import BenchError, ExitCode
+
+if TYPE_CHECKING:
+    from bench.config import NetworkSettings
 
 LONGEST_MESSAGE = 2**20
 """Bytes; the transport drops a longer one before anybody sees it."""

@@ -12,10 +12,19 @@ from bench.session import Session
 if TYPE_CHECKING:
     from bench.config import Configuration
 
-app = typer.Typer(help="Look at swing profiles and try them on the software plant.", no_args_is_help=True)
+app = typer.Typer(invoke_without_command=True)
 
 Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name of a profile that is here, or a path.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+@app.callback()
+def swing(context: typer.Context) -> None:
+    """Swing, if the bench is ARMED; or look at profiles and try them on the software plant."""
+    if context.invoked_subcommand is None:
+        from bench.control_commands import swing_when_armed
+
+        swing_when_armed(context)
 
 
 @app.command("list")
