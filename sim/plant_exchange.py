@@ -36,18 +36,20 @@ class PlantPlan:
     """The core it stays on; -1: any."""
     burst: int = 5
     """Most ticks made up at once after a stall; what is left slips."""
+    lonely: float = 5.0
+    """Without a command for so long (s), and without the process that started it, the plant ends."""
 
 
 PLANT_COMMAND = np.dtype(
     [
         ("counter", "i8"),
         ("session", "i8"),
-        ("enable", "?"),
+        ("mode", "u1"),
         ("command", COMMAND),
     ],
     align=True,
 )
-"""`counter` changes with every command; `session` and `enable` are explained in `sim.valve_node`."""
+"""`counter` changes with every command; `session` and `mode` are explained in `sim.valve_node`."""
 
 TRUTH = np.dtype(
     [

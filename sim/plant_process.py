@@ -40,8 +40,6 @@ from sim.shared_record import SharedMemoryError, SharedRecord
 from sim.wall_grid import WallGrid
 from sim.wall_plant import WallPlant
 
-_LONELY = 5.0
-"""s without a command after which an orphaned plant ends."""
 _BETWEEN_LOOKS = 0.02
 """s between two looks at signals, parent and files."""
 _PR_SET_TIMERSLACK = 29
@@ -254,8 +252,8 @@ def _live(plan: PlantPlan, plant: WallPlant, files: PlantFiles, is_orphan: Calla
                 return "SIGTERM"
             if not files.are_there:
                 return "another plant took the folder, or its files were removed"
-            if now - heard_time > _LONELY and is_orphan():
-                return f"its parent is gone and no command has come for {_LONELY:g} s"
+            if now - heard_time > plan.lonely and is_orphan():
+                return f"its parent is gone and no command has come for {plan.lonely:g} s"
 
 
 def _is_orphan(parent: int) -> bool:

@@ -17,9 +17,12 @@ from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
 from sim.plant_exchange import COMMAND_FILE, PLANT_COMMAND, PLANT_REPORT, REPORT_FILE, TRUTH
 from sim.shared_record import SharedMemoryError, SharedRecord
 from sim.truth import Contact, contact_in
+from sim.valve_node import Mode
 
 _NEAR = 1e-9
 _BETWEEN_LOOKS = 0.0005
+_COUNTERS = 2**62 - 1
+"""So that counting on from garbage does not overflow."""
 
 
 class ProcessPlantDriver:
@@ -44,6 +47,11 @@ class ProcessPlantDriver:
         self._sender: SharedRecord | None = None
         self._counter = self._session = 0
         self._last_time = -math.inf
+
+    @property
+    def operational(self) -> bool:
+        """Whether the node obeyed when the plant reported last."""
+        return bool(self._operational[0])
 
     def open(self) -> None:
         """Attach, read back the node's watchdog and set the node operational, passive at first.
@@ -123,7 +131,7 @@ class ProcessPlantDriver:
         """Take the node out of operation, which leaves it passive, and let go of the plant."""
         self.applied = PASSIVE
         with suppress(Exception):  # whatever became of the plant
-            self._send(PASSIVE, enable=False)
+            self._send(PASSIVE, Mode.STOP)
         self._detach()
 
     def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
@@ -148,8 +156,12 @@ class ProcessPlantDriver:
                 f"plant driver: open() read back the node's watchdog: found {found}, expected one of at most "
                 f"{self.watchdog:g} s; start the plant with a shorter one, or raise driver.watchdog"
             )
-        self._counter, self._session = int(node["counter"][0]), int(node["session"][0]) + 1
-        self._send(PASSIVE)
+        # On from what was sent last, which the node need not have heard yet.
+        if self._sender is not None:
+            self._sender.read(self._outgoing)
+        self._counter = max(int(self._outgoing["counter"][0]), int(node["counter"][0])) & _COUNTERS
+        self._session = int(node["session"][0]) + 1
+        self._send(PASSIVE, Mode.START)
         while not (self._look() and self._operational[0] and node["session"][0] == self._session):
             self._wait(deadline, f"no answer to session {self._session}")
 
@@ -164,11 +176,11 @@ class ProcessPlantDriver:
             )
         wall.sleep(_BETWEEN_LOOKS)
 
-    def _send(self, command: Command, enable: bool = True) -> None:
+    def _send(self, command: Command, mode: Mode = Mode.OPERATE) -> None:
         if self._sender is not None:
             self._counter += 1
             self.applied = command
-            self._outgoing[0] = (self._counter, self._session, enable, command)
+            self._outgoing[0] = (self._counter, self._session, mode, command)
             self._sender.write(self._outgoing)
 
     def _detach(self) -> None:

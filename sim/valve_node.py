@@ -1,15 +1,28 @@
 """The valve node: what takes the commands of a loop, and lets go of the valves when they stop coming.
 
-It behaves as a CANopen node with a watchdog on its commands. After power-up it is passive. `open` sets it
-operational with the number of a new session; its watchdog runs from the first command of that session on.
+It behaves as a CANopen node with a watchdog on its commands. After power-up it is passive. START with the
+number of the next session sets it operational; its watchdog runs from the first command of that session on.
 When no new command comes for the watchdog's time the node goes passive by itself and stays so until it is
-set operational again: a later command alone does not revive it. Commands of another session, such as those
-of a loop that was stopped and runs on after its successor took over, are not heard at all.
+started again: a later command alone does not revive it. Commands of another session, such as those of a loop
+that was stopped and runs on after its successor took over, are not heard at all.
 """
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 from drivers.base import PASSIVE, Command, device_limited
+
+
+class Mode(IntEnum):
+    """What the node is to do with a command."""
+
+    STOP = 0
+    """Go passive, and obey nothing more in this session."""
+    OPERATE = 1
+    """Apply it."""
+    START = 2
+    """Begin the next session, passive at first."""
 
 
 class ValveNode:
@@ -31,18 +44,20 @@ class ValveNode:
         """When the watchdog struck last."""
         self._watched = False
 
-    def hear(self, tick: int, counter: int, session: int, enable: bool, command: Command) -> None:
+    def hear(self, tick: int, counter: int, session: int, mode: int, command: Command) -> None:
         """Take what stands in the loop's record at `tick`; the same `counter` again is no new command."""
         if counter == self.counter:
             return
-        if enable and session == self.session + 1:
+        if mode == Mode.START:
+            if session != self.session + 1:
+                return
             self.session = session
             self.operational, self.passive_by_watchdog, self._watched = True, False, False
             self.applied = PASSIVE
             self.command_tick = tick
         elif session != self.session:
             return
-        elif not enable:
+        elif mode != Mode.OPERATE:
             self.operational, self.applied = False, PASSIVE
         elif self.operational:
             self.applied, self.command_tick, self._watched = device_limited(command), tick, True

@@ -58,8 +58,8 @@ class WallPlant:
 
     def hear(self, record: np.ndarray[Any, Any]) -> None:
         """Let the valve node hear a PLANT_COMMAND record."""
-        counter, session, enable, _ = record.item()
-        self.node.hear(self.ticks, counter, session, enable, unpack_command(record["command"]))
+        counter, session, mode, _ = record.item()
+        self.node.hear(self.ticks, counter, session, mode, unpack_command(record["command"]))
 
     def surround(self, record: np.ndarray[Any, Any]) -> None:
         """Take over a PLANT_SURROUNDINGS record."""
