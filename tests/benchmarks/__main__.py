@@ -18,8 +18,8 @@ from rich.table import Table
 
 from tests.benchmarks.row import Row
 
-BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep")
-PACKAGES = ("numpy", "numba", "mujoco", "pin")
+BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep", "shared_memory")
+PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")
 
 
 def machine() -> dict[str, str]:
