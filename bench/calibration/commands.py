@@ -76,7 +76,8 @@ def encoders(
     """Set the encoders' zeros: counts at angle zero, or the pose at which the robot is locked now."""
     from math import radians
 
-    from bench.calibration.values import EncoderZeros, Kind
+    from bench.calibration.values import Kind
+    from bench.calibration.values import zero_counts as zeros_at
     from bench.errors import BenchError
 
     place = "calibrate encoders"
@@ -102,10 +103,9 @@ def encoders(
         counts = counts or _live_counts(configuration)
         _require_counts(counts, here.counts_per_revolution)
         a, b, c = angles
-        zero_counts = EncoderZeros.from_pose(
-            counts, (a, b, c), sign, here.counts_per_revolution, 0.0
-        ).zero_count
-    content["zero_count"] = zero_counts
+        content["zero_count"] = zeros_at(counts, (a, b, c), sign, here.counts_per_revolution)
+    else:
+        content["zero_count"] = zero_counts
     _add(context, Kind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_)
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree
+from drivers.base import Triple
 from sim.plant import Sign, ZeroCount
 from sim.ranges import Range
 
@@ -48,23 +49,18 @@ class EncoderZeros:
         if 0 in self.sign:
             raise ValueError("sign: 1 or -1 for each joint")
 
-    @classmethod
-    def from_pose(
-        cls,
-        count: tuple[int, int, int],
-        angle: tuple[float, float, float],
-        sign: tuple[int, int, int],
-        counts_per_revolution: int,
-        uncertainty: float,
-    ) -> EncoderZeros:
-        """Return the zeros of encoders that show `count` while the joints stand at `angle` (rad)."""
-        per_radian = counts_per_revolution / (2 * pi)
-        # Half a count: a reading is the floor of what the shaft shows.
-        a, b, c = (
-            (n + 0.5 - s * q * per_radian) % counts_per_revolution
-            for n, q, s in zip(count, angle, sign, strict=True)
-        )
-        return cls((a, b, c), sign, counts_per_revolution, uncertainty)
+
+def zero_counts(
+    count: tuple[int, int, int], angle: Triple, sign: tuple[int, int, int], counts_per_revolution: int
+) -> Triple:
+    """Return the counts at angle zero of encoders that show `count` while the joints stand at `angle` (rad)."""
+    per_radian = counts_per_revolution / (2 * pi)
+    # Half a count: a reading is the floor of what the shaft shows.
+    a, b, c = (
+        (n + 0.5 - s * q * per_radian) % counts_per_revolution
+        for n, q, s in zip(count, angle, sign, strict=True)
+    )
+    return a, b, c
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,179 @@
+"""Calibrations are added with rising versions, never changed, and the newest one counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import Engine
+
+from bench.calibration.archive import (
+    add_calibration,
+    calibration_of,
+    effective_calibration,
+    list_calibrations,
+)
+from bench.calibration.values import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    Kind,
+    Values,
+    ValveCentres,
+    content_of,
+    values_of,
+)
+from bench.config import Configuration, load_configuration
+from bench.errors import BenchError
+from bench.store.database import database_url, open_database
+
+DAY = timedelta(days=1)
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+
+ZEROS = EncoderZeros((1000.0, 2000.5, 30.25), (1, -1, 1), 131072, 3e-4)
+BALL = BallPosition(0.251, -1.559, 5e-4)
+CLUB = ClubInMount("driver", 1.091, 0.18, 0.92, 5e-4, 2e-3)
+VALVES = ValveCentres((0.01, -0.02, 0.0), (0.02, 0.021, 0.019), 1e-3)
+ALL: tuple[Values, ...] = (ZEROS, BALL, CLUB, VALVES)
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Engine]:
+    with open_database(database_url("", tmp_path), NOW) as engine:
+        yield engine
+
+
+def add(database: Engine, values: Values, date: datetime = NOW, days: float = 10, **more: Any) -> Any:
+    texts = {"bench": "b", "by": "me", "method": "rule"} | more
+    return add_calibration(database, values=values, date=date, expires=date + days * DAY, **texts)
+
+
+@pytest.mark.parametrize("values", ALL)
+def test_what_is_added_comes_back_bit_for_bit(database: Engine, values: Values) -> None:
+    entry = add(database, values, note="new tee")
+    assert entry.values == values
+    assert (entry.version, entry.bench, entry.by, entry.method, entry.note) == (
+        1, "b", "me", "rule", "new tee",
+    )  # fmt: skip
+    assert (entry.date, entry.expires) == (NOW, NOW + 10 * DAY)
+    assert list_calibrations(database, "b") == [entry]
+    assert values_of(entry.kind, content_of(values), "here") == values
+
+
+def test_versions_rise_per_kind_and_bench(database: Engine) -> None:
+    order: list[tuple[Values, str]] = [(BALL, "b"), (BALL, "b"), (ZEROS, "b"), (BALL, "c"), (BALL, "b")]
+    versions = [
+        add(database, values, NOW + i * DAY, bench=bench).version for i, (values, bench) in enumerate(order)
+    ]
+    assert versions == [1, 2, 1, 1, 3]
+
+
+def test_writers_at_the_same_time_get_versions_of_their_own(database: Engine) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        entries = list(pool.map(lambda _: add(database, BALL), range(12)))
+    assert sorted(entry.version for entry in entries) == list(range(1, 13))
+
+
+def test_the_newest_until_then_is_in_force(database: Engine) -> None:
+    for day in range(3):
+        add(database, BallPosition(0.25 + 0.001 * day, -1.56, 1e-3), NOW + day * DAY)
+    for when, version in ((NOW - DAY, None), (NOW, 1), (NOW + 1.5 * DAY, 2), (NOW + 9 * DAY, 3)):
+        entry = effective_calibration(database, "b", when).of(Kind.BALL)
+        assert (entry and entry.version) == version
+    assert effective_calibration(database, "c", NOW + 9 * DAY).entries == ()
+
+
+def test_only_the_mounted_clubs_calibration_is_in_force(database: Engine) -> None:
+    add(database, CLUB)
+    add(database, ClubInMount("iron7", 0.872, 0.57, 1.09, 5e-4, 2e-3), NOW + DAY)
+    for club, version in (("driver", 1), ("iron7", 2), ("thesis", None)):
+        entry = effective_calibration(database, "b", NOW + 2 * DAY, club=club).of(Kind.CLUB)
+        assert (entry and entry.version) == version
+
+
+def test_an_older_one_does_not_supersede(database: Engine) -> None:
+    add(database, BALL, NOW)
+    with pytest.raises(BenchError, match="superseded by a later one"):
+        add(database, BALL, NOW - DAY)
+    assert len(list_calibrations(database, "b")) == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "place"), [({"by": " "}, "--by"), ({"method": ""}, "--method"), ({"days": 0}, "expires")]
+)
+def test_who_how_and_until_when_must_be_said(database: Engine, more: dict[str, Any], place: str) -> None:
+    with pytest.raises(BenchError) as refusal:
+        add(database, BALL, **more)
+    assert place in refusal.value.place
+    assert list_calibrations(database, "b") == []
+
+
+def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engine) -> None:
+    add(database, BALL, days=1)
+    simulated = effective_calibration(database, "b", NOW)
+    assert simulated.problems(NOW) == []
+    assert simulated.nominal == (Kind.ENCODERS, Kind.CLUB, Kind.VALVES)
+    (problem,) = simulated.problems(NOW + DAY)
+    assert "calibration ball version 1 expired on 2026-11-22" in problem
+    assert "golfbench calibrate ball" in problem
+    machine = effective_calibration(database, "b", NOW, club="iron7", required=True).problems(NOW)
+    assert [text.split(":")[0] for text in machine] == [
+        "encoders of bench b never calibrated",
+        "club iron7 of bench b never calibrated",
+        "valves of bench b never calibrated",
+    ]
+
+
+def test_reading_makes_no_database(tmp_path: Path) -> None:
+    configuration = _at(tmp_path, "sim")
+    calibration = calibration_of(configuration, NOW)
+    assert calibration.nominal == tuple(Kind)
+    assert calibration.problems(NOW) == []
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(("driver", "required"), [("sim", False), ("mock", False), ("canopen", True)])
+def test_a_machine_must_be_calibrated_a_simulation_need_not(
+    tmp_path: Path, driver: str, required: bool
+) -> None:
+    configuration = _at(tmp_path, driver)
+    assert calibration_of(configuration, NOW).required is required
+    bench = configuration.bench
+    with open_database(database_url(bench.database, bench.data_dir), NOW) as database:
+        add(database, BALL, bench=bench.id)
+    calibration = calibration_of(configuration, NOW)
+    assert calibration.required is required
+    assert [entry.values for entry in calibration.entries] == [BALL]
+
+
+def _at(folder: Path, driver: str) -> Configuration:
+    from dataclasses import replace
+
+    c = load_configuration(Path("shipped"))
+    bench = replace(c.bench, data_dir=folder / "data")
+    return replace(c, bench=bench, driver=replace(c.driver, name=driver))
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "places"),
+    [
+        (Kind.BALL, {"x": 0.2, "y": -1.5}, ["here: uncertainty"]),
+        (Kind.BALL, {"x": float("nan"), "y": 9.0, "uncertainty": True}, ["here: x", "here: y", "here: unc"]),
+        (Kind.BALL, {"x": 0.2, "y": -1.5, "uncertainty": 0.001, "z": 1.0}, ["here: z"]),
+        (Kind.VALVES, {"centre": [0.0, 0.3, 0.0], "dead_band": [0.0], "uncertainty": 0.0},
+         ["here: centre[1]", "here: dead_band"]),
+        (Kind.ENCODERS, content_of(ZEROS) | {"sign": [1, 0, 1]}, ["here"]),
+        (Kind.ENCODERS, content_of(ZEROS) | {"counts_per_revolution": 3}, ["here: counts_per_revolution"]),
+    ],
+)  # fmt: skip
+def test_every_wrong_value_is_named(kind: Kind, content: dict[str, Any], places: list[str]) -> None:
+    with pytest.raises(ExceptionGroup) as group:
+        values_of(kind, content, "here")
+    found = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
+    assert len(found) == len(places)
+    for place, start in zip(found, places, strict=True):
+        assert place.startswith(start)
