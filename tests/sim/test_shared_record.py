@@ -56,6 +56,13 @@ def test_a_reader_gets_the_newest_value_and_its_version(writer: SharedRecord, re
     assert into == value_of(11)
 
 
+def test_records_of_uncompiled_code_do_as_well(writer: SharedRecord, reader: SharedRecord) -> None:
+    into = np.zeros(1, VALUE).view(np.recarray)
+    writer.write(value_of(5).view(np.recarray))
+    assert reader.read(into) == 1
+    assert into == value_of(5)
+
+
 def test_the_reader_may_have_made_the_file(writer: SharedRecord, reader: SharedRecord) -> None:
     into = np.zeros(1, VALUE)
     reader.write(value_of(3))

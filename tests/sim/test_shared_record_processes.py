@@ -19,7 +19,7 @@ import pytest
 
 from sim.shared_record import SharedRecord
 
-SECONDS = float(os.environ.get("GOLFBENCH_HOSTILE_SECONDS", "1.5"))
+SECONDS = float(os.environ.get("GOLFBENCH_HOSTILE_SECONDS", "1.2"))
 WORDS = 80
 LARGE = 8192
 """Words of a record whose write takes so long that most signals come in its middle."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -133,3 +134,17 @@ def test_a_shared_record_is_no_ring(path: Path) -> None:
 def test_a_missing_ring_is_named(path: Path) -> None:
     with pytest.raises(NoRing, match="ring: found no such file"):
         RingReader(path)
+
+
+def test_writing_and_reading_keep_no_memory(write: RingWriter, reader: RingReader) -> None:
+    cycle = cycles_of(1)
+
+    def blocks_after(rounds: int) -> int:
+        for _ in range(rounds):
+            write(cycle)
+            reader.newest()
+            reader.read()
+        return sys.getallocatedblocks()
+
+    before = blocks_after(100)
+    assert abs(blocks_after(2000) - before) < 100
