@@ -1,0 +1,138 @@
+"""A desk without a bench, and a command plane in front of it on a free port of the loopback."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import NamedTuple
+
+import zenoh
+
+from bench.command_plane import CommandPlane
+from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
+from bench.desk import CauseStatus, CountStatus, LoopStatus, ProcessStatus, Reply, Status
+from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
+from bench.zenoh_session import open_daemon
+
+NEXT = {
+    Request.RESET: State.SAFE,
+    Request.HOME: State.READY,
+    Request.ARM: State.ARMED,
+    Request.SWING: State.READY,
+    Request.DISARM: State.READY,
+    Request.ACCESS: State.ACCESS,
+    Request.SECURE: State.SAFE,
+    Request.TEE: State.ARMED,
+}
+
+
+class FakeDesk:
+    """Goes from state to state at once, and keeps what it was asked."""
+
+    def __init__(self, state: State = State.ESTOP) -> None:
+        self.state = state
+        self.requests: list[Request] = []
+        self.stops: list[tuple[str, float]] = []
+        self.free = threading.Event()
+        """While it is clear, requests wait."""
+        self.free.set()
+        self.error: Exception | None = None
+
+    def request(self, request: Request) -> Reply:
+        self.requests.append(request)
+        self.free.wait()
+        if self.error is not None:
+            raise self.error
+        if self.state not in ACCEPTED_IN[request]:
+            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.STATE])
+        self.state = NEXT[request]
+        return Reply(True, self.state.name, "")
+
+    def stop(self) -> Reply:
+        return self._stop("stop", State.FAULT)
+
+    def emergency_stop(self) -> Reply:
+        return self._stop("estop", State.ESTOP)
+
+    def _stop(self, what: str, state: State) -> Reply:
+        self.stops.append((what, time.monotonic()))
+        if self.error is not None:
+            raise self.error
+        self.state = state
+        return Reply(True, state.name, "")
+
+    def status(self) -> Status:
+        stopped = self.state in (State.ESTOP, State.FAULT)
+        cause = CauseStatus(name=Cause.POWER_UP.name, text=CAUSE_TEXT[Cause.POWER_UP]) if stopped else None
+        return Status(
+            version=1,
+            bench="bench1",
+            state=self.state.name,
+            phase="HOLD" if self.state is State.ARMED else "STANDING",
+            reaction="NONE",
+            cause=cause,
+            homed=self.state not in (State.ESTOP, State.SAFE),
+            vented=self.state is not State.ARMED,
+            tick=123456,
+            time=123.456,
+            swings=self.requests.count(Request.SWING),
+            lease=None,
+            read_only=False,
+            driver="sim",
+            profile="default",
+            joints_deg=[32.71, 237.3, None],
+            supply_pressure_pa=8.01e5,
+            chamber_pressure_pa=[1.013e5, 1.013e5, 1.02e5, 1.013e5, None, None],
+            emergency_stop_clear=True,
+            guard_closed=True,
+            guard_locked=False,
+            support_ready=True,
+            processes={
+                "loop": ProcessStatus(pid=4711, alive=True, note=""),
+                "recorder": ProcessStatus(pid=4712, alive=False, note="killed by signal 9"),
+            },
+            loop=LoopStatus(
+                rate_hz=999.98, skipped=3, late=5, wake_p50_s=8e-6, wake_p99_s=41e-6, tick_p99_s=93e-6
+            ),
+            real_time={"policy": "SCHED_FIFO 80", "memory_locked": True},
+            counts=CountStatus(commands=0, refused=0, malformed=0, dropped=0),
+            last_stop={"cause": "POWER_UP", "time": 0.0},
+            uptime=12.5,
+        )
+
+
+class RunningPlane(NamedTuple):
+    plane: CommandPlane
+    desk: FakeDesk
+    configuration: Configuration
+    session: zenoh.Session
+    """The daemon's."""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def loopback_configuration(port: int | None = None) -> Configuration:
+    """Return the shipped configuration with `port`, a free one by default."""
+    endpoint = f"tcp/127.0.0.1:{free_port() if port is None else port}"
+    return replace(load_configuration(shipped_configuration()), network=NetworkSettings(endpoint))
+
+
+@contextmanager
+def running_plane(
+    desk: FakeDesk, configuration: Configuration, clock: Callable[[], float] = time.monotonic
+) -> Iterator[RunningPlane]:
+    with open_daemon(configuration.network) as session:
+        plane = CommandPlane(session, configuration.bench.id, desk, clock)
+        try:
+            yield RunningPlane(plane, desk, configuration, session)
+        finally:
+            desk.free.set()
+            plane.close()
