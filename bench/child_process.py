@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.errors import BenchError, ExitCode
 from sim.shared_record import SharedMemoryError, SharedRecord
 
 
@@ -114,3 +115,11 @@ def tell(event: str, **details: Any) -> None:
     with suppress(OSError):
         os.set_blocking(descriptor, False)
         os.write(descriptor, line.encode())  # below PIPE_BUF it is written whole or not at all
+
+
+def tell_failure(error: BenchError | SharedMemoryError) -> int:
+    """Tell the parent that this process cannot work because of `error`, and return its exit code."""
+    place, found, expected, cure = error.args
+    code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
+    tell("failed", place=place, found=found, expected=expected, cure=cure, exit_code=int(code))
+    return int(code)

@@ -7,7 +7,7 @@ Plan: a pickled RecorderPlan on stdin. Told on stdout, one JSON line each:
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are tried again
 `relieved`   that is over
 `dropped`    `count`: records lost so far, as memory had no more room for them
-`failed`     `text`: it cannot work at all
+`failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work at all
 `ended`      `waiting`: records that could not be stored to the end
 
 It ends, after the swing under way, by SIGTERM or when its supervisor is gone. Exit codes: 0; DEVICE, the ring
@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.child_process import Condition, Heart, Parent, read_plan, tell
+from bench.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
 from bench.errors import BenchError, ExitCode
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
@@ -92,8 +92,8 @@ class Recorder:
         """Open the shared files, at `now` (s, CLOCK_MONOTONIC).
 
         Raises:
-            BenchError, SharedMemoryError: the ring or another shared file is unusable.
-            TypeError, ValueError: what goes into the metadata is no JSON.
+            BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan has
+                something for the metadata that is no JSON.
         """
         self._plan = plan
         self._entries = Surroundings(
@@ -267,9 +267,8 @@ def main() -> int:
     try:
         plan: RecorderPlan = read_plan()
         recorder = Recorder(plan, time.monotonic())
-    except (BenchError, SharedMemoryError, TypeError, ValueError) as error:
-        tell("failed", text=str(error))
-        return ExitCode.DEVICE
+    except (BenchError, SharedMemoryError) as error:
+        return tell_failure(error)
     parent.listen()
     tell("ready")
     last = None

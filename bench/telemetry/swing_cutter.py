@@ -141,7 +141,7 @@ class SwingCutter:
             if part.stood is not None and time >= part.stood + self._tail:
                 self._closing.remove(part)
                 end = self._past.number_at(part.begin, part.stood + self._tail)
-                cut = self._cut(part, min(end + 1, self._past.end))
+                cut = self._cut(part, end)
                 if cut.kind:
                     yield cut
 

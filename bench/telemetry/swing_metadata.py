@@ -61,7 +61,7 @@ class Surroundings:
         """Return their keys of the metadata.
 
         Raises:
-            ValueError, TypeError: something is no JSON, for example not a number.
+            BenchError: something is no JSON, for example not a number.
         """
         given = {
             "bench": self.bench,
@@ -71,7 +71,12 @@ class Surroundings:
             "calibrations": self.calibrations,
             "profile": profile_entry(self.profile),
         }
-        entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
+        try:
+            entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
+        except (TypeError, ValueError) as error:
+            raise BenchError(
+                "metadata of records", str(error), "what JSON can hold, no NaN", "Report this mistake."
+            ) from error
         return entries
 
 

@@ -1,8 +1,8 @@
-"""A swing made by kinematics alone, for tests of what is stored and shown."""
+"""A swing made by kinematics alone, and a day made of states, for tests of what is stored and shown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from math import cos, pi, radians, sin
 from typing import Any
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from bench.campaign.shot import Shot, Status
 from bench.campaign.shot_record import ShotRecord
-from bench.lifecycle import Phase
+from bench.lifecycle import Cause, Phase, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
 from sim.flight import fly
@@ -60,6 +60,38 @@ def make_records(make_swing: Callable[[int], Cycles]) -> Callable[[int], list[Sh
 
     def make(shots: int) -> list[ShotRecord]:
         return [_record(number, make_swing(number)) for number in range(1, shots + 1)]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_day() -> Callable[..., Cycles]:
+    """Return `make(plan, first_tick, start, trip)`: `plan` holds (state, ticks); values are noise.
+
+    `trip` (tick, cause) is latched from that tick to the end.
+    """
+
+    def make(
+        plan: Sequence[tuple[State, int]],
+        *,
+        first_tick: int = 1,
+        start: float = 1000.0,
+        trip: tuple[int, Cause] | None = None,
+    ) -> Cycles:
+        states = np.repeat([state for state, _ in plan], [ticks for _, ticks in plan])
+        random = np.random.default_rng(len(states))
+        cycles = np.zeros(len(states), CYCLE)
+        for field in FIELDS:
+            if field.dtype == "f8":
+                cycles[field.name] = random.standard_normal((len(states), *field.shape))
+        cycles["tick"] = first_tick + np.arange(len(states))
+        cycles["time"] = start + np.arange(len(states)) / 1024  # no rounding: a test may count ticks
+        cycles["encoder_time"] = cycles["time"][:, None] - 1e-4
+        cycles["measured_step"] = 1 / 1024
+        cycles["state"] = states
+        if trip is not None:
+            cycles["trip"][trip[0] - first_tick :] = trip[1]
+        return cycles
 
     return make
 
