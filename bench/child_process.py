@@ -90,9 +90,13 @@ class Parent:
         """SIGTERM has come."""
 
     def listen(self) -> None:
-        """Take SIGTERM as a wish, from now on, and leave SIGINT of a shared terminal to the parent."""
+        """Take SIGTERM as a wish, from now on; what comes to all processes at once is the parent's.
+
+        That is SIGINT, from a shared terminal or as systemd's stop, and SIGABRT from systemd's watchdog.
+        """
         signal.signal(signal.SIGTERM, self._note)
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in (signal.SIGINT, signal.SIGABRT):
+            signal.signal(number, signal.SIG_IGN)
 
     @property
     def gone(self) -> bool:

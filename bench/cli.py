@@ -18,6 +18,7 @@ import typer
 from bench.calibration.commands import app as calibration_app
 from bench.control_commands import app as control_app
 from bench.errors import BenchError, ExitCode
+from bench.run_command import run
 from bench.session import Session
 from bench.swing.commands import app as swing_app
 
@@ -41,6 +42,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
+app.command()(run)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")

@@ -233,7 +233,9 @@ def _stored(
         "series": {"command": "demo", "seed": series.seed, "scatter": asdict(series.scatter)},
         "shot": shot,
     }
-    write_swing(folder / f"{number:03d}.parquet", record.cycles, bench.metadata(notes))
+    write_swing(
+        folder / f"{number:03d}.parquet", record.cycles, bench.metadata(notes | result.replay_metadata())
+    )
     return record
 
 

@@ -170,6 +170,7 @@ class Cause(IntEnum):
     SUPERVISOR = 30
     HOMING_FAILED = 31
     NOT_VENTED = 32
+    DEVICE_PASSIVE = 33
 
 
 CAUSE_TEXT = {
@@ -206,6 +207,7 @@ CAUSE_TEXT = {
     Cause.SUPERVISOR: "the loop heard nothing from its supervisor",
     Cause.HOMING_FAILED: "encoders and mechanical reference do not agree, or no index was found: calibrate",
     Cause.NOT_VENTED: "the chambers did not empty in time: check vents and valves before going near",
+    Cause.DEVICE_PASSIVE: "the device went passive by itself, as it heard nothing for too long: reset",
 }
 """What the operator reads, with the cure where one is known."""
 

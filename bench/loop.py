@@ -127,6 +127,7 @@ class Cycle:
         """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
         try:
             pack_readings(self.driver.read(time), self._readings)
+            self.state.control["device_operational"] = self.driver.operational
             return True
         except Exception as error:  # a driver may fail in any way
             self.read_error = self.read_error or error

@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from bench.campaign.shot import Shot, Status
 from bench.campaign.shot_record import ShotRecord
 from bench.clock import FreeClock
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
+from bench.control.settings import (
+    SIMULATED,
+    ControlSettings,
+    EnvelopeSettings,
+    EstimatorSettings,
+    HomingSettings,
+    build_controller,
+)
 from bench.control.step import ACCEPTED, ARM, DISARM, SWING, ControlState
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
@@ -23,9 +30,12 @@ from bench.lockstep import Lockstep
 from bench.loop import Cycle, Cycles, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
+from bench.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
 from drivers.base import Launch
 from sim.air import Air
 from sim.ball import Ball
+from sim.compiled import new_record
 from sim.driver import SimDriver, hanging_pose
 from sim.flight import Flight, Wind, fly
 from sim.impact import Delivery, delivery_from_plane, impact_parameters
@@ -58,7 +68,7 @@ class SwingResult:
     """One swing: its record from hold to hold (or to standstill after a stop), and what came of it."""
 
     cycles: Cycles = field(repr=False, compare=False)
-    """Records of CYCLE, `time` from zero."""
+    """Records of CYCLE, `time` from about zero."""
     status: Status
     reason: str
     """Why the shot is not valid; empty when it is."""
@@ -81,6 +91,14 @@ class SwingResult:
     """Sole over ground, m."""
     peak_head_speed: float
     """m/s"""
+    begin: float
+    """The loop's time less the record's, s."""
+    snapshot: NDArray[Any] = field(repr=False, compare=False)
+    """The controller's memory after the record's first tick, one element of SNAPSHOT."""
+
+    def replay_metadata(self) -> dict[str, Any]:
+        """Return what a replay of the record needs, for its metadata."""
+        return {"begin": self.begin, "snapshot": snapshot_entry(self.snapshot), "replayable": True}
 
     def shot(self, shot: int, *, block: int = 1, position: int = 1, time_utc: datetime) -> ShotRecord:
         """Return the swing as shot number `shot` of a series, with its record."""
@@ -122,15 +140,11 @@ class SimulatedBench:
         names = ("golfbench", "numpy", "numba", "scipy")
         return {
             "configuration": {name: asdict(getattr(self, name)) for name in settings}
+            | {"lifecycle": asdict(SIMULATED), "homing": asdict(HomingSettings())}
             | {"engine": self.engine, "hold": self.hold},
             "versions": {name: version(name) for name in names} | {"python": platform.python_version()},
             "seed": self.plant.seed,
-            "profile": {
-                "name": self.profile.name,
-                "golfer": self.profile.golfer,
-                "club": self.profile.club,
-                "impact_time": self.profile.impact_time,
-            },
+            "profile": profile_entry(self.profile),
             **(swing or {}),
         }
 
@@ -210,6 +224,7 @@ class _Rig:
             self.stepper, self.plant_state = lockstep, lockstep.plant_state
         self.state: ControlState = self.stepper.state
         self._kept: list[Cycles] = []
+        self._snapshot = new_record(SNAPSHOT)
 
     def step(self, ticks: int, request: int = 0) -> None:
         """Run `ticks` ticks and keep their records."""
@@ -289,6 +304,7 @@ class _Rig:
             parameters = self.bench.plant
             self.plant.impact[:] = impact_parameters(parameters.robot.club, ball, parameters.robot.lie)
             self.state.control["tee"] = True
+        pack_snapshot(self.state, self._snapshot)
 
     def _settled(self) -> bool:
         """Hold at address, then begin the swing; False when it was not to be had."""
@@ -311,8 +327,8 @@ class _Rig:
     def _result(self, ball: Ball | None, asked: bool, interrupted: bool) -> SwingResult:
         # As bytes: numpy joins records field by field and leaves their padding to chance.
         cycles = np.concatenate([part.view(np.uint8) for part in self._kept]).view(CYCLE)
-        begin = float(cycles["time"][0])
-        cycles["time"] -= begin
+        begin = begin_of(cycles)
+        cycles = since(cycles, begin)
         club, robot, site = self.bench.plant.robot.club, self.bench.plant.robot, self.bench.plant.site
         contact = contact_in(self.plant_state)
         delivery = launch = flight = None
@@ -346,6 +362,8 @@ class _Rig:
             peak_pressure=state["peak_pressure"].copy(),
             lowest_clearance=float(state["lowest_clearance"]),
             peak_head_speed=float(state["peak_head_speed"]),
+            begin=begin,
+            snapshot=self._snapshot.copy(),
         )
 
     def close(self) -> None:

@@ -71,12 +71,10 @@ def watch_status(bench: BenchClient, console: Console) -> NoReturn:
 
 
 def _title(status: Status, age: float, silent: bool) -> Text:
-    title = Text.assemble(
-        (f"bench {status['bench']}  ", "bold"), (f" {status['state']} ", _STYLES.get(status["state"], "bold"))
-    )
+    bench, state = (f"bench {status['bench']}  ", "bold"), status["state"]
     if silent:
-        title.append(f"  SILENT: last heard {age:.1f} s ago", "bold red")
-    return title
+        return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", then {state}")
+    return Text.assemble(bench, (f" {state} ", _STYLES.get(state, "bold")))
 
 
 def _rows(status: Status) -> list[tuple[str, Text]]:

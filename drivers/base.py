@@ -182,6 +182,10 @@ class Driver(Protocol):
     Time is given: `read` and `write` get the loop's time and never read a clock of their own.
     """
 
+    @property
+    def operational(self) -> bool:
+        """False once the device has gone passive by itself; `close` and `open` set it to work again."""
+
     def open(self) -> None:
         """Make ready, read back the device's own fallback on silence; raise DriverError when unfit."""
 

@@ -49,6 +49,11 @@ class MockDriver:
         self._time: float | None = None
         self._is_open = False
 
+    @property
+    def operational(self) -> bool:
+        """Always: there is no device that could let go."""
+        return True
+
     def open(self) -> None:
         """Start with the passive command; a device already open is refused with DriverError."""
         if self._is_open:

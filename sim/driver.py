@@ -78,6 +78,11 @@ class SimDriver:
         """Ticks since the first reading."""
         self._is_open = False
 
+    @property
+    def operational(self) -> bool:
+        """Always: the plant moves only when it is read."""
+        return True
+
     def open(self) -> None:
         """Start with the passive command where the plant stands; DriverError when it is open already."""
         if self._is_open:

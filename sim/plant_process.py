@@ -114,7 +114,8 @@ def _event(line: bytes) -> dict[str, Any] | None:
 def main() -> int:
     """Be the plant that the plan on stdin describes; return the exit code."""
     parent = os.getppid()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole terminal; the parent decides
+    for number in (signal.SIGINT, signal.SIGABRT):  # they go to all processes at once; the parent decides
+        signal.signal(number, signal.SIG_IGN)
     try:
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
         if not isinstance(plan, PlantPlan):

@@ -53,7 +53,7 @@ class EncoderZeros:
 def zero_counts(
     count: tuple[int, int, int], angle: Triple, sign: tuple[int, int, int], counts_per_revolution: int
 ) -> Triple:
-    """Return the counts at angle zero of encoders that show `count` while the joints stand at `angle` (rad)."""
+    """Return the counts at angle zero of encoders that show `count` with the joints at `angle` (rad)."""
     per_radian = counts_per_revolution / (2 * pi)
     # Half a count: a reading is the floor of what the shaft shows.
     a, b, c = (

@@ -100,6 +100,7 @@ CONTROL_STATE = np.dtype(
         ("lease_held", "?"),
         ("support_ready", "?"),
         ("supervisor_alive", "?"),
+        ("device_operational", "?"),
         ("warm", "?"),
         ("first_cause", "i4"),
         ("asked", "u1"),
@@ -148,7 +149,8 @@ CONTROL_STATE = np.dtype(
     align=True,
 )
 """From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
-`supervisor_alive`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it), `tee`.
+`supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
+`tee`.
 `lost` is this tick's verdict on the readings, `seen` that they were trusted once; `emergency` says that the
 stop under way ends in ESTOP; `air` that the supply is on."""
 
@@ -171,8 +173,8 @@ _FOLLOWING, _ADDRESS_TIMEOUT = int(Cause.SHOULDER_FOLLOWING), int(Cause.ADDRESS_
 _NETWORK, _SUPERVISOR, _HOMING_FAILED = (
     int(Cause.NETWORK_STOP), int(Cause.SUPERVISOR), int(Cause.HOMING_FAILED),
 )  # fmt: skip
-_GUARD_CAUSE, _NOT_VENTED, _ENCODER = (
-    int(Cause.GUARD), int(Cause.NOT_VENTED), int(Cause.SHOULDER_ENCODER),
+_GUARD_CAUSE, _NOT_VENTED, _ENCODER, _DEVICE = (
+    int(Cause.GUARD), int(Cause.NOT_VENTED), int(Cause.SHOULDER_ENCODER), int(Cause.DEVICE_PASSIVE),
 )  # fmt: skip
 _ARM, _SWING, _DISARM, _RESET = ARM, SWING, DISARM, RESET
 _STOP, _EMERGENCY_STOP, _HOME = STOP, int(Request.EMERGENCY_STOP), int(Request.HOME)
@@ -230,6 +232,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     control["homed"] = begun and state != State.SAFE
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
+    control["device_operational"] = True
     control["reset_pressed"] = control["vent_start"] = -np.inf
     return made
 
@@ -458,8 +461,8 @@ def _watch_standing(
         return
     if s.state in (_ESTOP, _FAULT):
         return
-    if not s.supervisor_alive:
-        _latch(p, s, _SUPERVISOR, time)
+    if not s.supervisor_alive or not s.device_operational:
+        _latch(p, s, _DEVICE if s.supervisor_alive else _SUPERVISOR, time)
     elif s.state == _IN_ACCESS:
         if not s.vented:
             _latch(p, s, _NOT_VENTED, time)
@@ -690,6 +693,9 @@ def _watch_motion(
         _react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
     elif asked != 0:
         _react(state, parameters, asked, EMERGENCY if emergency else TRUSTED, time)
+    elif not s.device_operational:
+        # Nothing that is commanded arrives; at least no air is left to be let in later.
+        _react(state, parameters, _DEVICE, DISOBEYED, time)
     elif not s.supervisor_alive:
         _react(state, parameters, _SUPERVISOR, TRUSTED, time)
     elif s.reaction <= _COMPLETE:
@@ -749,8 +755,8 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
     out.tick, out.time, out.measured_step = s.tick, s.time, s.measured_step
     out.state, out.request, out.request_number = s.state, s.asked, s.answered_number
     out.answer, out.refusal = s.answer, s.refusal
-    out.lease_held, out.support_ready, out.supervisor_alive = (
-        s.lease_held, s.support_ready, s.supervisor_alive,
+    out.lease_held, out.support_ready, out.supervisor_alive, out.device_operational = (
+        s.lease_held, s.support_ready, s.supervisor_alive, s.device_operational,
     )  # fmt: skip
     out.homed, out.vented = s.homed, s.vented
     out.phase, out.reaction, out.trip = s.phase, s.reaction, s.cause

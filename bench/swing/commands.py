@@ -137,7 +137,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     with deferred_interrupt() as asked, waiting:
         result = simulate_swing(bench, stop=asked.is_set)
         record = outcome_record(result, datetime.now(UTC))
-        files = write_outcome(output, result, bench.metadata(record))
+        files = write_outcome(output, result, bench.metadata(record | result.replay_metadata()))
     if json_:
         typer.echo(json.dumps(record | {"files": [str(file) for file in files]}, indent=2))
     else:

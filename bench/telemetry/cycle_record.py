@@ -61,6 +61,7 @@ FIELDS = (
     Field("lease_held", "?", "1", "somebody holds the bench"),
     Field("support_ready", "?", "1", "recorder and publisher are running"),
     Field("supervisor_alive", "?", "1", "the supervisor's heart beats"),
+    Field("device_operational", "?", "1", "the device has not gone passive by itself"),
     Field("homed", "?", "1", "encoders' zeros are proven"),
     Field("vented", "?", "1", "chambers are proven empty"),
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'"),

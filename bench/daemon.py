@@ -1,0 +1,401 @@
+"""`golfbench run`: the supervisor of one bench. It starts the processes, watches them, answers at the desk.
+
+Nothing here is in real time. The loop decides by itself what is safe; it hears from here that somebody lives,
+who may do what, and requests.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import os
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import apply
+from bench.child import Child
+from bench.command_plane import CommandPlane
+from bench.config import Configuration
+from bench.desk import LoopStatus, Reply, Status
+from bench.errors import BenchError, ExitCode
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
+from bench.loop_link import LoopLink
+from bench.ownership import Ownership, take_bench
+from bench.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
+from bench.publisher_process import PublisherPlan
+from bench.recorder_process import RecorderPlan
+from bench.run_marker import RunMarker
+from bench.service_notify import ServiceNotifier, watchdog_interval
+from bench.status import NO_STATISTICS, status_of
+from bench.support import Supporter
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.snapshot import SNAPSHOT
+from bench.tick_timing import TimingReader, summary
+from bench.zenoh_session import open_daemon
+from sim.plant_exchange import PlantPlan
+from sim.plant_process import start_plant
+
+_log = logging.getLogger("golfbench")
+
+_TURN = 0.01
+"""s between two turns of the supervisor."""
+_LOOP_SILENCE = 0.5
+"""s without a tick after which the loop counts as frozen."""
+_START = 240.0
+"""s that a process may take to become ready: the first start compiles."""
+_LONGEST_STOP = 20.0
+"""s that the loop may take to bring the robot to rest and end."""
+_AFTERMATH = 1.5
+"""s that a simulated plant lives on when its loop has died: a machine would."""
+_STATISTICS = 1.0
+"""s over which the loop's timing is summed up."""
+
+_LATCHED = frozenset({State.ESTOP, State.FAULT})
+
+
+class LoopDied(BenchError):
+    """The loop ended without being asked to."""
+
+    exit_code = ExitCode.DEVICE
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that are stored with every record."""
+    names = ("golfbench", "numpy", "numba", "scipy")
+    return {name: importlib.metadata.version(name) for name in names} | {"python": platform.python_version()}
+
+
+class Daemon:
+    """A running bench: a `bench.desk.Desk`, and `run`, which lives until it is told to end."""
+
+    def __init__(
+        self, configuration: Configuration, *, read_only: bool = False,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:  # fmt: skip
+        """Check what can be checked before anything is started; `now` is the calendar's.
+
+        Raises:
+            BenchError: the profile or the calibration does not hold.
+        """
+        self._now, self.read_only = now, read_only
+        self.calibration = calibration_of(configuration, now())
+        self.configuration = apply(self.calibration, configuration)
+        self.profile = load_profile(find_profile(self.configuration.swing.profile))
+        driver = configuration.driver
+        self.wall = not (driver.name == "sim" and driver.time == "paced")
+        """The loop's clock is the wall's."""
+        self.children: dict[str, Child] = {}
+        self._support: list[Supporter] = []
+        self._plane: CommandPlane | None = None
+        self._real_time: dict[str, Any] = {}
+        self._statistics: LoopStatus = NO_STATISTICS
+        self._swings = 0
+        self._started = time.monotonic()
+
+    # The desk ------------------------------------------------------------------------------------
+
+    def request(self, request: Request) -> Reply:
+        """Put `request` to the loop and wait for its answer; nothing is armed with an expired calibration."""
+        if request is Request.ARM and (problems := self.calibration.problems(self._now())):
+            return Reply(False, self._link.state, "; ".join(problems))
+        return self._link.request(request)
+
+    def stop(self) -> Reply:
+        """Stop as the stopping table says."""
+        return self._link.stop(Request.STOP)
+
+    def emergency_stop(self) -> Reply:
+        """Stop as for an open emergency stop circuit."""
+        return self._link.stop(Request.EMERGENCY_STOP)
+
+    def status(self) -> Status:
+        """Return the snapshot; `lease` and `counts` are the command plane's."""
+        support = {supporter.name: supporter for supporter in self._support}
+        children = self.children | {name: s.child for name, s in support.items() if s.child is not None}
+        return status_of(
+            self._link.newest(),
+            children,
+            {name: s.note for name, s in support.items()},
+            bench=self.configuration.bench.id,
+            swings=self._swings,
+            read_only=self.read_only,
+            driver=self.configuration.driver.name,
+            profile=self.profile.name,
+            support_ready=self._support_ready,
+            loop=self._statistics,
+            real_time=self._real_time,
+            last_stop=self._marker.last_stop,
+            uptime=time.monotonic() - self._started,
+        )
+
+    @property
+    def _support_ready(self) -> bool:
+        return bool(self._support) and all(supporter.ready for supporter in self._support)
+
+    # The run -------------------------------------------------------------------------------------
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Start everything, live until SIGTERM or Ctrl-C, and bring the robot to rest before the end.
+
+        `ready` is called once commands are answered.
+
+        Raises:
+            BenchError: something did not start, or the loop died (LoopDied).
+            DriverError: the plant did not start.
+        """
+        c = self.configuration
+        with ExitStack() as stack:
+            wish = stack.enter_context(_wish_to_end())
+            owner = stack.enter_context(take_bench(c.bench.id))
+            self._marker = RunMarker(c.bench.data_dir, c.bench.id)
+            in_order = False
+            stack.callback(lambda: self._marker.end(in_order=in_order))
+            self._marker.begin(os.getpid(), self._now().isoformat())
+            notifier = ServiceNotifier.of_environment(os.environ)
+            stack.callback(notifier.close)
+            try:
+                self._start(stack, owner)
+                notifier.ready(f"bench {c.bench.id}: {self._link.state}")
+                ready()
+                self._live(notifier, wish)
+                notifier.stopping()
+                self._bring_to_end()
+                in_order = True
+            except LoopDied:
+                time.sleep(_AFTERMATH)
+                raise
+            except Exception:
+                in_order = "loop" not in self.children  # nothing could move yet
+                raise
+
+    def _start(self, stack: ExitStack, owner: Ownership) -> None:
+        """Start plant and loop, open the command plane, then start recorder and publisher."""
+        c, folder = self.configuration, owner.folder
+        self._link = LoopLink(folder)
+        stack.callback(self._link.close)
+        stack.callback(self._kill_all)
+        if c.driver.name == "sim" and self.wall:
+            _log.info("starting the plant; the first start compiles for about half a minute")
+            priority = c.loop.priority - 1 if c.loop.realtime != "off" else 0
+            plan = PlantPlan(folder, c.plant, c.driver.watchdog, priority=priority)
+            self.children["plant"] = Child("plant", start_plant(plan, _START))
+        first = Cause.RESTART if self._marker.was_killed else Cause.POWER_UP
+        loop = Child.start(
+            "loop",
+            "bench.loop_process",
+            LoopPlan(c, self.profile, folder, owner.descriptor, first, self.read_only),
+            pass_fds=(owner.descriptor,),
+        )
+        self.children["loop"] = loop
+        owner.note_loop(loop.pid)
+        told = loop.wait_until_ready(_START)
+        self._real_time = told["real_time"]
+        _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * told["tick_ns"])
+        self._link.connect()
+        self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
+        self._before_timing = self._timing.snapshot()
+        self._summed_up = self._advanced = time.monotonic()
+        self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
+        session = open_daemon(c.network)
+        stack.callback(session.close)
+        self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
+        self._support = [
+            Supporter("recorder", folder / "recorder-heart", self._start_recorder),
+            Supporter("publisher", folder / "publisher-heart", self._start_publisher),
+        ]
+        self._folder = folder
+
+    def _start_recorder(self) -> Child:
+        c, folder = self.configuration, self._folder
+        plan = RecorderPlan(
+            bench=c.bench.id,
+            data_dir=c.bench.data_dir,
+            ring=folder / RING_FILE,
+            snapshot=folder / SNAPSHOT_FILE,
+            heartbeat=folder / "recorder-heart",
+            snapshot_dtype=SNAPSHOT,
+            profile=self.profile,
+            configuration=c.effective(),
+            versions=versions(),
+            real_time=self._real_time,
+            calibrations=self.calibration.record(),
+            wall=self.wall,
+        )
+        return Child.start("recorder", "bench.recorder_process", plan)
+
+    def _start_publisher(self) -> Child:
+        c, folder = self.configuration, self._folder
+        plan = PublisherPlan(
+            bench=c.bench.id,
+            network=c.network,
+            ring=folder / RING_FILE,
+            timing=folder / TIMING_FILE,
+            heartbeat=folder / "publisher-heart",
+        )
+        return Child.start("publisher", "bench.publisher_process", plan)
+
+    def _live(self, notifier: ServiceNotifier, wish: threading.Event) -> None:
+        """Take turns until somebody wishes the end; pet systemd only while the loop advances.
+
+        Raises:
+            LoopDied: the loop ended or froze.
+        """
+        interval, petted = watchdog_interval(os.environ, os.getpid()), -np.inf
+        while not wish.wait(_TURN):
+            now = time.monotonic()
+            self._turn(now)
+            if interval is not None and now - petted >= interval / 3 and self._advanced == now:
+                notifier.alive()
+                petted = now
+
+    def _turn(self, now: float) -> None:
+        """Do what is due at `now` (s)."""
+        for supporter in self._support:
+            supporter.turn(now)
+        plane = self._plane
+        if plane is not None:
+            self._link.beat(lease_held=plane.lease() is not None, support_ready=self._support_ready)
+        self._watch_loop(now)
+        if now - self._summed_up >= _STATISTICS:
+            self._sum_up(now)
+        if plane is not None:
+            plane.publish_state(self.status())
+
+    def _sum_up(self, now: float) -> None:
+        """Sum up the loop's timing since the last time."""
+        after = self._timing.snapshot()
+        told = summary(after, self._before_timing)
+        wake, tick = told["segments"]["wake_up"], told["segments"]["tick"]
+        self._statistics = LoopStatus(
+            rate_hz=told["ticks"] / (now - self._summed_up),
+            skipped=int(after["skipped"][0]),
+            late=int(after["late"][0]),
+            wake_p50_s=1e-6 * (wake["p50_us"] or 0.0),
+            wake_p99_s=1e-6 * (wake["p99_us"] or 0.0),
+            tick_p99_s=1e-6 * (tick["p99_us"] or 0.0),
+        )
+        self._before_timing, self._summed_up = after, now
+
+    def _watch_loop(self, now: float) -> None:
+        """Note what the loop did since the last turn.
+
+        Raises:
+            LoopDied: it ended, or stands still and was killed.
+        """
+        cycles = self._link.news()
+        if len(cycles):
+            self._advanced = now
+            self._note_changes(cycles)
+        loop = self.children["loop"]
+        for event in loop.take_events():
+            if event["event"] == "exception":
+                _log.error("the loop: %s", event.get("text"))
+                self._publish("exception", {"text": str(event.get("text"))})
+        if not loop.alive:
+            raise self._loop_died(loop.ending)
+        if now - self._advanced > _LOOP_SILENCE:
+            loop.kill()
+            raise self._loop_died(f"stood still for {now - self._advanced:.1f} s and was killed")
+
+    def _loop_died(self, how: str) -> LoopDied:
+        state, phase, _, _ = self._before
+        text = f"the loop {how} in state {state.name}, phase {phase.name}"
+        self._marker.note_stop(self._stop_entry("RESTART", text, state, phase), fatal=True)
+        self._publish("loop died", {"text": text})
+        return LoopDied(
+            f"bench {self.configuration.bench.id}: loop",
+            f"it {how}; state {state.name}, phase {phase.name}",
+            "it to run; the device has gone passive by its own watchdog",
+            "Look at the robot, then start the bench anew: it comes up in ESTOP.",
+        )
+
+    def _note_changes(self, cycles: np.ndarray[Any, Any]) -> None:
+        """Tell of every change of state, phase, reaction and cause in `cycles`."""
+        keys = np.stack([cycles[name] for name in ("state", "phase", "reaction", "trip")], axis=1)
+        before = np.vstack([np.array([self._before], dtype=keys.dtype), keys[:-1]])
+        for k in np.flatnonzero(np.any(keys != before, axis=1)):
+            old = self._before
+            codes = keys[k].tolist()
+            state, phase, reaction, cause = (
+                State(codes[0]), Phase(codes[1]), Reaction(codes[2]), Cause(codes[3]),
+            )  # fmt: skip
+            self._before = state, phase, reaction, cause
+            if state is State.SWINGING and old[0] is not State.SWINGING:
+                self._swings += 1
+            if state is not old[0] or cause is not old[3] or reaction is not old[2]:
+                _log.info(
+                    "%s, phase %s, reaction %s, cause %s", state.name, phase.name, reaction.name, cause.name
+                )
+            tick = {"tick": int(cycles["tick"][k]), "loop_time": float(cycles["time"][k])}
+            self._publish(
+                "change",
+                {"state": state.name, "phase": phase.name, "reaction": reaction.name, "cause": cause.name}
+                | tick,
+            )
+            if state in _LATCHED and cause and cause is not old[3]:
+                self._marker.note_stop(self._stop_entry(cause.name, CAUSE_TEXT[cause], old[0], old[1]))
+
+    def _stop_entry(self, cause: str, text: str, state: State, phase: Phase) -> dict[str, Any]:
+        return {
+            "cause": cause,
+            "text": text,
+            "state": state.name,
+            "phase": phase.name,
+            "time_utc": self._now().isoformat(),
+        }
+
+    def _publish(self, event: str, content: dict[str, Any]) -> None:
+        if self._plane is not None:
+            self._plane.publish_event(event, content)
+
+    def _bring_to_end(self) -> None:
+        """Let the loop bring the robot to rest, then end the others in the order in which data flows.
+
+        Raises:
+            LoopDied: it did not end in time.
+        """
+        self._link.shut_down()
+        loop, deadline = self.children["loop"], time.monotonic() + _LONGEST_STOP
+        while loop.alive and time.monotonic() < deadline:
+            try:
+                self._turn(time.monotonic())
+            except LoopDied:
+                break
+            time.sleep(_TURN)
+        if loop.ending != "ended with exit code 0":
+            loop.kill()
+            raise self._loop_died(loop.ending)
+        for supporter in self._support:
+            supporter.end()
+        if (plant := self.children.get("plant")) is not None:
+            plant.end(2.0)
+
+    def _kill_all(self) -> None:
+        for supporter in self._support:
+            supporter.end()
+        for child in self.children.values():
+            child.kill()
+
+
+@contextmanager
+def _wish_to_end() -> Iterator[threading.Event]:
+    """Yield an event that SIGTERM and Ctrl-C set."""
+    wish = threading.Event()
+    kept = {
+        number: signal.signal(number, lambda *_: wish.set()) for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        yield wish
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

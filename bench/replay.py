@@ -1,0 +1,312 @@
+"""A record's readings, requests and permissions once more through today's cycle, and what comes out otherwise.
+
+A replay begins with the controller's memory that stands in the record (`bench.telemetry.snapshot`) and goes on
+with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
+decided by the controller, computed anew and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
+What the controller commands is compared with what was truly applied; while the device had gone passive by
+itself the applied command is the device's own, and is not compared. A tick that failed in the driver's write
+leaves nothing to repeat: from there on a record of an exception may differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.control.settings import (
+    ControlSettings,
+    EnvelopeSettings,
+    EstimatorSettings,
+    HomingSettings,
+    LifecycleSettings,
+    build_controller,
+)
+from bench.control.step import ControlParameters, ControlState
+from bench.errors import BenchError
+from bench.from_toml import Builder, Tree, as_tree, laid_over
+from bench.loop import Cycle, CycleArray, Cycles
+from bench.telemetry.cycle_record import FIELDS, Field
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.snapshot import read_snapshot, unpack_snapshot
+from bench.telemetry.swing_metadata import read_profile, since
+from drivers.base import Command, DriverError, Readings
+from sim.plant import PlantParameters
+
+TOLERANCE = 1e-9
+
+INPUTS = frozenset({
+    "tick", "time", "request", "request_number", "lease_held", "support_ready", "supervisor_alive",
+    "device_operational", "encoder_count", "encoder_valid", "encoder_age", "encoder_time", "encoder_indexed",
+    "emergency_stop_clear", "guard_closed", "guard_locked", "ball_present", "local_reset", "supply_pressure",
+    "chamber_pressure",
+})  # fmt: skip
+"""What the record tells the cycle."""
+
+DECIDED = frozenset({
+    "measured_step", "state", "answer", "refusal", "homed", "vented", "phase", "reaction", "trip", "angle",
+    "velocity", "angle_variance", "reference_angle", "reference_velocity", "proportional", "integral",
+    "derivative", "feedforward", "desired_valve", "applied_valve", "supply_enable", "exhaust_closed",
+    "guard_lock", "beacon", "tee", "head_position", "head_orientation",
+})  # fmt: skip
+"""What the cycle is asked for."""
+
+MEASURED = frozenset({
+    "wake_latency", "work_time", "plant_angle", "plant_velocity", "plant_pressure", "plant_effort",
+    "plant_head_position", "plant_head_speed",
+})  # fmt: skip
+"""The machine's time and the plant's truth: no concern of the controller."""
+
+APPLIED = frozenset({
+    "applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee",
+})  # fmt: skip
+"""Of DECIDED those that a device which has gone passive decides itself."""
+
+
+class Difference(NamedTuple):
+    """How one field of DECIDED compares over a replay."""
+
+    field: str
+    greatest: float
+    """Greatest difference over ticks and components; infinite when only one of the two is a number."""
+    ticks: int
+    """Ticks in which it is beyond the tolerance."""
+    tick: int | None = None
+    """The first of them, and what stood there:"""
+    time: float | None = None
+    """s, on the record's clock."""
+    component: str = ""
+    recorded: float = 0.0
+    replayed: float = 0.0
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A record beside its replay, tick by tick."""
+
+    recorded: Cycles
+    replayed: Cycles
+    """Both records of CYCLE with the record's times, from the tick after the snapshot on."""
+    defaults: tuple[str, ...]
+    """Keys of the configuration that the record does not have yet: today's defaults stand in for them."""
+
+    def differences(self, tolerance: float = TOLERANCE) -> list[Difference]:
+        """Return one Difference for each field of DECIDED in storage order.
+
+        Floats are equal within `tolerance`, absolute plus relative to the record; two that are no number are
+        equal. Codes and switches are equal when they are the same.
+        """
+        return [_difference(self, field, tolerance) for field in FIELDS if field.name in DECIDED]
+
+
+def replay_record(path: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Replay:
+    """Replay the record at `path`; `progress` is told of ticks done and in all.
+
+    Raises:
+        BenchError: it cannot be read, or not be replayed: it has no snapshot, lost records, or a snapshot of
+            another controller.
+        ExceptionGroup: of BenchErrors, the values of its configuration that today's program does not take.
+    """
+    cycles, metadata = read_swing(path)
+    return replay_cycles(cycles, metadata, str(path), progress)
+
+
+def replay_cycles(
+    cycles: Cycles,
+    metadata: Mapping[str, Any],
+    place: str,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Replay:
+    """Replay `cycles` with their record's `metadata`; `place` names the record. Raises as `replay_record`."""
+    snapshot = read_snapshot(metadata, place)
+    if not metadata.get("replayable", False):
+        raise BenchError(
+            place,
+            f"a record with {metadata.get('lost_records', 'some')} cycles lost",
+            "every cycle, as the controller remembers what it has seen",
+            "Replay another record.",
+        )
+    begin = metadata.get("begin")
+    if not isinstance(begin, int | float):
+        raise BenchError(
+            f"{place}: begin", repr(begin), "the loop's time less the record's, s", "Restore it."
+        )
+    first = int(np.searchsorted(cycles["tick"], snapshot["tick"][0], side="right"))
+    recorded = cycles[first:]
+    if first == 0 or cycles["tick"][first - 1] != snapshot["tick"][0] or len(recorded) == 0:
+        raise BenchError(
+            f"{place}: snapshot",
+            f"tick {snapshot['tick'][0]}",
+            f"one of {cycles['tick'][0]} to {cycles['tick'][-1] - 1}"
+            if len(cycles)
+            else "a record with cycles",
+            "Restore the record from a copy.",
+        )
+    parameters, defaults = controller_of(metadata, place)
+    replayed = _run(since(recorded, -begin), unpack_snapshot(snapshot), parameters, progress)
+    return Replay(recorded, since(replayed, begin), defaults)
+
+
+def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParameters, tuple[str, ...]]:
+    """Return what today's `build_controller` makes of a record's configuration and profile.
+
+    Also returns the keys that the record does not have: it is older than they are.
+
+    Raises:
+        BenchError: configuration or profile is missing or damaged.
+        ExceptionGroup: of BenchErrors, one for each value that today's program does not take.
+    """
+    profile = read_profile(metadata, place)
+    configuration = metadata.get("configuration")
+    if not isinstance(configuration, Mapping):
+        raise BenchError(f"{place}: configuration", "none", "the bench's settings", "Replay another record.")
+    file, faults, built, defaults = (
+        Path(f"{place}: configuration"),
+        list[BenchError](),
+        dict[str, Any](),
+        list[str](),
+    )
+    for name, kind in _SETTINGS.items():
+        given = configuration.get(name, {})
+        recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
+        today = as_tree({name: _as_json(asdict(kind()))}, file, faults)
+        defaults += _missing(today, recorded, "")
+        tree = laid_over(today, recorded)[name]
+        cure = "Replay it with the version of golfbench that wrote it, or renew the record."
+        built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
+    if faults:
+        raise ExceptionGroup(f"{place} cannot be replayed", faults)
+    try:
+        return build_controller(built.pop("plant"), profile, **built), tuple(defaults)
+    except ValueError as error:
+        raise BenchError(
+            str(file), str(error), "settings of a controller", "Replay another record."
+        ) from None
+
+
+_SETTINGS: Mapping[str, type[Any]] = {
+    "plant": PlantParameters,
+    "control": ControlSettings,
+    "envelope": EnvelopeSettings,
+    "estimator": EstimatorSettings,
+    "lifecycle": LifecycleSettings,
+    "homing": HomingSettings,
+}
+"""Arguments of `build_controller` by their table in the configuration."""
+
+
+def _as_json(value: Any) -> Any:
+    match value:
+        case dict():
+            return {key: _as_json(item) for key, item in value.items()}
+        case tuple():
+            return [_as_json(item) for item in value]
+        case _:
+            return value
+
+
+def _missing(today: Tree, recorded: Tree, prefix: str) -> list[str]:
+    """Return the dotted keys of `today` that `recorded` does not have."""
+    keys = []
+    for name, node in today.items():
+        other = recorded.get(name)
+        if other is None:
+            keys.append(f"{prefix}{name}")
+        elif isinstance(node, dict) and isinstance(other, dict):
+            keys += _missing(node, other, f"{prefix}{name}.")
+    return keys
+
+
+class _Recorded:
+    """The driver of a replay: it reads what was read, and applies whatever is commanded."""
+
+    operational = True
+
+    def __init__(self, cycles: Cycles) -> None:
+        columns = (cycles[name].tolist() for name in Readings._fields[1:])
+        # The reading's own time is not recorded, as nothing is decided by it.
+        self._readings = [Readings(*row) for row in zip(cycles["time"].tolist(), *columns, strict=True)]
+        self._operational = cycles["device_operational"].tolist()
+        # So `bench.loop.Cycle` marks readings that the driver could not give.
+        self._failed = (np.isnan(cycles["encoder_age"]) & (cycles["encoder_valid"] == 0)).all(axis=1).tolist()
+        self._tick = -1
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def read(self, time: float) -> Readings:
+        """Return what was read in this tick; DriverError where the driver gave none."""
+        self._tick += 1
+        self.operational = self._operational[self._tick]
+        if self._failed[self._tick]:
+            raise DriverError("as recorded: no readings")
+        return self._readings[self._tick]
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` as it is."""
+        return command
+
+    def make_passive(self) -> None:
+        """Nothing to make passive."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def _run(
+    cycles: Cycles, state: ControlState, parameters: ControlParameters, progress: Callable[[int, int], None]
+) -> Cycles:
+    """Return the cycles that `state` makes of what `cycles` (loop's times) tell it."""
+    kept = CycleArray(len(cycles))
+    cycle = Cycle(_Recorded(cycles), parameters, kept, name="replay")
+    cycle.state = state
+    control = state.control
+    told = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
+    for k, now in enumerate(cycles):
+        for name in told:
+            control[name] = now[name]
+        control["tick"] = now["tick"] - 1  # a tick that the loop missed is missed again
+        if now["request"]:
+            control["request"], control["request_number"] = now["request"], now["request_number"]
+        cycle.run_tick(float(now["time"]))
+        if k % 100 == 0:
+            progress(k, len(cycles))
+    progress(len(cycles), len(cycles))
+    if cycle.publish_error is not None:
+        raise cycle.publish_error
+    return kept.cycles
+
+
+def _difference(replay: Replay, field: Field, tolerance: float) -> Difference:
+    recorded, replayed = (
+        np.asarray(cycles[field.name]).reshape(len(cycles), -1)
+        for cycles in (replay.recorded, replay.replayed)
+    )
+    a, b = recorded.astype(float), replayed.astype(float)
+    apart = np.abs(a - b)
+    apart[np.isnan(a) & np.isnan(b)] = 0.0
+    apart[a == b] = 0.0  # infinities
+    apart[np.isnan(apart)] = np.inf
+    allowed = tolerance * (1.0 + np.abs(np.nan_to_num(a))) if field.dtype == "f8" else 0.0
+    beyond = apart > allowed
+    if field.name in APPLIED:
+        beyond[~replay.recorded["device_operational"]] = False
+        apart[~replay.recorded["device_operational"]] = 0.0
+    greatest = float(apart.max(initial=0.0))
+    if not beyond.any():
+        return Difference(field.name, greatest, 0)
+    tick, component = (int(i) for i in np.argwhere(beyond)[0])
+    at = replay.recorded[tick]
+    return Difference(
+        field.name,
+        greatest,
+        int(beyond.any(axis=1).sum()),
+        int(at["tick"]),
+        float(at["time"]),
+        field.components[component] if field.components else "",
+        float(a[tick, component]),
+        float(b[tick, component]),
+    )

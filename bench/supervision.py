@@ -1,0 +1,77 @@
+"""What the supervisor tells the loop: that it lives, what is granted, and requests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.lifecycle import Request
+from sim.compiled import new_record
+from sim.shared_record import SharedRecord
+
+SUPERVISION_FILE = "supervision"
+
+SUPERVISION = np.dtype(
+    [
+        ("heartbeat", "i8"),
+        ("lease_held", "?"),
+        ("support_ready", "?"),
+        ("shutdown", "?"),
+        ("request", "u1"),
+        ("request_number", "i8"),
+        ("stop_count", "i8"),
+        ("emergency_stop_count", "i8"),
+    ],
+    align=True,
+)
+"""`heartbeat` changes while the supervisor lives. A request is new when its number is; stops are counted
+apart and never wait behind one. `shutdown` ends the loop, as soon as the robot stands."""
+
+
+class Orders:
+    """The loop's side: what is new since the last tick. The values at the start are no news."""
+
+    def __init__(self, path: Path, silence: float) -> None:
+        """Read the file at `path`; after `silence` (s) without a heartbeat the supervisor counts as dead.
+
+        Raises:
+            SharedMemoryError: there is none.
+        """
+        self._shared, self._silence = SharedRecord.open(path, SUPERVISION), silence
+        self._told = new_record(SUPERVISION)
+        self._shared.read(self._told)
+        now = self._told[0]
+        self._seen = int(now["request_number"]), int(now["stop_count"]), int(now["emergency_stop_count"])
+        self._heartbeat, self._heard = int(now["heartbeat"]), -np.inf
+
+    @property
+    def shutdown(self) -> bool:
+        """Whether the loop is to end."""
+        return bool(self._told["shutdown"][0])
+
+    def put(self, control: np.ndarray[Any, Any], time: float) -> None:
+        """Write what holds at `time` (s) into a CONTROL_STATE: permissions, and at most one request."""
+        self._shared.read(self._told)
+        (
+            heartbeat, lease_held, support_ready, _, request, number, stops, emergencies,
+        ) = self._told.item()  # fmt: skip
+        if heartbeat != self._heartbeat or self._heard == -np.inf:
+            self._heartbeat, self._heard = heartbeat, time
+        alive = time - self._heard < self._silence
+        control["supervisor_alive"] = alive
+        control["lease_held"], control["support_ready"] = lease_held and alive, support_ready and alive
+        seen_number, seen_stops, seen_emergencies = self._seen
+        if emergencies != seen_emergencies:
+            control["request"], seen_emergencies = Request.EMERGENCY_STOP, emergencies
+        elif stops != seen_stops:
+            control["request"], seen_stops = Request.STOP, stops
+        elif number != seen_number:
+            control["request"], control["request_number"] = request, number
+            seen_number = number
+        self._seen = seen_number, seen_stops, seen_emergencies
+
+    def close(self) -> None:
+        """Unmap the file."""
+        self._shared.close()
