@@ -155,6 +155,24 @@ def check(
     check_all(context.ensure_object(Session), profile, Console())
 
 
+@app.command()
+def replay(
+    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record of a swing, .parquet.")],
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Absolute, and relative to the recorded value; codes are exact.")
+    ] = 1e-9,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+) -> None:
+    """Run a record's readings through today's controller and compare every field with the record.
+
+    Ends with 1 when a field differs.
+    """
+    from bench.replay_report import replay_command
+
+    if not replay_command(record, tolerance, json_):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     session = Session()

@@ -1,11 +1,11 @@
-"""A record's readings, requests and permissions once more through today's cycle, and what comes out otherwise.
+"""A record's readings, requests and permissions once more through today's cycle, and what comes out.
 
-A replay begins with the controller's memory that stands in the record (`bench.telemetry.snapshot`) and goes on
-with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
-decided by the controller, computed anew and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
-What the controller commands is compared with what was truly applied; while the device had gone passive by
-itself the applied command is the device's own, and is not compared. A tick that failed in the driver's write
-leaves nothing to repeat: from there on a record of an exception may differ.
+A replay begins with the controller's memory that stands in the record (`bench.telemetry.snapshot`) and goes
+on with the tick after it. Every field of the cycle is one of three: an input, taken from the record
+(`INPUTS`); decided by the controller, computed anew and compared (`DECIDED`); or measured around it, neither
+(`MEASURED`). What the controller commands is compared with what was truly applied; while the device had gone
+passive by itself the applied command is the device's own, and is not compared. A tick that failed in the
+driver's write leaves nothing to repeat: from there on the record of an exception may differ.
 """
 
 from __future__ import annotations

@@ -2,32 +2,73 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from math import isfinite
+from math import inf, isfinite
+from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench.replay import INPUTS, MEASURED, Difference, Replay
-from bench.telemetry.recorder import ENUMERATIONS
+from bench.errors import BenchError
+from bench.progress import progress_bar
+from bench.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
+from bench.telemetry.recorder import ENUMERATIONS, read_swing
+
+
+def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
+    """Replay the record at `path`, print what came of it, and return whether it is equal.
+
+    Raises:
+        BenchError, ExceptionGroup: as `bench.replay.replay_record`.
+    """
+    if not 0.0 <= tolerance < inf:
+        cure = f"Leave it out for {TOLERANCE:g}."
+        raise BenchError("replay: --tolerance", f"{tolerance}", "a finite number of at least 0", cure)
+    cycles, metadata = read_swing(path)
+    with progress_bar() as bar:
+        task = bar.add_task(f"replaying {path.name}", total=len(cycles))
+        replay = replay_cycles(
+            cycles, metadata, str(path), lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    differences = replay.differences(tolerance)
+    equal = not any(difference.ticks for difference in differences)
+    if json_:
+        print(json.dumps(replay_json(replay, differences, metadata, tolerance), indent=2))
+        return equal
+    console = Console()
+    same = [d.field for d in differences if d.greatest == 0.0]
+    if len(same) < len(differences):
+        console.print(replay_table(differences))
+    console.print(f"the same bit for bit: {', '.join(same) or 'no field'}", highlight=False)
+    console.print(replay_summary(replay, metadata, tolerance), highlight=False)
+    first = min((d for d in differences if d.ticks), key=lambda d: d.tick or 0, default=None)
+    if first is None:
+        console.print("Equal: today's controller does what was recorded.", style="green", highlight=False)
+    else:
+        told = f"Different: first in tick {first.tick}, {first.field}."
+        console.print(told, style="red", highlight=False)
+    return equal
 
 
 def replay_table(differences: Sequence[Difference]) -> Table:
-    """Return a table of all fields that were compared."""
+    """Return a table of the fields that are not the same bit for bit; those within the tolerance are dim."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("", "field", "greatest difference", "ticks", "first tick", "time", "recorded", "replayed"):
-        table.add_column(column, justify="left" if column in {"", "field"} else "right")
+    for column in ("field", "greatest", "ticks", "from tick", "recorded", "replayed"):
+        table.add_column(column, justify="left" if column == "field" else "right", overflow="fold")
     for d in differences:
-        mark = Text("differs", "bold red") if d.ticks else Text("equal", "green")
-        where: tuple[str, ...] = ("", "", "", "", "")
-        if d.ticks:
-            values = (_shown(d.field, d.recorded), _shown(d.field, d.replayed))
-            where = (str(d.ticks), str(d.tick), f"{d.time:.4f} s", *values)
-        name = f"{d.field} {d.component}".strip()
-        table.add_row(mark, name, f"{d.greatest:.3g}" if d.greatest else "0", *where)
+        if d.greatest == 0.0:
+            continue
+        name, greatest = f"{d.field} {d.component}".strip(), f"{d.greatest:.2g}"
+        if not d.ticks:
+            table.add_row(name, greatest, "0", "", "", "", style="dim")
+            continue
+        values = _shown(d.field, d.recorded), _shown(d.field, d.replayed)
+        table.add_row(Text(name, "red"), greatest, str(d.ticks), f"{d.tick}", *values)
     return table
 
 
@@ -83,7 +124,7 @@ def replay_json(
 
 def _shown(field: str, value: float) -> str:
     names = ENUMERATIONS.get(field)
-    return names.get(str(int(value)), str(int(value))) if names and isfinite(value) else f"{value:.12g}"
+    return names.get(str(int(value)), str(int(value))) if names and isfinite(value) else f"{value:.6g}"
 
 
 def _finite(value: Any) -> Any:
