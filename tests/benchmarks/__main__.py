@@ -1,6 +1,8 @@
 """Run the benchmarks: `python -m tests.benchmarks [NAME ...] [--json FILE]`, or `make benchmark`.
 
-Each benchmark is a file here with `run() -> list[Row]`. Exit code 1 when a promised figure is missed.
+Each benchmark is a file here with `run() -> list[Row]`. Long ones run only when they are named, and take
+options of their own: `python -m tests.benchmarks loop_timing --help`. Exit code 1 when a promised figure is
+missed.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from rich.table import Table
 from tests.benchmarks.row import Row
 
 BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep", "shared_memory")
+LONG = ("loop_timing",)
+"""Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")
 
 
@@ -60,16 +64,20 @@ def show(rows: list[Row], console: Console) -> None:
 
 
 def main() -> int:
-    """Run the named benchmarks, or all."""
+    """Run the named benchmarks, or all but the long ones."""
+    console = Console()
+    rows: list[Row] = []
+    if sys.argv[1:2] and sys.argv[1] in LONG:
+        rows = importlib.import_module(f"tests.benchmarks.{sys.argv[1]}").run(sys.argv[2:])
+        show(rows, console)
+        return verdict(rows, console)
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHMARKS)} (default: all)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.names) - set(BENCHMARKS)):
-        parser.error(f"unknown benchmark {', '.join(unknown)}; known: {', '.join(BENCHMARKS)}")
-
-    console = Console()
-    rows: list[Row] = []
+        known = f"known: {', '.join(BENCHMARKS)}; alone: {', '.join(LONG)}"
+        parser.error(f"unknown benchmark {', '.join(unknown)}; {known}")
     for name in arguments.names or BENCHMARKS:
         with console.status(f"{name} ..."):
             measured = importlib.import_module(f"tests.benchmarks.{name}").run()
@@ -78,6 +86,11 @@ def main() -> int:
     if arguments.json:
         figures = [{**row._asdict(), "holds": row.holds} for row in rows]
         arguments.json.write_text(json.dumps({"machine": machine(), "rows": figures}, indent=1) + "\n")
+    return verdict(rows, console)
+
+
+def verdict(rows: list[Row], console: Console) -> int:
+    """Print the figures that miss their promise; return the exit code."""
     missed = [row for row in rows if not row.holds]
     for row in missed:
         console.print(f"[bold red]missed[/] {row.benchmark}: {row.name}: {row.value:.4g} {row.unit}")

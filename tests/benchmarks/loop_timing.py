@@ -1,0 +1,268 @@
+"""The loop's timing beside `cyclictest`, in alternating pairs with the other core loaded.
+
+    python -m tests.benchmarks loop_timing --pairs 20 --seconds 15 --rate 1000 --output pairs.json
+
+Long, so only by name. A pair is one run of the loop process against the plant's process, swinging all the
+time, and one of `cyclictest` at the same priority, interval and core; which comes first changes from pair to
+pair. A busy process holds another core throughout. Percentiles of both are rounded up to their resolution:
+1 us for `cyclictest`, a sixteenth for the loop. Late: a wake-up later than 1 ms, at any rate. Steal is what
+the hypervisor took from the loop's core, in ticks of the kernel's accounting (10 ms).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.progress import progress_bar
+from bench.real_time import PRIORITY
+from bench.tick_timing import SEGMENTS, TIMING, percentile, summary
+from tests.benchmarks.cyclictest import Latencies, run_cyclictest
+from tests.benchmarks.row import Row
+from tests.benchmarks.running_loop import configured, running_loop
+
+P99_RATIO, P999_RATIO = 1.5, 2.0
+"""Largest median ratio of the loop's wake-up latency to cyclictest's."""
+LATE_FACTOR, LATE_EXTRA = 2, 5
+TICK_US = 150.0
+"""99 % of all ticks take at most this, at 1 kHz."""
+SHARES = {"p50": "p50", "p99": "p99", "p999": "p99.9", "longest": "max"}
+"""Fields of Latencies, and what they are called in print."""
+
+_SUMMED = ("ticks", "skipped", "late", "count")
+
+Timing = np.ndarray[Any, Any]
+"""One-element array of TIMING."""
+
+
+class LoopRun(NamedTuple):
+    """One run of the loop."""
+
+    wake_up: Latencies
+    skipped: int
+    tick_p99: float
+    """us."""
+    swings: int
+    stops: int
+    """Faults from which it went on."""
+    steal: int
+
+
+class Pair(NamedTuple):
+    """One run of each."""
+
+    first: str
+    loop: LoopRun
+    cyclictest: Latencies
+    cyclictest_steal: int
+
+    @property
+    def steal(self) -> int:
+        """Ticks taken from the core in both runs."""
+        return self.loop.steal + self.cyclictest_steal
+
+    def ratio(self, share: str) -> float:
+        """Return the loop's latency over cyclictest's, at `share` of SHARES."""
+        return float(getattr(self.loop.wake_up, share) / getattr(self.cyclictest, share))
+
+
+# Measuring -------------------------------------------------------------------------------------------
+
+
+def steal_ticks(cpu: int, stat: str) -> int:
+    """Return what `stat`, the text of /proc/stat, says was taken from core `cpu`."""
+    line = next(line for line in stat.splitlines() if line.startswith(f"cpu{cpu} "))
+    return int(line.split()[8])
+
+
+def _steal(cpu: int) -> int:
+    return steal_ticks(cpu, Path("/proc/stat").read_text())
+
+
+@contextmanager
+def busy_core(cpu: int) -> Iterator[None]:
+    """Keep core `cpu` busy with a process of normal priority."""
+    program = f"import os; os.sched_setaffinity(0, {{{cpu}}})\nwhile True: pass"
+    with subprocess.Popen([sys.executable, "-c", program]) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+def loop_run(options: argparse.Namespace) -> tuple[LoopRun, Timing, dict[str, Any]]:
+    """Return one run of the loop, what its counters counted in it, and what it told when ready."""
+    with running_loop(configured(options.rate, options.priority, options.cpu)) as loop:
+        loop.wait_for_swing()
+        swings, stops, steal, before = loop.swings, loop.stops, _steal(options.cpu), loop.timing.snapshot()
+        loop.live(options.seconds)
+        after, steal = loop.timing.snapshot(), _steal(options.cpu) - steal
+        told = summary(after, before)
+        ready = loop.ready
+        swings, stops = loop.swings - swings, loop.stops - stops
+    wake_up = told["segments"]["wake_up"]
+    latencies = Latencies(
+        wake_ups=wake_up["count"],
+        p50=wake_up["p50_us"],
+        p99=wake_up["p99_us"],
+        p999=wake_up["p999_us"],
+        longest=wake_up["max_us"],
+        late=told["late"],
+    )
+    run = LoopRun(latencies, told["skipped"], told["segments"]["tick"]["p99_us"], swings, stops, steal)
+    counted = after.copy()
+    for name in _SUMMED:
+        counted[name] -= before[name]
+    return run, counted, ready
+
+
+def measure(options: argparse.Namespace) -> tuple[list[Pair], Timing, dict[str, Any]]:
+    """Return the pairs, the loop's counters summed over all, and what the loop told when ready."""
+    pairs: list[Pair] = []
+    total = np.zeros(1, TIMING)
+    ready: dict[str, Any] = {}
+
+    def cyclic() -> tuple[Latencies, int]:
+        steal, interval = _steal(options.cpu), round(1e6 / options.rate)
+        latencies = run_cyclictest(options.seconds, interval, options.priority, options.cpu)
+        return latencies, _steal(options.cpu) - steal
+
+    with busy_core(options.busy_cpu), progress_bar() as progress:
+        for k in progress.track(range(options.pairs), description="pairs of loop and cyclictest"):
+            first = ("loop", "cyclictest")[k % 2]
+            before = cyclic() if first == "cyclictest" else None
+            run, counted, ready = loop_run(options)
+            latencies, steal = before or cyclic()
+            for name in _SUMMED:
+                total[name] += counted[name]
+            total["longest"] = np.maximum(total["longest"], counted["longest"])
+            pairs.append(Pair(first, run, latencies, steal))
+    return pairs, total, ready
+
+
+# Judging ---------------------------------------------------------------------------------------------
+
+
+def median_interval(values: Sequence[float], seed: int = 0) -> tuple[float, float, float]:
+    """Return the median of `values` and its 95 % bootstrap interval; NaN when there are none."""
+    if not values:
+        return (np.nan,) * 3
+    drawn = np.random.default_rng(seed).choice(np.array(values), (10_000, len(values)))
+    low, high = np.quantile(np.median(drawn, axis=1), (0.025, 0.975))
+    return float(np.median(values)), float(low), float(high)
+
+
+def rows(pairs: list[Pair], total: Timing, rate: float) -> list[Row]:
+    """Return the figures of all pairs, with their limits."""
+    title = f"loop timing at {rate:g} Hz, {len(pairs)} pairs"
+    quiet = [pair for pair in pairs if not pair.steal]
+    answer: list[Row] = []
+
+    def add(name: str, value: float, unit: str, note: str = "", at_most: float | None = None) -> None:
+        answer.append(Row(title, name, value, unit, note, at_most=at_most))
+
+    def ratio(share: str, chosen: list[Pair], which: str, at_most: float | None = None) -> None:
+        median, low, high = median_interval([pair.ratio(share) for pair in chosen])
+        note = f"median of {len(chosen)} pairs; 95 % interval {low:.2f} to {high:.2f}"
+        if not chosen:
+            note, at_most = "there are none: not judged", None
+        add(f"{which}, {SHARES[share]} over cyclictest's", median, "", note, at_most)
+
+    ratio("p50", pairs, "all pairs")
+    ratio("p99", pairs, "all pairs", P99_RATIO)
+    ratio("p999", pairs, "all pairs")
+    ratio("p99", quiet, "pairs without steal")
+    ratio("p999", quiet, "pairs without steal", P999_RATIO)
+    late, theirs = sum(p.loop.wake_up.late for p in pairs), sum(p.cyclictest.late for p in pairs)
+    bound = LATE_FACTOR * theirs + LATE_EXTRA
+    add("late wake-ups, all pairs together", late, "", f"cyclictest {theirs}", bound)
+    add("ticks skipped", sum(p.loop.skipped for p in pairs), "", f"of {int(total['ticks'][0])}")
+    for segment, name in enumerate(SEGMENTS):
+        count = total["count"][0, segment]
+        p50, p99 = (percentile(count, share) / 1000 for share in (0.5, 0.99))
+        limit = TICK_US if name == "tick" and rate <= 1000 else None
+        longest = total["longest"][0, segment] / 1000
+        add(f"{name}, p99", p99, "µs", f"median {p50:.3g}, longest {longest:.4g}", limit)
+    return answer
+
+
+def table(pairs: list[Pair], rate: float) -> Table:
+    """Return all pairs, one a line, wake-up latencies in us, loop | cyclictest."""
+    shown = Table(title=f"Wake-up latency at {rate:g} Hz, µs: loop | cyclictest", title_justify="left")
+    ratios = [f"{name} ratio" for name in ("p99", "p99.9")]
+    columns = ("pair", "first", *SHARES.values(), "late", "steal", *ratios)
+    for column in (*columns, "skipped", "tick p99", "swings", "stops"):
+        shown.add_column(column, justify="right")
+    for number, pair in enumerate(pairs, start=1):
+        loop, other = pair.loop.wake_up, pair.cyclictest
+        both = [f"{getattr(loop, share):.0f} | {getattr(other, share):.0f}" for share in (*SHARES, "late")]
+        shown.add_row(
+            str(number), pair.first, *both, f"{pair.loop.steal} | {pair.cyclictest_steal}",
+            f"{pair.ratio('p99'):.2f}", f"{pair.ratio('p999'):.2f}", str(pair.loop.skipped),
+            f"{pair.loop.tick_p99:.0f}", str(pair.loop.swings), str(pair.loop.stops),
+        )  # fmt: skip
+    return shown
+
+
+def document(
+    options: argparse.Namespace, pairs: list[Pair], total: Timing, ready: dict[str, Any]
+) -> dict[str, Any]:
+    """Return everything as plain values."""
+    return {
+        "machine": platform.platform(),
+        "cores": os.cpu_count(),
+        "rate_hz": options.rate,
+        "seconds": options.seconds,
+        "priority": options.priority,
+        "cpu": options.cpu,
+        "busy_cpu": options.busy_cpu,
+        "loop": ready,
+        "pairs": [
+            {
+                "first": pair.first,
+                "loop": {**pair.loop._asdict(), "wake_up": pair.loop.wake_up._asdict()},
+                "cyclictest": {**pair.cyclictest._asdict(), "steal": pair.cyclictest_steal},
+                "ratio": {share: pair.ratio(share) for share in SHARES},
+            }
+            for pair in pairs
+        ],
+        "counters": {name: total[name][0].tolist() for name in (*_SUMMED, "longest")},
+        "figures": [{**row._asdict(), "holds": row.holds} for row in rows(pairs, total, options.rate)],
+    }
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Measure all pairs, print them, write them where `--output` says; 40 s a pair by default."""
+    cores = sorted(os.sched_getaffinity(0))
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks loop_timing", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop")
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--seconds", type=int, default=15, help="of each run")
+    parser.add_argument("--priority", type=int, default=PRIORITY, help="of SCHED_FIFO")
+    parser.add_argument("--cpu", type=int, default=cores[0], help="the loop's and cyclictest's core")
+    parser.add_argument("--busy-cpu", type=int, default=cores[-1], help="the core kept busy")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write all pairs there, JSON")
+    options = parser.parse_args(arguments)
+    started = time.time()
+    pairs, total, ready = measure(options)
+    Console(width=max(132, Console().width)).print(table(pairs, options.rate))
+    if options.output:
+        text = json.dumps({"time": started, **document(options, pairs, total, ready)}, indent=1)
+        options.output.write_text(text + "\n")
+    return rows(pairs, total, options.rate)
