@@ -100,6 +100,7 @@ class Daemon:
         self._real_time: dict[str, Any] = {}
         self._statistics: LoopStatus = NO_STATISTICS
         self._swings = 0
+        self._ending = False
         self._started = time.monotonic()
 
     # The desk ------------------------------------------------------------------------------------
@@ -108,6 +109,7 @@ class Daemon:
         """Put `request` to the loop and wait for its answer; nothing is armed with an expired calibration."""
         if request is Request.ARM and (problems := self.calibration.problems(self._now())):
             return Reply(False, self._link.state, "; ".join(problems))
+        self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
     def stop(self) -> Reply:
@@ -262,14 +264,18 @@ class Daemon:
         """Do what is due at `now` (s)."""
         for supporter in self._support:
             supporter.turn(now)
-        plane = self._plane
-        if plane is not None:
-            self._link.beat(lease_held=plane.lease() is not None, support_ready=self._support_ready)
+        self._grant()
         self._watch_loop(now)
         if now - self._summed_up >= _STATISTICS:
             self._sum_up(now)
-        if plane is not None:
-            plane.publish_state(self.status())
+        if self._plane is not None:
+            self._plane.publish_state(self.status())
+
+    def _grant(self) -> None:
+        """Tell the loop that somebody lives here, and what is granted."""
+        if self._plane is not None:
+            held = self._plane.lease() is not None
+            self._link.beat(lease_held=held, support_ready=self._support_ready)
 
     def _sum_up(self, now: float) -> None:
         """Sum up the loop's timing since the last time."""
@@ -301,6 +307,8 @@ class Daemon:
             if event["event"] == "exception":
                 _log.error("the loop: %s", event.get("text"))
                 self._publish("exception", {"text": str(event.get("text"))})
+        if self._ending:
+            return  # unlocking its memory it stands still for longer than it may otherwise
         if not loop.alive:
             raise self._loop_died(loop.ending)
         if now - self._advanced > _LOOP_SILENCE:
@@ -365,12 +373,12 @@ class Daemon:
             LoopDied: it did not end in time.
         """
         self._link.shut_down()
+        for supporter in self._support:
+            supporter.leave_dead()
         loop, deadline = self.children["loop"], time.monotonic() + _LONGEST_STOP
+        self._ending = True
         while loop.alive and time.monotonic() < deadline:
-            try:
-                self._turn(time.monotonic())
-            except LoopDied:
-                break
+            self._turn(time.monotonic())
             time.sleep(_TURN)
         if loop.ending != "ended with exit code 0":
             loop.kill()

@@ -46,6 +46,7 @@ class Supporter:
         self._heart = Heart(Condition.STARTING, -1, -np.inf)
         self.child: Child | None = None
         self._died = -np.inf
+        self._ending = False
         self.note = "starting"
         """Its condition in words; empty when it works."""
 
@@ -60,6 +61,8 @@ class Supporter:
             _log.error("%s %s; it is started anew", self.name, self.child.ending)
             self.child.kill()
             self.child, self._died = None, now
+        if self._ending:
+            return
         if self.child is None:
             self.note = "dead, it is started anew"
             if now - self._died < _PAUSE:
@@ -83,8 +86,14 @@ class Supporter:
             return f"silent for {now - self._heart.heard:.1f} s"
         return "" if self._heart.condition is Condition.WORKING else self._heart.condition.name.lower()
 
+    def leave_dead(self) -> None:
+        """From now on start it no more: the bench is ending."""
+        self._ending = True
+
     def end(self) -> None:
-        """Let it finish what it has, then end it."""
+        """Let it finish what it has, then end it. Allowed twice."""
+        self.leave_dead()
         if self.child is not None:
             self.child.end(_PATIENCE)
+            self.child = None
         self._shared.close()
