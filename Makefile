@@ -38,6 +38,9 @@ coverage: $(VENV)/.dev  ## every branch of the envelope and of the stopping tabl
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
 
+reference: $(VENV)/.dev  ## renew the reference swings of the replay, after a meant change of the controller
+	@$(BIN)/python -m tests.replay.renew
+
 clean:  ## remove .venv and everything made by tools (not data/)
 	rm -rf $(VENV) dist .coverage .coverage.* .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find bench drivers sim tests -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -68,4 +71,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test lint coverage benchmark clean
+.PHONY: help demo test lint coverage benchmark reference clean

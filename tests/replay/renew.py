@@ -1,0 +1,78 @@
+"""Renew the reference records: `make reference`, which is `python -m tests.replay.renew`.
+
+Do so only after a change that is meant to change what the controller does, and say so in the commit. Two
+swings of the default profile on the software plant: one at a ball, until the robot is on its way back, and
+one that is stopped in the backswing. What a replay does not need, the plant's truth, is left out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.lifecycle import Phase, Reaction
+from bench.replay import MEASURED
+from bench.simulate import SimulatedBench, SwingResult, simulate_swing
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.recorder import write_swing
+from bench.telemetry.swing_metadata import since
+
+FOLDER = Path(__file__).parent
+SWING, STOP = FOLDER / "swing.parquet", FOLDER / "stop.parquet"
+
+_RETURN_TICKS = 100
+"""Kept of the way back."""
+_BRAKE_TICKS = 300
+"""Kept of the stop."""
+_LOOKS_BEFORE_STOP = 200
+"""Looks at Ctrl-C, one in 20 ms, before it comes: in the backswing."""
+
+
+def reference_bench() -> SimulatedBench:
+    """Return the bench that swings: noise on its encoders, so that the estimator has work to do."""
+    bench = SimulatedBench(load_profile(find_profile("default")), hold=0.1)
+    encoders = replace(bench.plant.encoders, noise=5e-6, jitter=2e-6)
+    return replace(bench, plant=replace(bench.plant, encoders=encoders))
+
+
+def stop_in_the_backswing() -> Callable[[], bool]:
+    """Return what tells of Ctrl-C once the robot is in its backswing."""
+    looks = iter(range(10**6))
+    return lambda: next(looks) >= _LOOKS_BEFORE_STOP
+
+
+def write_reference(path: Path, bench: SimulatedBench, result: SwingResult, ticks: int | None = None) -> None:
+    """Write the first `ticks` cycles of `result` (all without) and what a replay needs."""
+    cycles = since(result.cycles[:ticks], 0.0)  # a copy
+    for name in MEASURED:
+        cycles[name] = 0.0
+    write_swing(path, cycles, bench.metadata({"kind": "swing", **result.replay_metadata()}))
+    phases = ", ".join(Phase(int(phase)).name for phase in dict.fromkeys(cycles["phase"].tolist()))
+    print(f"{path.name}: {len(cycles)} cycles, {path.stat().st_size / 1e3:.0f} kB: {phases}")
+
+
+def main() -> int:
+    """Swing twice and write the records; 1 when a swing is not what the reference is to show."""
+    bench = reference_bench()
+    swing = simulate_swing(bench)
+    if swing.reason:
+        print(f"the swing gave no valid shot: {swing.reason}")
+        return 1
+    returning = int(np.argmax(swing.cycles["phase"] == Phase.RETURN))
+    write_reference(SWING, bench, swing, returning + _RETURN_TICKS)
+    stopped = simulate_swing(bench, stop=stop_in_the_backswing())
+    if not stopped.interrupted or Phase.BACKSWING not in stopped.cycles["phase"]:
+        print("the stop did not come in the backswing: change _LOOKS_BEFORE_STOP")
+        return 1
+    braking = int(np.argmax(stopped.cycles["reaction"] == Reaction.BRAKE))
+    write_reference(STOP, bench, stopped, braking + _BRAKE_TICKS)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,401 @@
+"""Records replay to the last bit; a changed gain, estimator or envelope shows.
+
+The reference records hold what the controller did when they were made, so that no change of it goes
+unnoticed. Is the change meant? `make reference` renews them (`tests/replay/renew.py`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.cli import main
+from bench.control.settings import SIMULATED, build_controller
+from bench.control.step import ControlParameters
+from bench.errors import BenchError
+from bench.lifecycle import Cause, Phase, Reaction, Request
+from bench.loop import Cycle, CycleArray
+from bench.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
+from bench.simulate import SimulatedBench, simulate_swings
+from bench.telemetry.cycle_record import FIELDS
+from bench.telemetry.recorder import read_swing, write_swing
+from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
+from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
+from drivers.base import PASSIVE, Command, DriverError, Readings
+from sim.compiled import new_record
+from sim.driver import SimDriver
+from tests.replay.renew import STOP, SWING, reference_bench
+
+Change = Callable[[ControlParameters], None]
+Record = tuple[np.ndarray[Any, Any], dict[str, Any]]
+
+
+def wrong(replay: Replay) -> dict[str, int | None]:
+    """Return the fields that differ and the first tick of each."""
+    return {d.field: d.tick for d in replay.differences() if d.ticks}
+
+
+@pytest.fixture(scope="module")
+def swing() -> Record:
+    return read_swing(SWING)
+
+
+@pytest.fixture(scope="module")
+def stop() -> Record:
+    return read_swing(STOP)
+
+
+def test_every_field_is_input_decided_or_measured() -> None:
+    names = [field.name for field in FIELDS]
+    assert sorted([*INPUTS, *DECIDED, *MEASURED]) == sorted(names)
+
+
+@pytest.mark.parametrize("path", [SWING, STOP])
+def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
+    replay = replay_record(path)
+    assert len(replay.recorded) > 700
+    assert wrong(replay) == {}
+    assert replay.defaults == (), "the record is older than these settings: make reference"
+
+
+def test_the_references_are_small_and_hold_what_they_are_for(swing: Record, stop: Record) -> None:
+    assert max(SWING.stat().st_size, STOP.stat().st_size) < 1e6
+    assert set(swing[0]["phase"]) == {p for p in Phase if p not in {Phase.STANDING, Phase.HOMING}}
+    assert {Reaction.NONE, Reaction.BRAKE} == set(stop[0]["reaction"])
+    steps = np.abs(np.diff(swing[0]["applied_valve"], axis=0))
+    assert np.sum(steps > 0.399) > 10  # the slew limit is at work
+    assert np.sum(np.abs(swing[0]["applied_valve"]) == 1.0) > 10  # and the greatest opening
+
+
+# Changes that must show ------------------------------------------------------------------------------
+
+
+def scale(record: str, field: str, joint: int | None, factor: float = 1.0 + 1e-6) -> Change:
+    def change(parameters: ControlParameters) -> None:
+        values = getattr(parameters, record)[field][0]
+        if joint is None:
+            getattr(parameters, record)[field] = values * factor
+        else:
+            values[joint] *= factor
+
+    return change
+
+
+def shift_profile(parameters: ControlParameters) -> None:
+    parameters.angle[500, 2] += 1e-6
+
+
+def delay_impact(parameters: ControlParameters) -> None:
+    first = int(np.argmax(parameters.phase == Phase.IMPACT))
+    parameters.phase[first] = Phase.COMMITTED
+
+
+CHANGES: dict[str, tuple[Path, Change, str]] = {
+    "proportional": (SWING, scale("pid", "proportional", 0), "proportional"),
+    "integral": (SWING, scale("pid", "integral", 1), "integral"),
+    "derivative": (SWING, scale("pid", "derivative", 2), "derivative"),
+    "damping": (SWING, scale("control", "damping", 0), "feedforward"),
+    "brake gain, follow-through": (SWING, scale("control", "brake_gain", 1), "desired_valve"),
+    "brake gain, stop": (STOP, scale("control", "brake_gain", 1), "desired_valve"),
+    "brake damping": (STOP, scale("control", "brake_damping", 0), "desired_valve"),
+    "brake fade": (STOP, scale("control", "brake_fade", 2), "desired_valve"),
+    "move speed": (SWING, scale("control", "move_speed", None), "reference_angle"),
+    "process noise": (SWING, scale("estimator", "density", None), "velocity"),
+    "encoder zero": (SWING, lambda p: p.encoder["zero_count"].__iadd__(0.001), "angle"),
+    "slew": (SWING, scale("envelope", "greatest_slew", None), "applied_valve"),
+    "greatest opening": (SWING, scale("envelope", "greatest_opening", None, 0.999), "applied_valve"),
+    "greatest speed": (SWING, scale("envelope", "greatest_speed", None, 0.5), "reaction"),
+    "following error": (SWING, scale("envelope", "following", None, 0.05), "trip"),
+    "profile": (SWING, shift_profile, "reference_angle"),
+    "impact window": (SWING, delay_impact, "phase"),
+}
+"""What is changed, the record that shows it, and a field in which it must."""
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_changed_controller_shows(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, change, field = CHANGES[name]
+
+    def changed(*arguments: Any, **settings: Any) -> ControlParameters:
+        parameters = build_controller(*arguments, **settings)
+        change(parameters)
+        return parameters
+
+    monkeypatch.setattr("bench.replay.build_controller", changed)
+    assert field in wrong(replay_record(path))
+
+
+# Records of any kind --------------------------------------------------------------------------------
+
+
+class Faulty(SimDriver):
+    """The software plant, whose readings fail or miss encoders at some times; it may go passive by itself."""
+
+    def __init__(self, bench: SimulatedBench, failing: range, invalid: range, passive: range) -> None:
+        super().__init__(bench.plant)
+        self.count, self.failing, self.invalid, self.passive = 0, failing, invalid, passive
+
+    @property
+    def operational(self) -> bool:
+        return self.count not in self.passive
+
+    def read(self, time: float) -> Readings:
+        self.count += 1
+        readings = super().read(time)
+        if self.count in self.failing:
+            raise DriverError("no answer")
+        if self.count in self.invalid:
+            return readings._replace(encoder_valid=(True, False, True))
+        return readings
+
+    def write(self, command: Command) -> Command:
+        return super().write(command if self.operational else PASSIVE)
+
+
+NOTHING = range(0)
+FAULTS: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "single lost samples": {"invalid": range(5100, 5800, 40)},
+    "a lost encoder": {"invalid": range(5200, 9000)},
+    "a driver that raises once": {"failing": range(5200, 5201)},
+    "a driver that raises": {"failing": range(5300, 9000)},
+    "a device gone passive": {"passive": range(5250, 9000)},
+    "permissions lost": {"told": {5200: ("lease_held", False), 5400: ("supervisor_alive", False)}},
+    "missed ticks": {"missed": {5150: 3, 5300: 1, 5350: 7}},
+    "an emergency stop": {"requests": {5250: Request.EMERGENCY_STOP}},
+    "refused and other requests": {"requests": {5100: Request.ARM, 5200: Request.TEE, 5900: Request.RESET}},
+    "a gap and a reset": {"missed": {5200: 30}, "requests": {6800: Request.RESET, 6900: Request.ACCESS}},
+}
+
+
+def record_of(
+    failing: range = NOTHING, invalid: range = NOTHING, passive: range = NOTHING,
+    told: dict[int, tuple[str, bool]] | None = None, missed: dict[int, int] | None = None,
+    requests: dict[int, Request] | None = None,
+) -> Record:  # fmt: skip
+    """Return 7000 ticks of the cycle around a faulty driver, from arming on, at a loop's odd clock."""
+    bench = reference_bench()
+    driver = Faulty(bench, failing, invalid, passive)
+    kept = CycleArray(7000)
+    parameters = build_controller(bench.plant, bench.profile, lifecycle=SIMULATED)
+    cycle = Cycle(driver, parameters, kept, name="faulty")
+    control, snapshot = cycle.state.control, new_record(SNAPSHOT)
+    asked = {20: Request.ARM, 5000: Request.SWING} | (requests or {})
+    driver.open()
+    grid = 0
+    for tick in range(7000):
+        grid += 1 + (missed or {}).get(tick, 0)
+        control["tick"] = grid - 1
+        if tick in asked:
+            control["request"], control["request_number"] = asked[tick], tick
+        if told and tick in told:
+            name, value = told[tick]
+            control[name] = value
+        cycle.run_tick(123456.789 + grid * 1e-3)
+        if tick == 4999:
+            pack_snapshot(cycle.state, snapshot)
+    driver.close()
+    cycles = kept.cycles[4900:]
+    begin = begin_of(cycles)
+    metadata = bench.metadata({"begin": begin, "snapshot": snapshot_entry(snapshot), "replayable": True})
+    return since(cycles, begin), json.loads(json.dumps(metadata))
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_records_of_faults_replay_to_the_last_bit(name: str) -> None:
+    cycles, metadata = record_of(**FAULTS[name])
+    assert Phase.HOLD in cycles["phase"][:100], "the robot is to be at its address"
+    replay = replay_cycles(cycles, metadata, name)
+    assert len(replay.recorded) == 2000
+    assert [(d.field, d.greatest) for d in replay.differences() if d.greatest] == []
+    tripped = name not in {"nothing", "single lost samples", "missed ticks", "refused and other requests"}
+    assert bool(replay.recorded["trip"].any()) is tripped
+
+
+def test_a_replay_leaves_the_record_alone(swing: Record) -> None:
+    before = swing[0].tobytes()
+    replay = replay_cycles(*swing, "swing")
+    assert swing[0].tobytes() == before
+    for name in INPUTS:
+        assert np.array_equal(replay.recorded[name], replay.replayed[name], equal_nan=True)
+
+
+def test_both_engines_and_every_swing_of_a_series_replay() -> None:
+    for engine in ("compiled", "python"):
+        bench = replace(reference_bench(), engine=engine)
+        for result in simulate_swings(bench, [bench.plant.ball, None]):
+            metadata = json.loads(json.dumps(bench.metadata(result.replay_metadata())))
+            replay = replay_cycles(result.cycles, metadata, "swing")
+            assert len(replay.recorded) == len(result.cycles) - 1
+            assert [d.field for d in replay.differences(0.0) if d.ticks] == []
+
+
+# How it compares ------------------------------------------------------------------------------------
+
+
+def tampered(replay: Replay, field: str, value: float, tick: int = 100) -> Replay:
+    recorded = since(replay.recorded, 0.0)
+    recorded[field][tick] = value
+    return replace(replay, recorded=recorded)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "differs"),
+    [
+        ("angle", np.nan, True),
+        ("angle", np.inf, True),
+        ("tee", 0, True),
+        ("phase", int(Phase.RETURN), True),
+        ("trip", int(Cause.GROUND), True),
+        ("work_time", 9.0, False),
+        ("plant_angle", 9.0, False),
+    ],
+)
+def test_a_single_value_shows_where_it_stands(swing: Record, field: str, value: float, differs: bool) -> None:
+    replay = tampered(replay_cycles(*swing, "swing"), field, value)
+    found = [d for d in replay.differences() if d.ticks]
+    assert [d.field for d in found] == [field] * differs
+    for d in found:
+        at = replay.recorded[100]
+        assert (d.ticks, d.tick, d.time) == (1, at["tick"], at["time"])
+
+
+def test_the_tolerance_is_absolute_plus_relative(swing: Record) -> None:
+    replay = replay_cycles(*swing, "swing")
+    angle = float(replay.replayed["angle"][100, 2])
+    assert angle > 4.0
+    for apart, differs in ((0.9 * (1 + angle) * 1e-6, False), (1.1 * (1 + angle) * 1e-6, True)):
+        recorded = since(replay.recorded, 0.0)
+        recorded["angle"][100, 2] += apart
+        (found,) = [d for d in replace(replay, recorded=recorded).differences(1e-6) if d.field == "angle"]
+        assert (found.ticks, found.component if differs else "wrist") == (int(differs), "wrist")
+        assert found.greatest == pytest.approx(apart, rel=1e-3)
+
+
+# What cannot be replayed ------------------------------------------------------------------------------
+
+
+def without(metadata: dict[str, Any], *keys: str) -> dict[str, Any]:
+    copy = json.loads(json.dumps(metadata))
+    node = copy
+    for key in keys[:-1]:
+        node = node[key]
+    del node[keys[-1]]
+    return copy  # type: ignore[no-any-return]
+
+
+def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> None:
+    metadata = without(
+        without(swing[1], "configuration", "control", "strike_drop"), "configuration", "homing"
+    )
+    replay = replay_cycles(swing[0], metadata, "swing")
+    assert replay.defaults == (
+        "control.strike_drop",
+        *(f"homing.{key}" for key in swing[1]["configuration"]["homing"]),
+    )
+    assert wrong(replay) == {}
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "place"),
+    [
+        (("snapshot",), None, "swing: snapshot"),
+        (("snapshot", "layout"), "0123", "swing: snapshot"),
+        (("snapshot", "data"), "AAAA", "swing: snapshot"),
+        (("replayable",), False, "swing"),
+        (("begin",), None, "swing: begin"),
+        (("profile", "data"), "AAAA", "swing: profile"),
+        (("configuration",), None, "swing: configuration"),
+    ],
+)
+def test_what_is_missing_or_damaged_is_told(
+    swing: Record, keys: tuple[str, ...], value: Any, place: str
+) -> None:
+    metadata = json.loads(json.dumps(swing[1]))
+    node = metadata
+    for key in keys[:-1]:
+        node = node[key]
+    node[keys[-1]] = value
+    with pytest.raises(BenchError) as refusal:
+        replay_cycles(swing[0], metadata, "swing")
+    assert refusal.value.place == place
+
+
+def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -> None:
+    metadata = json.loads(json.dumps(swing[1]))
+    metadata["configuration"]["control"]["still_time"] = -1.0
+    metadata["configuration"]["envelope"]["glue"] = 3
+    metadata["configuration"]["plant"]["robot"]["l12"] = "long"
+    with pytest.raises(ExceptionGroup) as group:
+        replay_cycles(swing[0], metadata, "swing")
+    places = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
+    assert [place.split(": ")[-1] for place in places] == [
+        "plant.robot.l12", "control.still_time", "envelope.glue",
+    ]  # fmt: skip
+
+
+def test_a_snapshot_of_another_time_is_told(swing: Record) -> None:
+    with pytest.raises(BenchError, match="tick"):
+        replay_cycles(swing[0][5:], swing[1], "swing")
+    with pytest.raises(BenchError, match="tick"):
+        replay_cycles(swing[0][:1], swing[1], "swing")
+
+
+# The command ------------------------------------------------------------------------------------------
+
+
+def command(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(["replay", *arguments])
+    return int(end.value.code or 0)
+
+
+def test_the_command_says_yes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(str(SWING)) == 0
+    assert "Equal: today's controller does what was recorded." in capsys.readouterr().out
+
+
+def test_the_command_says_no_with_the_first_tick(
+    tmp_path: Path, swing: Record, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cycles = since(swing[0], 0.0)
+    cycles["phase"][700], cycles["angle"][900] = Phase.HOLD, np.nan
+    metadata = {k: v for k, v in swing[1].items() if k not in {"schema_version", "enumerations"}}
+    path = tmp_path / "tampered.parquet"
+    write_swing(path, cycles, metadata)
+    assert command(str(path)) == 1
+    text = capsys.readouterr().out
+    assert f"Different: first in tick {cycles['tick'][700]}, phase." in text
+    assert "HOLD" in text
+    assert command(str(path), "--json") == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["equal"], answer["ticks"]) == (False, len(cycles) - 1)
+    found = {field["field"]: field for field in answer["fields"]}
+    assert set(found) == DECIDED
+    assert [name for name, field in found.items() if field["ticks"]] == ["phase", "angle"]
+    assert (found["angle"]["tick"], found["angle"]["greatest"]) == (cycles["tick"][900], None)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (["nowhere.parquet"], 2, "no such file"),
+        ([__file__], 2, "unreadable"),
+        ([str(SWING), "--tolerance", "nan"], 2, "--tolerance"),
+        ([str(SWING), "--tolerance", "-1"], 2, "tolerance"),
+        ([], 2, "RECORD"),
+    ],
+)
+def test_wrong_usage_is_told(
+    arguments: list[str], code: int, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(*arguments) == code
+    errors = capsys.readouterr().err
+    assert text in errors
+    assert "Traceback" not in errors
