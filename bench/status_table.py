@@ -109,13 +109,13 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
             f"woken p50 {_microseconds(loop['wake_p50_s'])}, p99 {_microseconds(loop['wake_p99_s'])}; "
             f"tick p99 {_microseconds(loop['tick_p99_s'])}",
         ),
-        ("real time", _pairs(status["real_time"])),
+        ("real time", _real_time(status["real_time"])),
         ("processes", _processes(status)),
         ("swings", f"{status['swings']} of {status['profile']}, driver {status['driver']}"),
         ("commands", _pairs(dict(status["counts"]))),
     ]
     if status["last_stop"]:
-        rows.append(("last stop", _pairs(status["last_stop"])))
+        rows.append(("last stop", ", ".join(str(value) for value in status["last_stop"].values())))
     if status["read_only"]:
         rows.append(("read only", Text("observes and sends nothing but safe outputs", "yellow")))
     return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
@@ -137,6 +137,21 @@ def _processes(status: Status) -> Text:
     if not status["support_ready"]:
         words.append(Text("nothing is armed without recorder and publisher", "yellow"))
     return Text(", ").join(words)
+
+
+def _real_time(granted: Mapping[str, Any]) -> Text:
+    """Return what the machine granted of what was asked, and in yellow what it did not."""
+    mode = granted.get("mode", "off")
+    if mode == "off":
+        return Text("off: nothing was asked of the machine")
+    missing = [
+        f"{setting['name']} {setting['granted']} instead of {setting['asked']}"
+        for setting in granted["settings"].values()
+        if not setting["held"]
+    ]
+    return Text.assemble(
+        f"{mode}: ", (", ".join(missing), "yellow") if missing else "all that was asked is granted"
+    )
 
 
 def _pairs(values: Mapping[str, Any]) -> str:

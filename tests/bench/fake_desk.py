@@ -98,7 +98,14 @@ class FakeDesk:
             loop=LoopStatus(
                 rate_hz=999.98, skipped=3, late=5, wake_p50_s=8e-6, wake_p99_s=41e-6, tick_p99_s=93e-6
             ),
-            real_time={"policy": "SCHED_FIFO 80", "memory_locked": True},
+            real_time={
+                "mode": "prefer",
+                "held": False,
+                "settings": {
+                    "memory lock": {"name": "memory lock", "asked": "all", "granted": "none", "held": False},
+                    "scheduling": {"name": "scheduling", "asked": "80", "granted": "80", "held": True},
+                },
+            },
             counts=CountStatus(commands=0, refused=0, malformed=0, dropped=0),
             last_stop={"cause": "POWER_UP", "time": 0.0},
             uptime=12.5,

@@ -21,7 +21,7 @@ from rich.table import Table
 from tests.benchmarks.row import Row
 
 BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep", "shared_memory")
-LONG = ("loop_timing",)
+LONG = ("loop_timing", "command_fuzz")
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")
 

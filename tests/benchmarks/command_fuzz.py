@@ -1,0 +1,459 @@
+"""A hundred thousand messages that do not hold: each is answered, or dropped and counted.
+
+`fuzz` sends them to any command plane: random bytes, broken and mutated JSON, wrong types, unknown verbs, too
+long, repeated, out of order, without a lease. `run` does so against a plane in a process of its own, whose
+memory is watched, and then against `golfbench run`, whose loop's timing is compared with and without it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+import zenoh
+
+from bench.client import BenchClient
+from bench.command import LAST_SEQUENCE, LONGEST_MESSAGE, Verb, encode_command, parse_answer, parse_error
+from bench.config import Configuration, load_configuration
+from bench.desk import CountStatus, Status
+from bench.lease import new_key
+from bench.ownership import bench_folder
+from bench.plan import TIMING_FILE
+from bench.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
+from bench.zenoh_session import NoAnswer, open_client
+from tests.bench.fake_desk import FakeDesk, free_port, loopback_configuration, running_plane
+from tests.benchmarks.row import Row
+
+MESSAGES = 100_000
+WINDOW = 512
+"""Messages under way at once: more than a lane of the plane takes."""
+
+LONGEST_START = 300.0
+"""s until a bench must answer: the first start compiles."""
+
+VERBS = tuple(map(str, Verb))
+_LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789-_é"
+_JSON_BITS = (
+    '"',
+    "{",
+    "}",
+    "[",
+    "]",
+    ",",
+    ":",
+    "1e999",
+    "NaN",
+    "null",
+    "\\ud800",
+    "\x00",
+    '"version": 1',
+    "-0",
+    "é",
+)
+
+
+class Sent(NamedTuple):
+    """One message to be sent."""
+
+    kind: str
+    verb: str
+    payload: bytes
+
+
+@dataclass
+class Tally:
+    """What became of the messages, as their sender saw it."""
+
+    sent: Counter[str] = field(default_factory=Counter)
+    """By kind."""
+    answered: Counter[str] = field(default_factory=Counter)
+    """accepted, refused, malformed, and none for those without an answer."""
+    unreadable: list[bytes] = field(default_factory=list)
+    """Answers that are none."""
+    seconds: float = 0.0
+
+
+def messages(source: random.Random, key: str) -> Iterator[Sent]:
+    """Yield messages without end, none of which is to move the bench.
+
+    `key` is of a lease whose sequence is used up. A fifth of the messages is well formed: looking, stopping,
+    and commands that come too late in their sequence or without a lease.
+    """
+    makers: tuple[tuple[str, Callable[[], tuple[str, bytes]]], ...] = (
+        ("bytes", lambda: (source.choice(VERBS), source.randbytes(source.randrange(200)))),
+        ("empty", lambda: (source.choice(VERBS), b"")),
+        ("broken", lambda: _broken(source, key)),
+        ("mutated", lambda: _mutated(source, key)),
+        ("bits of JSON", lambda: (source.choice(VERBS), "".join(source.choices(_JSON_BITS, k=12)).encode())),
+        ("deep", lambda: (source.choice(VERBS), source.choice((b"[", b'{"a":')) * source.randrange(1, 800))),
+        ("unknown verb", lambda: (_word(source), _valid(source, "status", key))),
+        ("wild verb", lambda: (source.choice(("*", "**", "a/b", "*/stop", "status/*")), b"{}")),
+        ("too long", lambda: (source.choice(VERBS), b" " * source.randrange(LONGEST_MESSAGE + 1, 60_000))),
+        ("much too long", lambda: _seldom(source, lambda: (source.choice(VERBS), b"x" * 900_000), 200)),
+        ("no lease", lambda: _keyed(source, new_key(), source.randrange(1, 1000))),
+        ("out of order", lambda: _keyed(source, key, source.randrange(1, LAST_SEQUENCE))),
+        ("bad key", lambda: _keyed(source, _word(source), 1)),
+        ("holds", lambda: _holds(source)),
+    )
+    while True:
+        kind, make = source.choice(makers)
+        yield Sent(kind, *make())
+
+
+def _word(source: random.Random) -> str:
+    return "".join(source.choices(_LETTERS, k=source.randrange(1, 30)))
+
+
+def _valid(source: random.Random, verb: str, key: str) -> bytes:
+    values: dict[str, Any] = {"key": key, "sequence": source.randrange(1, 10)}
+    if verb == Verb.LEASE:
+        values |= {"action": source.choice(("renew", "release"))}
+    return encode_command(Verb(verb), **({} if verb in ("status", "stop", "estop", "disarm") else values))
+
+
+def _broken(source: random.Random, key: str) -> tuple[str, bytes]:
+    """A message cut, or with a byte changed; the rest may hold, then it is out of order."""
+    verb = source.choice(VERBS)
+    payload = bytearray(_valid(source, verb, key))
+    if source.random() < 0.5:
+        return verb, bytes(payload[: source.randrange(len(payload))])
+    payload[source.randrange(len(payload))] = source.randrange(256)
+    return verb, bytes(payload)
+
+
+def _mutated(source: random.Random, key: str) -> tuple[str, bytes]:
+    """A message with a key left out, added or of another type."""
+    verb = source.choice(VERBS)
+    message = json.loads(_valid(source, verb, key))
+    value = source.choice([None, True, -1, 1.5, "x", [], {}, "x" * 3000, 2**64, [[1]], {"a": {"b": 1}}])
+    match source.randrange(3):
+        case 0:
+            del message[source.choice(list(message))]
+        case 1:
+            message[_word(source)] = value
+        case _:
+            message[source.choice(list(message))] = value
+    return verb, json.dumps(message).encode()
+
+
+def _keyed(source: random.Random, key: str, sequence: int) -> tuple[str, bytes]:
+    verb = source.choice((Verb.HOME, Verb.ARM, Verb.ACCESS, Verb.SECURE, Verb.SWING, Verb.TEE, Verb.RESET))
+    return verb, encode_command(verb, key=key, sequence=sequence)
+
+
+def _holds(source: random.Random) -> tuple[str, bytes]:
+    verb = source.choice((Verb.STATUS, Verb.STATUS, Verb.STATUS, Verb.DISARM, Verb.STOP, Verb.ESTOP))
+    return verb, encode_command(verb)
+
+
+def _seldom(source: random.Random, make: Callable[[], tuple[str, bytes]], share: int) -> tuple[str, bytes]:
+    return make() if source.randrange(share) == 0 else (source.choice(VERBS), b" " * (LONGEST_MESSAGE + 1))
+
+
+def fuzz(
+    session: zenoh.Session,
+    bench: str,
+    count: int,
+    key: str,
+    seed: int = 1,
+    each: Callable[[int], None] = lambda number: None,
+) -> Tally:
+    """Send `count` messages to `bench` and wait until each is answered or given up.
+
+    `each` is called with the number of each message sent.
+    """
+    tally, lock, free = Tally(), threading.Lock(), threading.Semaphore(WINDOW)
+    stream = messages(random.Random(seed), key)
+    began = time.monotonic()
+    for number in range(count):
+        message = next(stream)
+        tally.sent[message.kind] += 1
+        free.acquire()
+        _send(session, f"golfbench/{bench}/command/{message.verb}", message.payload, tally, lock, free)
+        each(number)
+    for _ in range(WINDOW):
+        if not free.acquire(timeout=30.0):
+            raise TimeoutError("a message is neither answered nor given up")
+    tally.seconds = time.monotonic() - began
+    return tally
+
+
+def _send(
+    session: zenoh.Session,
+    selector: str,
+    payload: bytes,
+    tally: Tally,
+    lock: threading.Lock,
+    free: threading.Semaphore,
+) -> None:
+    outcomes: list[str] = []
+
+    def heard(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            answer = reply.ok.payload.to_bytes()
+            outcomes.append("accepted" if parse_answer(answer).accepted else "refused")
+        elif reply.err is not None and reply.err.encoding == zenoh.Encoding.APPLICATION_JSON:
+            answer = reply.err.payload.to_bytes()
+            outcomes.append("malformed")
+            if parse_error(answer).place == "answer of the bench":
+                tally.unreadable.append(answer)
+
+    def done() -> None:
+        with lock:
+            tally.answered[outcomes[0] if len(outcomes) == 1 else f"{len(outcomes)} answers"] += 1
+        free.release()
+
+    session.get(selector, zenoh.handlers.Callback(heard, done, indirect=False), payload=payload, timeout=20.0)
+
+
+def use_up(client: BenchClient) -> str:
+    """Take the lease, use its last sequence number, return its key: all that follows is out of order."""
+    held = client.take_lease("fuzz", 600.0)
+    held.sequence = LAST_SEQUENCE - 1
+    client.renew_lease()
+    return held.key
+
+
+def uncounted(tally: Tally, before: CountStatus, after: CountStatus) -> int:
+    """Return how many messages are neither answered nor in the plane's counts as dropped (0 is what must be).
+
+    The plane counts the two looks at its status, or one of them, too: `after` holds itself.
+    """
+    counted = {name: after[name] - before[name] for name in ("commands", "refused", "malformed", "dropped")}
+    counted["commands"] -= 1  # the look at `after`
+    seen = {
+        "commands": tally.answered["accepted"],
+        "refused": tally.answered["refused"],
+        "malformed": tally.answered["malformed"],
+        "dropped": tally.answered["0 answers"],
+    }
+    return sum(abs(counted[name] - seen[name]) for name in seen)
+
+
+# Against a plane alone -------------------------------------------------------------------------------
+
+
+@contextmanager
+def plane_process() -> Iterator[tuple[Configuration, psutil.Process]]:
+    """Yield the configuration and the process of a command plane in front of a desk without a bench."""
+    configuration = loopback_configuration()
+    port = configuration.network.endpoint.rpartition(":")[2]
+    command = [sys.executable, "-m", "tests.benchmarks.command_fuzz", port]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        if process.stdout is None or process.stdout.readline() != b"ready\n":
+            raise RuntimeError("the command plane did not start")
+        yield configuration, psutil.Process(process.pid)
+        process.terminate()
+
+
+def fuzz_plane(count: int = MESSAGES) -> list[Row]:
+    """Fuzz a plane alone."""
+    memory: list[float] = []
+    with plane_process() as (configuration, process):
+        with BenchClient.connect(configuration) as client:
+            key = use_up(client)
+            before = client.status()["counts"]
+
+            def watch(number: int) -> None:
+                if number % (count // 50) == 0:
+                    memory.append(process.memory_info().rss / 2**20)
+
+            with open_client(configuration.network, "bench1") as session:
+                tally = fuzz(session, configuration.bench.id, count, key, each=watch)
+            after = client.status()["counts"]
+    name = "command plane under fuzz"
+    answered = sum(tally.answered[kind] for kind in ("accepted", "refused", "malformed"))
+    kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(tally.sent.items()))
+    # The first fifth warms up allocators and threads.
+    settled = memory[len(memory) // 5 :]
+    return [
+        Row(name, "sent", count, "messages", f"{count / tally.seconds:.0f} a second: {kinds}"),
+        Row(name, "answered", answered, "messages", str(dict(tally.answered))),
+        Row(name, "neither answered nor counted", uncounted(tally, before, after), "messages", at_most=0),
+        Row(name, "unreadable answers", len(tally.unreadable), "messages", at_most=0),
+        Row(name, "memory", settled[-1], "MiB", f"{memory[0]:.1f} at the start"),
+        Row(name, "growth of memory over the last four fifths", settled[-1] - settled[0], "MiB", at_most=4.0),
+    ]
+
+
+# Against a running bench ----------------------------------------------------------------------------
+
+CONDITIONS = ("quiet", "other", "fuzz")
+"""Nothing; the same messages to a plane that is not this bench's, which keeps the machine as busy; to it."""
+
+
+class Timing:
+    """How a loop kept time under one condition, pooled over its windows."""
+
+    def __init__(self) -> None:
+        self.count = np.zeros((len(SEGMENTS), BUCKETS), np.int64)
+        self.ticks = self.skipped = self.late = 0
+
+    def add(self, before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> None:
+        """Add what happened between two snapshots of the loop's timing."""
+        self.count += after["count"][0] - before["count"][0]
+        self.ticks += int(after["ticks"][0] - before["ticks"][0])
+        self.skipped += int(after["skipped"][0] - before["skipped"][0])
+        self.late += int(after["late"][0] - before["late"][0])
+
+    def microseconds(self, segment: str, share: float) -> float:
+        """Return a percentile of a segment's durations."""
+        return percentile(self.count[SEGMENTS.index(segment)], share) / 1000
+
+
+@contextmanager
+def running_bench(folder: Path) -> Iterator[Configuration]:
+    """Yield the configuration of a bench that runs with the simulated plant on its own clock, in ESTOP."""
+    file = folder / "bench.toml"
+    file.write_text(
+        f'base = "shipped"\n[bench]\nid = "fuzz{os.getpid()}"\ndata_dir = "{folder / "data"}"\n'
+        f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n'
+    )
+    configuration = load_configuration(file)
+    with (folder / "log").open("w+") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "bench", "--config", str(file), "run"], stdout=log, stderr=log
+        )
+        try:
+            deadline = time.monotonic() + LONGEST_START
+            while not _is_up(configuration):
+                if process.poll() is not None or time.monotonic() > deadline:
+                    log.seek(0)
+                    raise RuntimeError(f"the bench did not start: {log.read()[-2000:]}")
+                time.sleep(0.2)
+            yield configuration
+        finally:
+            process.terminate()
+            try:
+                process.wait(60.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def _is_up(configuration: Configuration) -> bool:
+    try:
+        with BenchClient.connect(configuration) as client:
+            status = client.status()
+            return status["support_ready"] and status["state"] != "STARTING"
+    except NoAnswer:
+        return False
+
+
+def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
+    """Fuzz a running bench with `count` messages in `windows`, between as many without."""
+    timings = {condition: Timing() for condition in CONDITIONS}
+    sent: Counter[str] = Counter()
+    name = "running bench under fuzz"
+    with (
+        TemporaryDirectory() as folder,
+        running_bench(Path(folder)) as c,
+        plane_process() as (other, _),
+        BenchClient.connect(c) as client,
+        open_client(c.network, c.bench.id) as session,
+        open_client(other.network, other.bench.id) as other_session,
+        TimingReader(bench_folder(c.bench.id) / TIMING_FILE) as reader,
+    ):
+        key = use_up(client)
+        began, before, missing = client.status(), client.status()["counts"], 0
+        memory = [_memory(began)]
+        length = 3.0
+        for window in range(windows):
+            # Each condition comes first, second and last in turn.
+            for place in range(3):
+                condition = CONDITIONS[(window + place) % 3]
+                start = reader.snapshot()
+                match condition:
+                    case "quiet":
+                        time.sleep(length)
+                    case "other":
+                        fuzz(other_session, other.bench.id, count // windows, key, seed=window)
+                    case _:
+                        tally = fuzz(session, c.bench.id, count // windows, key, seed=window)
+                        sent.update(tally.answered)
+                        length = tally.seconds
+                        after = client.status()["counts"]
+                        missing += uncounted(tally, before, after)
+                        before = after
+                timings[condition].add(start, reader.snapshot())
+            memory.append(_memory(client.status()))
+            before = client.status()["counts"]
+        ended = client.status()
+    rows = [
+        Row(name, "answered", sent.total(), "messages", f"{dict(sent)}, {count // windows} in each window"),
+        Row(name, "neither answered nor counted", missing, "messages", at_most=0),
+        Row(name, "loop restarted or state left", _left(began, ended), "", ended["state"], at_most=0),
+        Row(name, "growth of the supervisor's memory", memory[-1] - memory[1], "MiB", at_most=8.0),
+    ]
+    for segment, share in itertools.product(("wake_up", "tick"), (0.5, 0.99, 0.999)):
+        quiet, other_, fuzzed = (timings[c].microseconds(segment, share) for c in CONDITIONS)
+        note = f"{quiet:.0f} µs quiet, {other_:.0f} µs while another plane is fuzzed"
+        rows.append(Row(name, f"{segment} p{100 * share:g}", fuzzed, "µs", note))
+        if share < 0.999:
+            # The tail beyond is the machine's.
+            figure = f"{segment} p{100 * share:g}, fuzzed over another plane fuzzed"
+            rows.append(Row(name, figure, fuzzed / other_, "", at_most=1.5))
+    for what in ("late", "skipped"):
+        share_ = {c: 1e5 * getattr(t, what) / t.ticks for c, t in timings.items()}
+        note = f"{share_['quiet']:.0f} quiet, {share_['other']:.0f} while another plane is fuzzed"
+        rows.append(Row(name, what, share_["fuzz"], "of 100,000 ticks", note))
+    return rows
+
+
+def _memory(status: Status) -> float:
+    """Return the resident memory (MiB) of the supervisor, the parent of the loop."""
+    loop = psutil.Process(status["processes"]["loop"]["pid"])
+    parent = loop.parent()
+    return float("nan") if parent is None else parent.memory_info().rss / 2**20
+
+
+def _left(before: Status, after: Status) -> int:
+    """Return 0 if the loop is the same and the bench stands as it stood."""
+    same = all(before["processes"]["loop"][k] == after["processes"]["loop"][k] for k in ("pid", "alive"))
+    return int(not same or after["state"] not in ("ESTOP", "FAULT") or after["swings"] != before["swings"])
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Fuzz a plane alone, then a running bench."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks command_fuzz")
+    parser.add_argument("--messages", type=int, default=MESSAGES, metavar="N", help="to each of the two")
+    parser.add_argument("--windows", type=int, default=8, metavar="N", help="of each condition")
+    parser.add_argument("--alone", action="store_true", help="only a command plane without a bench")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write the figures there, JSON")
+    chosen = parser.parse_args(arguments)
+    rows = fuzz_plane(chosen.messages)
+    if not chosen.alone:
+        rows += fuzz_bench(chosen.messages, chosen.windows)
+    if chosen.output:
+        figures = [{**row._asdict(), "holds": row.holds} for row in rows]
+        chosen.output.write_text(json.dumps(figures, indent=1) + "\n")
+    return rows
+
+
+def serve(port: int) -> None:
+    """Be a command plane at `port` until SIGTERM."""
+    with running_plane(FakeDesk(), loopback_configuration(port)) as running:
+        print("ready", flush=True)
+        while True:
+            running.plane.publish_state(running.desk.status())
+            time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    serve(int(sys.argv[1]))
