@@ -72,12 +72,17 @@ class PacedClock:
 LATE = 1_000_000
 """ns after its due time from which on a tick counts as late."""
 
+LONGEST_SPIN, SPIN_SHARE = 40_000, 0.04
+"""ns, and share of the period, for which at most the end of a wait is spun through: usual wake-up latencies
+pass in it, at two per cent of a core on average."""
+
 
 class GridClock:
     """Wall time: ticks on an absolute grid of CLOCK_MONOTONIC.
 
-    A grid point that has passed when the loop comes to wait is skipped and counted, never caught up:
-    after a stall the loop goes on with the next point ahead.
+    Sleeps until shortly before the grid point, then looks at the clock until it is there. A grid point that
+    has passed when the loop comes to wait is skipped and counted, never caught up: after a stall the loop
+    goes on with the next point ahead.
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class GridClock:
         """The grid starts one period after the first `wait`; `sleep_until` may return early."""
         self.period_ns, self.period = period_ns, period_ns * 1e-9
         self._now, self._sleep_until = now, sleep_until or absolute_sleep()
+        self._spin = min(LONGEST_SPIN, int(SPIN_SHARE * period_ns))
         self.due = 0
         """Grid point of the current tick, ns of CLOCK_MONOTONIC; 0 before the first."""
         self.woke = 0
@@ -107,8 +113,10 @@ class GridClock:
             self.skipped += missed
             due += missed * self.period_ns
         self.due = due
-        while (woke := self._now()) < due:  # again when a signal has ended the sleep
-            self._sleep_until(due)
+        while (woke := self._now()) < due - self._spin:  # again when a signal has ended the sleep
+            self._sleep_until(due - self._spin)
+        while woke < due:
+            woke = self._now()
         self.woke = woke
         if woke - due > LATE:
             self.late += 1

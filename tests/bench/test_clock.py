@@ -11,37 +11,56 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.clock import LATE, GridClock, absolute_sleep
+from bench.clock import LATE, LONGEST_SPIN, GridClock, absolute_sleep
 
 PERIOD = 1_000_000
 START = 5_000_000_123
+LOOK = 100
+"""ns that a look at the clock takes."""
 
 
 class World:
-    """A machine whose time passes only while somebody sleeps or works."""
+    """A machine whose time passes only while somebody sleeps, works or looks at the clock."""
 
     def __init__(self, latency: int = 0) -> None:
-        self.now, self.latency, self.sleeps = START, latency, 0
+        self.now, self.latency, self.sleeps, self.looks = START, latency, 0, 0
+
+    def look(self) -> int:
+        self.looks += 1
+        self.now += LOOK
+        return self.now
 
     def sleep_until(self, due: int) -> None:
         self.now = max(self.now, due) + self.latency
         self.sleeps += 1
+        self.looks = 0
 
-    def clock(self) -> GridClock:
-        return GridClock(PERIOD, lambda: self.now, self.sleep_until)
+    def clock(self, period: int = PERIOD) -> GridClock:
+        return GridClock(period, self.look, self.sleep_until)
 
 
-def test_ticks_lie_on_the_grid() -> None:
-    world = World(latency=7_000)
+@pytest.mark.parametrize("latency", [0, 7_000, LONGEST_SPIN - LOOK])
+def test_ticks_lie_on_the_grid_and_usual_latencies_do_not_show(latency: int) -> None:
+    world = World(latency)
     clock = world.clock()
     for k in range(1, 2000):
         time_s = clock.wait()
         world.now += 100_000
-        assert clock.due == START + k * PERIOD
-        assert clock.woke == clock.due + 7_000
+        assert clock.due == START + LOOK + k * PERIOD
+        assert 0 <= clock.woke - clock.due < LOOK
         assert time_s == pytest.approx(clock.woke * 1e-9, abs=1e-9)
     assert (clock.skipped, clock.late) == (0, 0)
     assert clock.period == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("period", [200_000, 250_000, 500_000, PERIOD, 10 * PERIOD])
+def test_less_than_a_twentieth_of_the_time_is_spun(period: int) -> None:
+    world = World()
+    clock = world.clock(period)
+    for _ in range(10):
+        clock.wait()
+        assert world.sleeps
+        assert 0 < world.looks * LOOK < 0.05 * period
 
 
 @pytest.mark.parametrize(
@@ -60,10 +79,10 @@ def test_grid_points_that_passed_are_skipped_and_counted(work: int, skipped: int
     clock = world.clock()
     clock.wait()
     first = clock.due
-    world.now += work
+    world.now = first + work - LOOK
     clock.wait()
     assert clock.skipped == skipped
-    assert clock.due == clock.woke == first + (1 + skipped) * PERIOD
+    assert clock.due == first + (1 + skipped) * PERIOD
     clock.wait()
     assert clock.due == first + (2 + skipped) * PERIOD, "no burst follows"
 
@@ -71,14 +90,12 @@ def test_grid_points_that_passed_are_skipped_and_counted(work: int, skipped: int
 def test_a_late_wake_up_is_counted_and_told() -> None:
     world = World()
     clock = world.clock()
-    clock.wait()
-    world.latency = LATE
-    clock.wait()
-    assert clock.late == 0
-    world.now, world.latency = world.now + 1, LATE + 1
-    clock.wait()
-    assert clock.late == 1
-    assert clock.woke == clock.due + LATE + 1
+    for latency, late in ((LATE, 0), (LATE + 1, 1)):
+        clock.due = 0  # a new grid from here
+        world.latency = LONGEST_SPIN + latency - LOOK
+        clock.wait()
+        assert clock.woke == clock.due + latency
+        assert clock.late == late
 
 
 @given(st.lists(st.tuples(st.integers(0, 10 * PERIOD), st.integers(0, 10 * PERIOD)), max_size=50))
@@ -104,10 +121,10 @@ def test_a_sleep_that_ends_early_makes_no_tick_early() -> None:
         world.now += 300_000
         world.sleeps += 1
 
-    clock = GridClock(PERIOD, lambda: world.now, interrupted)
+    clock = GridClock(PERIOD, world.look, interrupted)
     clock.wait()
     assert clock.woke >= clock.due
-    assert world.sleeps == 4
+    assert world.sleeps == 4, "it sleeps again, it does not spin"
 
 
 @pytest.fixture
