@@ -337,7 +337,7 @@ import sys, time
 from bench.errors import Refused
 from bench.ownership import take_bench
 taken = 0
-for _ in range(300):
+for _ in range(150):
     try:
         with take_bench("a", {"RUNTIME_DIRECTORY": sys.argv[1]}) as bench:
             (bench.folder / "alone").touch(exist_ok=False)

@@ -5,6 +5,7 @@ GOLFBENCH_HOSTILE_SECONDS=60 makes the run at full speed longer.
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 import signal
@@ -25,7 +26,8 @@ LARGE = 8192
 """Words of a record whose write takes so long that most signals come in its middle."""
 STEP = 0x9E3779B97F4A7C15
 """Odd: word i of record s is s + i STEP, so no two records share a word at one place."""
-ROUNDS = 150
+ROUNDS = 20
+"""Signals sent at least, and as many more as SECONDS allow."""
 
 # Forks a writer whenever a line comes, tells its pid, buries it.
 WRITERS = """
@@ -131,6 +133,15 @@ def record(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[tuple[Wri
     shared.close()
 
 
+def pauses() -> Iterator[float]:
+    """Return random times (s) to wait before a signal: ROUNDS, and more for half of SECONDS."""
+    chance, deadline = random.Random(1), time.monotonic() + SECONDS / 2
+    for number in itertools.count():
+        if number >= ROUNDS and time.monotonic() > deadline:
+            return
+        yield chance.uniform(0, 0.002)
+
+
 def in_the_middle_of_a_write(check: Check) -> bool:
     """Tell whether the writer, which does not run now, has begun a write that it has not ended."""
     slots = check.shared._slots
@@ -150,9 +161,10 @@ def test_at_full_speed_nothing_is_torn(record: tuple[Writers, Check]) -> None:
 @pytest.mark.parametrize("record", [LARGE], indirect=True)
 def test_a_writer_stopped_in_the_middle_of_a_write_holds_nobody(record: tuple[Writers, Check]) -> None:
     writers, check = record
-    chance, middles = random.Random(1), 0
-    for _ in range(ROUNDS):
-        time.sleep(chance.uniform(0, 0.002))
+    rounds = middles = 0
+    for pause in pauses():
+        rounds += 1
+        time.sleep(pause)
         os.kill(writers.pid, signal.SIGSTOP)
         wait_until_stopped(writers.pid)
         middles += in_the_middle_of_a_write(check)
@@ -160,7 +172,7 @@ def test_a_writer_stopped_in_the_middle_of_a_write_holds_nobody(record: tuple[Wr
         assert check.read() == check.read() == newest
         os.kill(writers.pid, signal.SIGCONT)
         check.wait_beyond(newest)
-    assert middles > ROUNDS / 10, "the test means it"
+    assert middles > rounds / 10, "the test means it"
 
 
 @pytest.mark.parametrize("record", [LARGE], indirect=True)
@@ -168,9 +180,10 @@ def test_a_writer_killed_in_the_middle_of_a_write_is_followed_by_another(
     record: tuple[Writers, Check], tmp_path: Path
 ) -> None:
     writers, check = record
-    chance, middles = random.Random(2), 0
-    for _ in range(ROUNDS):
-        time.sleep(chance.uniform(0, 0.002))
+    rounds = middles = 0
+    for pause in pauses():
+        rounds += 1
+        time.sleep(pause)
         writers.kill()
         middles += in_the_middle_of_a_write(check)
         newest = check.shared._slots.head
@@ -180,10 +193,11 @@ def test_a_writer_killed_in_the_middle_of_a_write_is_followed_by_another(
         late.shared.close()
         writers.start()
         check.wait_beyond(newest)
-    assert middles > ROUNDS / 10, "the test means it"
+    assert middles > rounds / 10, "the test means it"
 
 
 def wait_until_stopped(pid: int) -> None:
     deadline = time.monotonic() + 10
     while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
         assert time.monotonic() < deadline
+        time.sleep(0.0002)
