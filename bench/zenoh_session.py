@@ -23,6 +23,10 @@ LONGEST_MESSAGE = 2**20
 LONGEST_WAIT = 0.1
 """s that a send waits for a peer that takes nothing, before the link to it is closed."""
 
+_QUEUE = 16
+"""Batches (64 kB) of a link that wait to be sent; half a second of telemetry at 1 kHz, with zenoh's own 2 a
+stall of a busy machine costs messages."""
+
 
 class NoAnswer(BenchError):
     """The bench does not answer. zenoh does not say whether it refused the connection or is not there."""
@@ -85,7 +89,7 @@ def _configuration(
             "shared_memory": {"enabled": False},
             "link": {
                 "rx": {"max_message_size": LONGEST_MESSAGE},
-                "tx": {"queue": {"congestion_control": congestion}},
+                "tx": {"queue": {"size": {"data": _QUEUE}, "congestion_control": congestion}},
             },
         },
     }

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from bench.errors import BenchError
-from bench.telemetry.cycle_record import SCHEMA_VERSION, arrow_schema, from_arrow, to_arrow
+from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, arrow_schema, from_arrow
 
 LONGEST_BATCH = 64
 """Cycles in one message: with the schema it stays below 64 kB, which zenoh sends in one piece."""
@@ -55,7 +55,12 @@ def encode_batch(cycles: np.ndarray[Any, Any], sequence: int, lost: int, time: f
     if not 1 <= len(cycles) <= LONGEST_BATCH:
         raise ValueError(f"{len(cycles)} cycles, expected 1 to {LONGEST_BATCH}")
     schema = wire_schema()
-    columns = [chunked.chunk(0) for chunked in to_arrow(cycles).columns]
+    # As `to_arrow` does, without its table and the full schema: a third of the time, fifty times a second.
+    columns = [
+        pa.array(np.ascontiguousarray(values), from_pandas=False)
+        for field in FIELDS
+        for values in np.atleast_2d(cycles[field.name].T)
+    ]
     batch = pa.RecordBatch.from_arrays(columns, schema=schema)
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, schema) as stream:
