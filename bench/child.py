@@ -67,7 +67,7 @@ class Child:
         code = self.process.poll()
         if code is None:
             return ""
-        return f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def listen(self) -> None:
         """Take in what it told, without waiting."""
