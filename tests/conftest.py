@@ -52,12 +52,20 @@ def _systemd() -> str | None:
     return shutil.which("systemctl") if Path("/run/systemd/system").is_dir() else None
 
 
+def _nspawn() -> str | None:
+    """Return the path of systemd-nspawn, which boots this machine's own systemd and needs root for it."""
+    usable = os.geteuid() == 0 and Path("/usr/lib/systemd/systemd").exists() and shutil.which("nsenter")
+    return shutil.which("systemd-nspawn") if usable else None
+
+
 TOOLS: dict[str, Callable[[], str | None]] = {
     "chromium": _program("chromium", "chromium-browser", "google-chrome"),
     "cyclictest": _program("cyclictest"),
     "postgres": _postgres,
     "qemu": _program("qemu-system-x86_64"),
     "systemd": _systemd,
+    "systemd-analyze": _program("systemd-analyze"),
+    "systemd-nspawn": _nspawn,
     "tmux": _program("tmux"),
 }
 """Optional tools by name; each search returns the tool's path or None."""

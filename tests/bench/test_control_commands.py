@@ -208,7 +208,8 @@ def test_the_table_shows_everything_within_80_columns() -> None:
         "bench bench1", "ESTOP", "STANDING", "POWER_UP: the bench was switched on", "nobody's", "not homed",
         "vented", "e-stop clear", "guard closed", "guard not locked", "shoulder 32.7°", "wrist –", "8.01 bar",
         "shoulder vane 1.01/1.01", "1000.0 Hz", "tick 123456", "skipped 3", "late 5", "p50 8 µs", "p99 41 µs",
-        "tick p99 93 µs", "loop 4711", "recorder DEAD: killed by signal 9", "prefer: memory lock none instead of all", "sim", "default",
+        "tick p99 93 µs", "loop 4711", "recorder DEAD: killed by signal 9",
+        "prefer: memory lock none instead of all", "sim", "default",
     ):  # fmt: skip
         assert part in text, part
     assert "SILENT" not in text
