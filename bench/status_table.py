@@ -73,7 +73,7 @@ def watch_status(bench: BenchClient, console: Console) -> NoReturn:
 def _title(status: Status, age: float, silent: bool) -> Text:
     bench, state = (f"bench {status['bench']}  ", "bold"), status["state"]
     if silent:
-        return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", then {state}")
+        return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", in {state} then")
     return Text.assemble(bench, (f" {state} ", _STYLES.get(state, "bold")))
 
 
@@ -134,9 +134,10 @@ def _processes(status: Status) -> Text:
             words.append(Text(f"{name} {process['pid']}{note}"))
         else:
             words.append(Text(f"{name} DEAD{note}", "bold red"))
+    told = Text(", ").join(words)
     if not status["support_ready"]:
-        words.append(Text("nothing is armed without recorder and publisher", "yellow"))
-    return Text(", ").join(words)
+        told.append("\nnothing is armed without recorder and publisher", "yellow")
+    return told
 
 
 def _real_time(granted: Mapping[str, Any]) -> Text:
