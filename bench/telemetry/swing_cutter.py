@@ -39,7 +39,7 @@ class Cut(NamedTuple):
     ended: str = ""
     """Why it ends before the robot stood; empty when it does not."""
     continued: bool = False
-    """It goes on where the record before was cut."""
+    """The robot moved already when it begins: the record before was cut there, or nobody recorded."""
 
 
 @dataclass
@@ -122,7 +122,8 @@ class SwingCutter:
         part = self._open
         if part is None:
             if state in MOVING:
-                self._open = part = _Part(self._before(number, time))
+                late = before is State.STARTING  # nothing moves in that: it was not seen how this began
+                self._open = part = _Part(self._before(number, time), continued=late, series=late)
         elif state not in MOVING or (state is State.ARMED and before is State.RECOVERING):
             if state in LATCHED and not part.kind:
                 part.kind = "stop"
@@ -131,8 +132,8 @@ class SwingCutter:
             if state is State.ARMED:
                 self._open = part = _Part(number, series=True)
         if state is State.SWINGING and part is not None:
-            if part.series or part.trimmed:
-                part.begin = max(part.begin, self._before(number, time))
+            if before is State.ARMED and (part.series or part.trimmed):
+                part.begin, part.continued = max(part.begin, self._before(number, time)), False
             part.kind, part.series, part.trimmed = "swing", False, False
 
     def _close(self, time: float) -> Iterator[Cut]:

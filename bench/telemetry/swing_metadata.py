@@ -11,7 +11,7 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 `complete`       true when every tick's record from first to last is there and the robot stood at the end
 `lost_records`   records the ring lost inside
 `missed_ticks`   ticks that the loop itself skipped inside
-`continued`      goes on where the record before was cut
+`continued`      the robot moved already when it begins: the record before was cut there, or nobody recorded
 `outcome`        `states`: [tick, name] at the first cycle and at each change; `cause`, `text`: first cause
                  of a stop; `ended`: why the record ends before the robot stood, else empty
 `configuration`, `versions`, `real_time`, `calibrations`   as the supervisor gave them

@@ -10,6 +10,7 @@ import pytest
 from bench.control.envelope import PHASES
 from bench.control.step import CONTROL_PARAMETERS
 from bench.lifecycle import (
+    ACCEPTED_IN,
     CAUSE_TEXT,
     DISOBEYED,
     EMERGENCY,
@@ -19,6 +20,9 @@ from bench.lifecycle import (
     Cause,
     Phase,
     Reaction,
+    Request,
+    State,
+    accepted_table,
     reaction_table,
 )
 
@@ -30,6 +34,15 @@ MOVING = set(Phase) - {Phase.STANDING}
 @pytest.mark.parametrize("kind", [Phase, Reaction, Cause])
 def test_numbers_are_contiguous_from_zero(kind: type[IntEnum]) -> None:
     assert [member.value for member in kind] == list(range(len(kind)))
+
+
+def test_requests_are_accepted_where_the_table_says_and_a_stop_everywhere() -> None:
+    table = accepted_table()
+    assert table.shape == (len(Request), len(State))
+    for request, state in np.ndindex(table.shape):
+        assert bool(table[request, state]) is (State(state) in ACCEPTED_IN[Request(request)])
+    assert table[[Request.STOP, Request.EMERGENCY_STOP]].all()
+    assert not table[Request.NONE].any()
 
 
 def test_every_cause_tells_the_operator_something_of_its_own() -> None:

@@ -166,6 +166,16 @@ def test_a_robot_still_moving_after_finish_opens_a_record_again(make_day: MakeDa
     cutter.finish("the loop fell silent", keep=True)
     (cut,) = cutter.take(day[1800:])
     assert ticks(cut) == (1801 - 128, 2400 + 256)
+    assert cut.continued
+
+
+def test_who_begins_to_record_late_says_so(make_day: MakeDay) -> None:
+    day = make_day(SWING)
+    for begin, first, continued in ((1050, 1701 - 128, False), (1600, 1701 - 100, False), (1800, 1801, True)):
+        (cut,) = cut_up(day[begin:])
+        assert (ticks(cut)[0], cut.continued) == (first, continued)
+    (stop,) = cut_up(make_day([(S.HOMING, 300), (S.FAULT, 500)]))
+    assert stop.continued
 
 
 def test_finish_in_the_tail_is_no_early_end(make_day: MakeDay) -> None:
