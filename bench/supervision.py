@@ -30,6 +30,10 @@ SUPERVISION = np.dtype(
 apart and never wait behind one. `shutdown` ends the loop, as soon as the robot stands."""
 
 
+_UNREAD = -1
+"""No version: the next tick looks at every value."""
+
+
 class Orders:
     """The loop's side: what is new since the last tick. The values at the start are no news."""
 
@@ -42,9 +46,11 @@ class Orders:
         self._shared, self._silence = SharedRecord.open(path, SUPERVISION), silence
         self._told = new_record(SUPERVISION)
         self._shared.read(self._told)
+        self._version = _UNREAD
         now = self._told[0]
         self._seen = int(now["request_number"]), int(now["stop_count"]), int(now["emergency_stop_count"])
         self._heartbeat, self._heard = int(now["heartbeat"]), -np.inf
+        self._alive = False
 
     @property
     def shutdown(self) -> bool:
@@ -52,14 +58,21 @@ class Orders:
         return bool(self._told["shutdown"][0])
 
     def put(self, control: np.ndarray[Any, Any], time: float) -> None:
-        """Write what holds at `time` (s) into a CONTROL_STATE: permissions, and at most one request."""
-        self._shared.read(self._told)
+        """Write what holds at `time` (s) into a CONTROL_STATE: permissions, and at most one request.
+
+        Most ticks bring nothing new and end at the first line. What was written stays: the step takes the
+        request away and leaves the permissions.
+        """
+        version, alive = self._shared.newest, time - self._heard < self._silence
+        if version == self._version and alive == self._alive:
+            return
+        version = self._shared.read(self._told)
         (
             heartbeat, lease_held, support_ready, _, request, number, stops, emergencies,
         ) = self._told.item()  # fmt: skip
         if heartbeat != self._heartbeat or self._heard == -np.inf:
             self._heartbeat, self._heard = heartbeat, time
-        alive = time - self._heard < self._silence
+        self._alive = alive = time - self._heard < self._silence
         control["supervisor_alive"] = alive
         control["lease_held"], control["support_ready"] = lease_held and alive, support_ready and alive
         seen_number, seen_stops, seen_emergencies = self._seen
@@ -71,6 +84,8 @@ class Orders:
             control["request"], control["request_number"] = request, number
             seen_number = number
         self._seen = seen_number, seen_stops, seen_emergencies
+        waiting = self._seen != (number, stops, emergencies)
+        self._version = _UNREAD if waiting else version
 
     def close(self) -> None:
         """Unmap the file."""

@@ -59,6 +59,11 @@ class SharedRecord:
         """
         self._slots.put(record.tobytes())
 
+    @property
+    def newest(self) -> int:
+        """Version of the newest value, 0 before the first write; tells cheaply whether there is news."""
+        return self._slots.head
+
     def read(self, into: np.ndarray[Any, Any]) -> int:
         """Copy the newest whole value into `into` (a one-element array of the dtype); return its version.
 

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -41,47 +41,57 @@ def orders(tmp_path: Path, supervisor: Supervisor) -> Iterator[Orders]:
     made.close()
 
 
-def put(orders: Orders, time: float) -> np.void:
+Put = Callable[[float], np.void]
+
+
+@pytest.fixture
+def put(orders: Orders) -> Put:
+    """Put what is new into a controller's state, as the loop does; take the request away, as a step does."""
     control = new_record(CONTROL_STATE)
-    orders.put(control, time)
-    value: np.void = control[0]
-    return value
+
+    def put(time: float) -> np.void:
+        orders.put(control, time)
+        seen: np.void = control.copy()[0]
+        control["request"] = 0
+        return seen
+
+    return put
 
 
-def test_what_stands_there_at_the_start_is_no_request(orders: Orders) -> None:
-    assert put(orders, 100.0)["request"] == 0
+def test_what_stands_there_at_the_start_is_no_request(put: Put) -> None:
+    assert put(100.0)["request"] == 0
 
 
-def test_a_request_is_put_once_with_its_number(orders: Orders, supervisor: Supervisor) -> None:
-    put(orders, 100.0)
+def test_a_request_is_put_once_with_its_number(put: Put, supervisor: Supervisor) -> None:
+    put(100.0)
     supervisor.say(request=Request.RESET, request_number=4)
-    seen = put(orders, 100.001)
+    seen = put(100.001)
     assert (seen["request"], seen["request_number"]) == (Request.RESET, 4)
-    assert put(orders, 100.002)["request"] == 0
+    assert put(100.002)["request"] == 0
 
 
-def test_stops_go_before_a_request_and_none_is_lost(orders: Orders, supervisor: Supervisor) -> None:
+def test_stops_go_before_a_request_and_none_is_lost(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(request=Request.SWING, request_number=4, stop_count=3, emergency_stop_count=2)
-    found = [int(put(orders, 100.0 + 0.001 * k)["request"]) for k in range(4)]
+    found = [int(put(100.0 + 0.001 * k)["request"]) for k in range(4)]
     assert found == [Request.EMERGENCY_STOP, Request.STOP, Request.SWING, 0]
 
 
-def test_a_silent_supervisor_grants_nothing(orders: Orders, supervisor: Supervisor) -> None:
+def test_a_silent_supervisor_grants_nothing(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(heartbeat=8, lease_held=True, support_ready=True)
-    alive = put(orders, 100.0)
+    alive = put(100.0)
     assert alive["supervisor_alive"]
     assert alive["lease_held"]
     assert alive["support_ready"]
-    assert put(orders, 100.0 + 0.9 * SILENCE)["supervisor_alive"]
-    dead = put(orders, 100.0 + 1.1 * SILENCE)
+    assert put(100.0 + 0.9 * SILENCE)["supervisor_alive"]
+    dead = put(100.0 + 1.1 * SILENCE)
     assert not any(dead[name] for name in ("supervisor_alive", "lease_held", "support_ready"))
     supervisor.say(heartbeat=9)
-    assert put(orders, 101.0)["supervisor_alive"]
+    assert put(101.0)["supervisor_alive"]
 
 
-def test_the_order_to_end_is_seen(orders: Orders, supervisor: Supervisor) -> None:
-    put(orders, 100.0)
+def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervisor) -> None:
+    put(100.0)
     assert not orders.shutdown
     supervisor.say(shutdown=True)
-    put(orders, 100.001)
+    put(100.001)
     assert orders.shutdown
