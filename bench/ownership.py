@@ -16,7 +16,6 @@ import re
 import shutil
 import stat
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -114,10 +113,10 @@ class Ownership:
         self.leave()
 
 
-def bench_folder(bench_id: str, environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder in memory of bench `bench_id`, which exists while the bench is run.
+def bench_folder(bench_id: str, memory: Path = MEMORY) -> Path:
+    """Return the folder in `memory` of bench `bench_id`, which exists while the bench is run.
 
-    It stands in the first folder of $RUNTIME_DIRECTORY (systemd's), else in /dev/shm.
+    It is at the same place for a service and for a bench started by hand: they must meet.
 
     Raises:
         BenchError: `bench_id` is not of the form BENCH_ID.
@@ -126,11 +125,10 @@ def bench_folder(bench_id: str, environment: Mapping[str, str] = os.environ) -> 
         raise BenchError(
             "bench.id", repr(bench_id), "letters, digits, - and _, at most 63", "Give the bench another id."
         )
-    given = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    return (Path(given) if given else MEMORY) / f"golfbench-{bench_id}"
+    return memory / f"golfbench-{bench_id}"
 
 
-def take_bench(bench_id: str, environment: Mapping[str, str] = os.environ) -> Ownership:
+def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:
     """Take the bench for this process; files that a killed daemon left behind are removed.
 
     Raises:
@@ -138,7 +136,7 @@ def take_bench(bench_id: str, environment: Mapping[str, str] = os.environ) -> Ow
             link, another user's, or open to others.
         NoBenchFolder: memory's file system is missing, read-only or full.
     """
-    path = bench_folder(bench_id, environment)
+    path = bench_folder(bench_id, memory)
     found: Owner | None = None
     for attempt in range(_ATTEMPTS):
         if attempt:

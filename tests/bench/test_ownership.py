@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,8 +16,9 @@ from bench.ownership import MEMORY, NoBenchFolder, adopt, bench_folder, take_ben
 
 DAEMON = """
 import sys
+from pathlib import Path
 from bench.ownership import take_bench
-bench = take_bench("a", {"RUNTIME_DIRECTORY": sys.argv[1]})
+bench = take_bench("a", Path(sys.argv[1]))
 (bench.folder / "ring").write_text("shared")
 print("taken", flush=True)
 sys.stdin.read()
@@ -26,8 +27,9 @@ bench.leave()
 
 SUPERVISOR = """
 import subprocess, sys
+from pathlib import Path
 from bench.ownership import take_bench
-bench = take_bench("a", {"RUNTIME_DIRECTORY": sys.argv[1]})
+bench = take_bench("a", Path(sys.argv[1]))
 (bench.folder / "ring").write_text("shared")
 program = [sys.executable, "-c", sys.argv[2], str(bench.descriptor)]
 loop = subprocess.Popen(program, pass_fds=[bench.descriptor])
@@ -49,12 +51,11 @@ bench.leave()
 """
 
 Start = Callable[..., "subprocess.Popen[str]"]
-Environment = Mapping[str, str]
 
 
 @pytest.fixture
-def environment(tmp_path: Path) -> Environment:
-    return {"RUNTIME_DIRECTORY": str(tmp_path)}
+def memory(tmp_path: Path) -> Path:
+    return tmp_path
 
 
 @pytest.fixture
@@ -102,36 +103,30 @@ def wait_for_death(pid: int) -> None:
             time.sleep(0.005)
 
 
-def free(environment: Environment) -> bool:
+def free(memory: Path) -> bool:
     """Take the bench, leave it again and tell whether nothing is left behind."""
-    with take_bench("a", environment) as bench:
+    with take_bench("a", memory) as bench:
         assert os.listdir(bench.folder) == ["owner"], "files of the dead one are gone"
-    return not bench_folder("a", environment).exists()
+    return not bench_folder("a", memory).exists()
 
 
 # The folder ------------------------------------------------------------------------------------------
 
 
-def test_the_folder_is_in_memory_or_where_systemd_says() -> None:
-    assert bench_folder("a", {}) == Path("/dev/shm/golfbench-a")  # noqa: S108
-    assert bench_folder("a", {"RUNTIME_DIRECTORY": ""}) == MEMORY / "golfbench-a"
-    assert bench_folder("a", {"RUNTIME_DIRECTORY": "/run/x:/run/y"}) == Path("/run/x/golfbench-a")
-
-
-def test_the_environment_is_the_process_own_unless_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/x")
-    assert bench_folder("a") == Path("/run/x/golfbench-a")
+def test_the_folder_is_in_memory_at_one_place_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/x")  # a service's own, where nobody else would look
+    assert bench_folder("a") == MEMORY / "golfbench-a" == Path("/dev/shm/golfbench-a")  # noqa: S108
 
 
 @pytest.mark.parametrize("bench_id", ["", "..", "a/b", "a\0", "a" * 64, "a\n"])
-def test_an_id_that_is_no_name_is_refused(bench_id: str, environment: Environment) -> None:
+def test_an_id_that_is_no_name_is_refused(bench_id: str, memory: Path) -> None:
     with pytest.raises(BenchError, match=r"bench\.id"):
-        take_bench(bench_id, environment)
+        take_bench(bench_id, memory)
 
 
-def test_the_bench_is_a_folder_for_us_alone_while_it_is_taken(environment: Environment) -> None:
-    with take_bench("a", environment) as bench:
-        assert bench.folder == bench_folder("a", environment)
+def test_the_bench_is_a_folder_for_us_alone_while_it_is_taken(memory: Path) -> None:
+    with take_bench("a", memory) as bench:
+        assert bench.folder == bench_folder("a", memory)
         assert bench.folder.stat().st_mode & 0o777 == 0o700
         assert (bench.folder / "owner").stat().st_mode & 0o777 == 0o600
         assert not os.get_inheritable(bench.descriptor)
@@ -140,91 +135,91 @@ def test_the_bench_is_a_folder_for_us_alone_while_it_is_taken(environment: Envir
     bench.leave()
 
 
-def test_two_benches_do_not_meet(environment: Environment) -> None:
-    with take_bench("a", environment) as one, take_bench("b", environment) as other:
+def test_two_benches_do_not_meet(memory: Path) -> None:
+    with take_bench("a", memory) as one, take_bench("b", memory) as other:
         assert one.folder != other.folder
 
 
 def test_a_missing_place_is_named(tmp_path: Path) -> None:
     with pytest.raises(NoBenchFolder, match="no folder around it"):
-        take_bench("a", {"RUNTIME_DIRECTORY": str(tmp_path / "missing")})
+        take_bench("a", tmp_path / "missing")
 
 
 def test_a_place_that_is_no_folder_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(NoBenchFolder, match="Not a directory"):
-        take_bench("a", {"RUNTIME_DIRECTORY": str(tmp_path / "file")})
+        take_bench("a", tmp_path / "file")
 
 
 # Not ours --------------------------------------------------------------------------------------------
 
 
-def test_a_symbolic_link_is_refused(environment: Environment, tmp_path: Path) -> None:
+def test_a_symbolic_link_is_refused(memory: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     (elsewhere / "precious").touch()
-    bench_folder("a", environment).symlink_to(elsewhere)
+    bench_folder("a", memory).symlink_to(elsewhere)
     with pytest.raises(Refused, match="golfbench-a: found a symbolic link"):
-        take_bench("a", environment)
+        take_bench("a", memory)
     assert os.listdir(elsewhere) == ["precious"]
 
 
-def test_a_file_in_its_place_is_refused(environment: Environment) -> None:
-    bench_folder("a", environment).touch()
+def test_a_file_in_its_place_is_refused(memory: Path) -> None:
+    bench_folder("a", memory).touch()
     with pytest.raises(Refused, match="golfbench-a: found a file"):
-        take_bench("a", environment)
+        take_bench("a", memory)
 
 
-def test_a_folder_open_to_others_is_refused(environment: Environment) -> None:
-    bench_folder("a", environment).mkdir()
-    bench_folder("a", environment).chmod(0o770)
+def test_a_folder_open_to_others_is_refused(memory: Path) -> None:
+    bench_folder("a", memory).mkdir()
+    bench_folder("a", memory).chmod(0o770)
     with pytest.raises(Refused, match=r"open to others \(mode 0770\)"):
-        take_bench("a", environment)
+        take_bench("a", memory)
 
 
-def test_another_users_folder_is_refused(environment: Environment, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench_folder("a", environment).mkdir(mode=0o700)
+def test_another_users_folder_is_refused(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench_folder("a", memory).mkdir(mode=0o700)
     owner, stranger = os.geteuid(), 54321
     monkeypatch.setattr(os, "geteuid", lambda: stranger)
     with pytest.raises(
         Refused, match=rf"found a folder of user .*uid {owner}\)?, expected .* uid {stranger}"
     ):
-        take_bench("a", environment)
+        take_bench("a", memory)
 
 
-def test_an_owner_file_that_is_a_link_is_not_followed(environment: Environment, tmp_path: Path) -> None:
-    bench_folder("a", environment).mkdir(mode=0o700)
+def test_an_owner_file_that_is_a_link_is_not_followed(memory: Path, tmp_path: Path) -> None:
+    bench_folder("a", memory).mkdir(mode=0o700)
     (tmp_path / "precious").write_text("text")
-    (bench_folder("a", environment) / "owner").symlink_to(tmp_path / "precious")
+    (bench_folder("a", memory) / "owner").symlink_to(tmp_path / "precious")
     with pytest.raises(NoBenchFolder, match="symbolic links"):
-        take_bench("a", environment)
+        take_bench("a", memory)
     assert (tmp_path / "precious").read_text() == "text"
 
 
 # One at a time ---------------------------------------------------------------------------------------
 
 
-def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, environment: Environment) -> None:
+def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
     with pytest.raises(Refused, match=f"bench a: found it run by process {daemon.pid}.*kill {daemon.pid}"):
-        take_bench("a", environment)
-    assert (bench_folder("a", environment) / "ring").exists(), "the first one's files stay"
+        take_bench("a", memory)
+    assert (bench_folder("a", memory) / "ring").exists(), "the first one's files stay"
     end(daemon)
-    assert not bench_folder("a", environment).exists()
-    assert free(environment)
+    assert not bench_folder("a", memory).exists()
+    assert free(memory)
 
 
-def test_a_killed_daemon_leaves_the_bench_free(start: Start, environment: Environment) -> None:
+def test_a_killed_daemon_leaves_the_bench_free(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
     daemon.kill()
     daemon.wait()
-    (bench_folder("a", environment) / "deeper").mkdir()
-    assert free(environment)
+    (bench_folder("a", memory) / "deeper").mkdir()
+    assert free(memory)
 
 
-def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, environment: Environment) -> None:
+def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP)
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -233,52 +228,46 @@ def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, envi
     with pytest.raises(
         Refused, match=rf"daemon \(process {supervisor.pid}\) dead, but its loop \(a process\)"
     ):
-        take_bench("a", environment)
+        take_bench("a", memory)
     os.kill(loop, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage", b"[]", b"[1, 2]", b'["a", [1, 2], 3]', b"\xff" * 600])
-def test_a_lock_whose_owner_cannot_be_read_is_still_respected(
-    content: bytes, environment: Environment
-) -> None:
-    with take_bench("a", environment) as bench:
+def test_a_lock_whose_owner_cannot_be_read_is_still_respected(content: bytes, memory: Path) -> None:
+    with take_bench("a", memory) as bench:
         (bench.folder / "owner").write_bytes(content)
         with pytest.raises(Refused, match="owner locked by an unnamed process"):
-            take_bench("a", environment)
+            take_bench("a", memory)
 
 
-def test_what_a_dead_owner_wrote_is_no_hindrance(environment: Environment) -> None:
-    bench_folder("a", environment).mkdir(mode=0o700)
-    (bench_folder("a", environment) / "owner").write_bytes(b"garbage")
-    assert free(environment)
+def test_what_a_dead_owner_wrote_is_no_hindrance(memory: Path) -> None:
+    bench_folder("a", memory).mkdir(mode=0o700)
+    (bench_folder("a", memory) / "owner").write_bytes(b"garbage")
+    assert free(memory)
 
 
 # Supervisor and loop ---------------------------------------------------------------------------------
 
 
-def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(
-    start: Start, environment: Environment
-) -> None:
+def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
     with pytest.raises(Refused, match=f"run by process {supervisor.pid}"):
-        take_bench("a", environment)
+        take_bench("a", memory)
     supervisor.kill()
     supervisor.wait()
     with pytest.raises(
         Refused, match=rf"daemon \(process {supervisor.pid}\) dead, but its loop \(process {loop}\) .*kill -9"
     ):
-        take_bench("a", environment)
+        take_bench("a", memory)
     assert supervisor.stdin is not None
     supervisor.stdin.close()  # shared with the loop, which now ends
     wait_for_death(loop)
-    assert not bench_folder("a", environment).exists(), "the last to leave removes the folder"
+    assert not bench_folder("a", memory).exists(), "the last to leave removes the folder"
 
 
-def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(
-    start: Start, environment: Environment
-) -> None:
+def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -286,42 +275,42 @@ def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(
         os.kill(pid, signal.SIGKILL)
     supervisor.wait()
     wait_for_death(loop)
-    assert free(environment)
+    assert free(memory)
 
 
-def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, environment: Environment) -> None:
+def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
     os.kill(loop, signal.SIGKILL)
     wait_for_death(loop)
     with pytest.raises(Refused, match=f"run by process {supervisor.pid}"):
-        take_bench("a", environment)
+        take_bench("a", memory)
     end(supervisor)
-    assert not bench_folder("a", environment).exists()
+    assert not bench_folder("a", memory).exists()
 
 
-def test_supervisor_and_loop_leave_in_any_order(start: Start, environment: Environment) -> None:
+def test_supervisor_and_loop_leave_in_any_order(start: Start, memory: Path) -> None:
     for _ in range(3):  # both see their input end at the same time
         supervisor = start(SUPERVISOR, LOOP, "note")
         line(supervisor)
         assert line(supervisor) == "adopted"
         end(supervisor)
-        assert not bench_folder("a", environment).exists()
+        assert not bench_folder("a", memory).exists()
 
 
-def test_a_loop_that_leaves_does_not_give_the_supervisors_bench_away(environment: Environment) -> None:
-    with take_bench("a", environment) as bench:
+def test_a_loop_that_leaves_does_not_give_the_supervisors_bench_away(memory: Path) -> None:
+    with take_bench("a", memory) as bench:
         loop = adopt(os.dup(bench.descriptor))
         assert loop.owner == bench.owner
         loop.leave()
         assert bench.folder.exists()
         with pytest.raises(Refused, match=f"run by process {os.getpid()}"):
-            take_bench("a", environment)
+            take_bench("a", memory)
 
 
-def test_only_the_locked_file_can_be_adopted(environment: Environment, tmp_path: Path) -> None:
-    with take_bench("a", environment) as bench:
+def test_only_the_locked_file_can_be_adopted(memory: Path, tmp_path: Path) -> None:
+    with take_bench("a", memory) as bench:
         unlocked = os.open(bench.folder / "owner", os.O_RDONLY)
         elsewhere = os.open(tmp_path, os.O_RDONLY)
         for descriptor in (-1, 999, unlocked, elsewhere):
@@ -331,15 +320,16 @@ def test_only_the_locked_file_can_be_adopted(environment: Environment, tmp_path:
         os.close(elsewhere)
 
 
-def test_many_who_start_at_once_are_one_daemon(start: Start, environment: Environment) -> None:
+def test_many_who_start_at_once_are_one_daemon(start: Start, memory: Path) -> None:
     program = """
 import sys, time
+from pathlib import Path
 from bench.errors import Refused
 from bench.ownership import take_bench
 taken = 0
 for _ in range(150):
     try:
-        with take_bench("a", {"RUNTIME_DIRECTORY": sys.argv[1]}) as bench:
+        with take_bench("a", Path(sys.argv[1])) as bench:
             (bench.folder / "alone").touch(exist_ok=False)
             (bench.folder / "alone").unlink()
             taken += 1
@@ -351,4 +341,4 @@ print(taken)
     taken = [int(line(process)) for process in processes]
     assert all(process.wait(10) == 0 for process in processes)
     assert all(taken), taken
-    assert free(environment)
+    assert free(memory)

@@ -14,11 +14,13 @@ from typing import Any
 
 import pytest
 
+from bench.ownership import bench_folder
 from tests.systemd.container import Container, wait_until
 from tests.systemd.root import UNITS, build_root
 
 pytestmark = [pytest.mark.requires("systemd-nspawn"), pytest.mark.timeout(1200)]
 
+MEMORY = str(bench_folder("bench1"))
 UNIT = "golfbench@bench1"
 COMMAND = "/opt/golfbench/bin/golfbench"
 START = 700.0
@@ -131,9 +133,9 @@ def test_limits_alone_grant_real_time(service: Service) -> None:
 
 
 def test_no_other_user_sees_what_the_bench_keeps(service: Service) -> None:
-    for folder in ("/var/lib/golfbench", "/var/cache/golfbench", "/run/golfbench/bench1"):
+    for folder in ("/var/lib/golfbench", "/var/cache/golfbench"):
         assert service.container.run("stat", "--format=%a %U", folder) == "750 golfbench"
-    assert service.container.run("stat", "--format=%a", "/run/golfbench/bench1/golfbench-bench1") == "700"
+    assert service.container.run("stat", "--format=%a", MEMORY) == "700"
 
 
 def test_stopped_in_order_and_started_again_from_kept_machine_code(service: Service) -> None:
@@ -142,7 +144,7 @@ def test_stopped_in_order_and_started_again_from_kept_machine_code(service: Serv
     service.container.run("systemctl", "stop", UNIT)
     assert service.show("Result") == "success"
     assert service.container.run("pgrep", "--uid", "golfbench", check=False) == ""
-    assert "No such file" in service.container.run("ls", "/run/golfbench/bench1", check=False)
+    assert "No such file" in service.container.run("ls", MEMORY, check=False)
     service.start()
     status = service.status()
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "POWER_UP")
