@@ -16,6 +16,7 @@ from typing import Annotated, Literal, NoReturn
 import typer
 
 from bench.calibration.commands import app as calibration_app
+from bench.campaign_commands import app as campaign_app
 from bench.control_commands import app as control_app
 from bench.errors import BenchError, ExitCode
 from bench.run_command import run
@@ -46,6 +47,7 @@ app.command()(run)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")
+app.add_typer(campaign_app, name="campaign")
 
 
 def _version(wanted: bool) -> None:

@@ -207,6 +207,8 @@ class Builder:
         bare, marks = _parts(hint)
         if get_origin(bare) is tuple:
             parts = get_args(bare)
+            if parts[-1] is Ellipsis and isinstance(value, list):
+                parts = (parts[0],) * len(value)
             if not isinstance(value, list) or len(value) != len(parts):
                 return self._fault(path, shown(value), expected(hint))
             pairs = enumerate(zip(parts, value, strict=True))
@@ -255,7 +257,8 @@ def expected(hint: Any, suffix: str = "") -> str:
         return "a table"
     if get_origin(bare) is tuple:
         parts = get_args(bare)
-        return f"{len(parts)} values in brackets, each {expected(parts[0], suffix)}"
+        number = "any number of" if parts[-1] is Ellipsis else len(parts)
+        return f"{number} values in brackets, each {expected(parts[0], suffix)}"
     if get_origin(bare) is Literal:
         return " or ".join(json.dumps(choice) for choice in get_args(bare))
     names = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}

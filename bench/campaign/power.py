@@ -1,0 +1,112 @@
+"""What a campaign can tell: power, resolution and number of shots, before it begins and after.
+
+All for two levels in randomised complete blocks: the variance of a difference of means over b blocks is
+2 s^2 / b, estimated with `freedom` degrees of freedom. Deviation and difference have one unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import ceil, sqrt
+
+import numpy as np
+from scipy import optimize, stats
+
+_MOST = 1_000_000
+"""Blocks up to which an answer is sought."""
+
+
+def block_freedom(levels: int, blocks: float, controls: int = 0, drift: bool = False) -> float:
+    """Return the residual degrees of freedom of blocks with one shot a level and `controls` more each."""
+    shots = levels + controls
+    parameters = levels - 1 + (1 if controls else 0) + (1 if drift else 0)
+    return blocks * (shots - 1) - parameters
+
+
+def power_of_difference(
+    difference: float, deviation: float, blocks: float, freedom: float, alpha: float
+) -> float:
+    """Return the chance to find a true `difference`, two-sided at `alpha` (noncentral t, exact)."""
+    if freedom <= 0:
+        return 0.0
+    shift = abs(difference) / (deviation * sqrt(2 / blocks))
+    limit = stats.t.ppf(1 - alpha / 2, freedom)
+    # Beyond that the other tail is nothing, and scipy's noncentral t loses its footing.
+    lower = stats.nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0
+    return float(stats.nct.sf(limit, freedom, shift) + lower)
+
+
+def power_of_equivalence(
+    margin: float, deviation: float, blocks: float, freedom: float, alpha: float, difference: float = 0.0
+) -> float:
+    """Return the chance that two one-sided tests at `alpha` call a true `difference` less than `margin`.
+
+    Exact: the normal probability of the estimate, averaged over the distribution of the deviation seen.
+    """
+    if freedom <= 0 or margin <= 0:
+        return 0.0
+    error = deviation * sqrt(2 / blocks)
+    steps = (np.arange(2000) + 0.5) / 2000
+    seen = np.sqrt(stats.chi2.ppf(steps, freedom) / freedom)
+    half = margin - stats.t.ppf(1 - alpha, freedom) * error * seen
+    inside = stats.norm.cdf((half - difference) / error) - stats.norm.cdf((-half - difference) / error)
+    return float(np.where(half > 0, inside, 0.0).mean())
+
+
+def resolution(deviation: float, blocks: float, freedom: float, alpha: float, power: float) -> float:
+    """Return the smallest difference that is found with probability `power`; infinite without freedom."""
+    if freedom <= 0:
+        return float("inf")
+
+    def lacking(difference: float) -> float:
+        return power_of_difference(difference, deviation, blocks, freedom, alpha) - power
+
+    error = deviation * sqrt(2 / blocks)
+    high = error * (stats.t.ppf(1 - alpha / 2, freedom) + stats.t.ppf(power, freedom) + 5)
+    return float(optimize.brentq(lacking, 0.0, high, xtol=1e-9 * high))
+
+
+def blocks_needed(chance: Callable[[int], float], power: float, at_least: int = 2) -> int | None:
+    """Return the fewest blocks whose `chance` reaches `power`; None when no feasible number does."""
+    high = max(at_least, 2)
+    while chance(high) < power:
+        high *= 2
+        if high > _MOST:
+            return None
+    low = max(at_least, high // 2)
+    while low < high:
+        middle = (low + high) // 2
+        if chance(middle) < power:
+            low = middle + 1
+        else:
+            high = middle
+    return high
+
+
+def shots_needed(
+    difference: float, deviation: float, alpha: float, power: float, levels: int = 2, controls: int = 0
+) -> int | None:
+    """Return the valid shots of each level that find a true `difference` with `power`; None: too many."""
+    if deviation <= 0:
+        return 2
+
+    def chance(blocks: int) -> float:
+        freedom = block_freedom(levels, blocks, controls)
+        return power_of_difference(difference, deviation, blocks, freedom, alpha)
+
+    normal = 2 * ((stats.norm.ppf(1 - alpha / 2) + stats.norm.ppf(power)) * deviation / difference) ** 2
+    if normal > _MOST:
+        return None
+    return blocks_needed(chance, power, max(2, ceil(0.8 * normal)))
+
+
+def shots_for_equivalence(
+    margin: float, deviation: float, alpha: float, power: float, levels: int = 2, controls: int = 0
+) -> int | None:
+    """Return the valid shots of each level that call truly equal ones the same with `power`."""
+
+    def chance(blocks: int) -> float:
+        freedom = block_freedom(levels, blocks, controls)
+        return power_of_equivalence(margin, deviation, blocks, freedom, alpha)
+
+    return blocks_needed(chance, power) if deviation > 0 else 2

@@ -1,0 +1,179 @@
+"""What `golfbench campaign check` tells before anything moves: the order, the hits, what can be resolved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations, groupby
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from bench.campaign.plan import Plan, controls_per_block, hits_needed, levels
+from bench.campaign.power import (
+    block_freedom,
+    power_of_difference,
+    power_of_equivalence,
+    resolution,
+    shots_needed,
+)
+from bench.campaign.sequence import Role, Trial, all_trials, sections
+
+UNITS: Mapping[str, str] = {
+    "carry_m": "m",
+    "total_m": "m",
+    "ball_speed_mps": "m/s",
+    "club_speed_mps": "m/s",
+    "launch_angle": "°",
+    "landing_angle": "°",
+    "spin_rpm": "rpm",
+}
+"""Unit of each quantity that can be compared."""
+
+_SHOWN = 3
+"""Blocks of each section that are printed unless all are wanted."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What one section of a plan can tell; figures in the quantity's unit, None where nothing can be said."""
+
+    levels: int
+    pairs: int
+    blocks: int
+    freedom: float
+    alpha: float
+    """Of each pair, so that all together keep the confidence."""
+    power: float | None
+    """To find the difference worth finding, in one pair."""
+    resolution: float | None
+    """Difference that is found with the wished power."""
+    needed: int | None
+    """Valid shots of each level for the wished power."""
+    same: float | None
+    """Chance to call equal levels the same."""
+
+
+def outlook(plan: Plan) -> Outlook:
+    """Return what a section of `plan` can tell when all its blocks are done and every shot is valid."""
+    a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
+    pairs = len(list(combinations(range(count), 2)))
+    controls = controls_per_block(plan)
+    drift = bool(controls) and a.drift == "linear"
+    freedom = block_freedom(count, blocks, controls, drift)
+    looks = plan.stop.looks if plan.stop.rule != "fixed" else 1
+    alpha = (1 - a.confidence) / max(pairs, 1) / looks
+    if not a.deviation or not pairs:
+        return Outlook(count, pairs, blocks, freedom, alpha, None, None, None, None)
+    return Outlook(
+        count,
+        pairs,
+        blocks,
+        freedom,
+        alpha,
+        power_of_difference(a.difference, a.deviation, blocks, freedom, alpha),
+        resolution(a.deviation, blocks, freedom, alpha, a.power),
+        shots_needed(a.difference, a.deviation, alpha, a.power, count, controls),
+        power_of_equivalence(a.margin, a.deviation, blocks, freedom, alpha) if a.margin else None,
+    )
+
+
+def preview_record(plan: Plan) -> dict[str, Any]:
+    """Return what `check` tells, for a program to read."""
+    trials = all_trials(plan)
+    return {
+        "name": plan.campaign.name,
+        "digest": plan.digest,
+        "seed": plan.design.seed,
+        "shots": len(trials),
+        "warm_up_at_most": plan.warm_up.at_most * len(sections(plan)),
+        "expected_duration_s": len(trials) * plan.design.seconds_per_shot,
+        "hits": hits_needed(plan),
+        "outlook": vars(outlook(plan)),
+        "sequence": [
+            {
+                "role": t.role,
+                "section": t.section,
+                "block": t.block,
+                "position": t.position,
+                **t.arm._asdict(),
+            }
+            for t in trials
+        ],
+    }
+
+
+def show_preview(plan: Plan, console: Console, *, everything: bool = False) -> None:
+    """Print the plan's order, hits and resolution; the first blocks only unless `everything`."""
+    d, trials = plan.design, all_trials(plan)
+    hours = len(trials) * d.seconds_per_shot / 3600
+    console.print(f"[bold]{escape(plan.campaign.title or plan.campaign.name)}[/]", highlight=False)
+    console.print(
+        f"{len(trials)} shots in {len(sections(plan)) * d.blocks} blocks, order from seed {d.seed}; about "
+        f"{hours:.1f} h at {d.seconds_per_shot:g} s a shot. Warm-up: {_warm_up(plan)}.",
+        highlight=False,
+    )
+    for section in sections(plan):
+        title = f"Section {section.number}: {section.name or 'one arm'}"
+        table = Table("block", "order", title=title, title_justify="left")
+        mine = [trial for trial in trials if trial.section == section.number]
+        blocks = [(number, list(group)) for number, group in groupby(mine, key=lambda t: t.block)]
+        for number, group in blocks if everything else blocks[:_SHOWN]:
+            table.add_row(str(number), "  ".join(_word(plan, trial) for trial in group))
+        if len(blocks) > _SHOWN and not everything:
+            table.add_row("...", f"{len(blocks) - _SHOWN} more blocks (--all shows them)")
+        console.print(table)
+    hits = Table(
+        "ball", "hits", "balls × hits allowed", title="Hits at most, repeats left out", title_justify="left"
+    )
+    for name, number in hits_needed(plan).items():
+        handling = plan.ball_handling
+        hits.add_row(escape(name), str(number), f"{handling.samples} × {handling.hits}")
+    console.print(hits)
+    for line in outlook_words(plan):
+        console.print(line, highlight=False, markup=False)
+
+
+def _warm_up(plan: Plan) -> str:
+    w = plan.warm_up
+    if not w.at_most:
+        return "none"
+    return f"until {w.window} club speeds lie within {w.tolerance:g} m/s, at most {w.at_most} shots a section"
+
+
+def _word(plan: Plan, trial: Trial) -> str:
+    level = escape(getattr(trial.arm, plan.design.compare))
+    return f"[dim]({escape(trial.arm.ball)})[/]" if trial.role is Role.CONTROL else level
+
+
+def outlook_words(plan: Plan) -> list[str]:
+    """Say in words what the plan can tell."""
+    a, found = plan.analysis, outlook(plan)
+    unit = UNITS[a.quantity]
+    if not found.pairs:
+        return ["One level only: it is described, nothing is compared."]
+    if not a.deviation:
+        return ["No standard deviation is stated (analysis.deviation): what can be resolved is not known."]
+    together = f", {found.pairs} pairs together (Holm)" if found.pairs > 1 else ""
+    lines = [
+        f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot, a difference of "
+        f"{_figure(found.resolution)} {unit} is found with a chance of {100 * a.power:.0f} %"
+        f" at {100 * a.confidence:g} % confidence{together}.",
+        f"A difference of {a.difference:g} {unit} is found with a chance of "
+        f"{100 * (found.power or 0):.0f} %; "
+        f"{found.needed} valid shots of each would make it {100 * a.power:.0f} %.",
+    ]
+    if found.same is not None:
+        lines.append(
+            f"If they are truly equal, they are called the same (within {a.margin:g} {unit}) with a chance "
+            f"of {100 * found.same:.0f} %."
+        )
+    if (found.power or 0) < a.power:
+        lines.append("Not enough shots for what is asked: take more blocks, or ask for less.")
+    return lines
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

@@ -1,0 +1,100 @@
+"""Who hits what when: randomised complete blocks in sections, from the plan's seed alone."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.campaign.plan import Plan, levels
+
+
+class Arm(NamedTuple):
+    """One combination that is compared, or kept the same."""
+
+    swing: str
+    club: str
+    ball: str
+
+    def __str__(self) -> str:
+        return f"{self.ball}, {self.club}, {self.swing}"
+
+
+class Role(StrEnum):
+    """What a shot is for."""
+
+    WARM_UP = "warm-up"
+    CONTROL = "control"
+    TEST = "test"
+
+
+class Trial(NamedTuple):
+    """One planned shot."""
+
+    role: Role
+    section: int
+    """From 1."""
+    block: int
+    """From 1 over all sections; 0 in a warm-up."""
+    position: int
+    """In its block, from 1."""
+    arm: Arm
+
+
+class Section(NamedTuple):
+    """What stays the same while the compared factor's levels take turns."""
+
+    number: int
+    arms: tuple[Arm, ...]
+    warm_up: Arm
+    control: Arm | None
+    """The control ball with the section's club and swing; with the first ones where those are compared."""
+
+    @property
+    def name(self) -> str:
+        """Return what its arms have in common."""
+        shared = (values[0] for values in map(tuple, zip(*self.arms, strict=True)) if len(set(values)) == 1)
+        return ", ".join(shared)
+
+
+def sections(plan: Plan) -> tuple[Section, ...]:
+    """Return the plan's sections in their order, that of its lists."""
+    d = plan.design
+    factors = {"swing": d.swings, "club": d.clubs, "ball": d.balls}
+    others = {name: values for name, values in factors.items() if name != d.compare}
+    found = []
+    for number, fixed in enumerate(product(*others.values()), 1):
+        common = dict(zip(others, fixed, strict=True))
+        arms = tuple(Arm(**common, **{d.compare: level}) for level in levels(plan))
+        control = arms[0]._replace(ball=plan.control.ball) if plan.control.ball else None
+        found.append(Section(number, arms, control or arms[0], control))
+    return tuple(found)
+
+
+def block_trials(plan: Plan, section: Section, number: int) -> list[Trial]:
+    """Return the shots of a section's block `number` (from 1), in order.
+
+    The order of a block depends on seed, section and number only: it is the same after a restart.
+    """
+    random = np.random.default_rng((plan.design.seed, section.number, number))
+    shuffled = [section.arms[index] for index in random.permutation(len(section.arms))]
+    block = (section.number - 1) * plan.design.blocks + number
+    line = [(Role.TEST, arm) for arm in shuffled]
+    if section.control is not None:
+        control = (Role.CONTROL, section.control)
+        middle = (len(line) + 1) // 2
+        between = [control] if len(line) > 1 else []
+        line = [control, *line[:middle], *between, *line[middle:], control]
+    return [Trial(role, section.number, block, place, arm) for place, (role, arm) in enumerate(line, 1)]
+
+
+def all_trials(plan: Plan) -> list[Trial]:
+    """Return every block's shots in order, warm-up and repeats left out."""
+    return [
+        trial
+        for section in sections(plan)
+        for number in range(1, plan.design.blocks + 1)
+        for trial in block_trials(plan, section, number)
+    ]
