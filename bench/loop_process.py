@@ -118,6 +118,7 @@ class LoopProcess:
             granted = stack.enter_context(
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
+            self._revive()  # compiling may have outlasted the device's watchdog
             clock: Clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
             tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
@@ -176,7 +177,13 @@ class LoopProcess:
         if isinstance(clock, GridClock):
             record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
             record["work_time"] = 1e-9 * (marks[-1] - marks[0])
-        self.orders.put(cycle.state.control, time)
+        control = cycle.state.control
+        self.orders.put(control, time)
+        if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
+            try:
+                self._revive()  # a passive device is set to work before the reset is judged
+            except DriverError as error:
+                tell("exception", text=f"reset: {error}")
         try:
             cycle.run_tick(time)
         except Exception as error:  # numerics or driver may fail in any way
@@ -186,20 +193,28 @@ class LoopProcess:
                 raise
             return time
         self._failures = 0
-        if isinstance(clock, GridClock):
-            self.timing.note(marks, clock.due, clock.woke)
+        begin = int(marks[0])
+        due, woke = (clock.due, clock.woke) if isinstance(clock, GridClock) else (begin, begin)
+        self.timing.note(marks, due, woke)
         if record["answer"][0] == Answer.ACCEPTED and record["request"][0]:
             self._note_request(Request(int(record["request"][0])))
         return time
 
     def _note_request(self, request: Request) -> None:
-        """Keep the controller's memory where a motion begins; a reset sets a passive device to work again."""
+        """Keep the controller's memory where a motion begins."""
         if request in _MOTIONS:
             pack_snapshot(self.cycle.state, self._snapshot)
             self.snapshots.write(self._snapshot)
-        elif request is Request.RESET and not self.driver.operational:
+
+    def _revive(self) -> None:
+        """Set a device that went passive to work again; the robot stands, ticks missed meanwhile are counted.
+
+        Raises:
+            DriverError: it is unfit.
+        """
+        if not self.driver.operational:
             self.driver.close()
-            self.driver.open()  # the robot stands; these ticks are missed, and counted
+            self.driver.open()
 
     def _make_passive(self) -> None:
         """Send the passive command several times: a frame on a bus may be lost."""

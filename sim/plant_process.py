@@ -42,6 +42,7 @@ from sim.wall_plant import WallPlant
 
 _BETWEEN_LOOKS = 0.02
 """s between two looks at signals, parent and files."""
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
 
 
@@ -123,7 +124,7 @@ def main() -> int:
         _warm_up(plan)
         plant = WallPlant(plan)
         with PlantFiles(plan.folder) as files:
-            scheduling = _ask_for_scheduling(plan)
+            scheduling = ask_for_scheduling(plan)
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # looked for between ticks
             gc.collect()
             gc.freeze()
@@ -201,7 +202,7 @@ def _warm_up(plan: PlantPlan) -> None:
     plant.tell()
 
 
-def _ask_for_scheduling(plan: PlantPlan) -> str:
+def ask_for_scheduling(plan: PlantPlan) -> str:
     """Ask for the plan's core and priority; return what was granted."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; by default a sleep may last 50 us longer
     granted = []
@@ -213,6 +214,9 @@ def _ask_for_scheduling(plan: PlantPlan) -> str:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(plan.priority))
     is_fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
     granted.append(f"SCHED_FIFO {os.sched_getparam(0).sched_priority}" if is_fifo else "SCHED_OTHER")
+    # All stays in memory: a page fetched from disk in a tick is a stall of milliseconds.
+    locked = ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0
+    granted.append("memory locked" if locked else "memory not locked")
     granted.append("cpu " + ",".join(map(str, sorted(os.sched_getaffinity(0)))))
     return ", ".join(granted)
 
