@@ -1,0 +1,556 @@
+"""The bench's hardware on CANopen behind the driver contract.
+
+A tick: SYNC out, three positions in, decide, one command out. Frames are whole ones with identifiers made
+beforehand, taken and sent in the loop's own thread; `read` waits for positions no longer than
+`answer_time`. The start-up (`drivers.canopen.setup`) may take some tenths of a second.
+
+What goes wrong is counted (`counters`) and has one of three outcomes:
+
+- one sample is missing, late, doubled or of a wrong length: the encoder keeps its last one, which ages;
+- an encoder tells of an error of its own: its channel is invalid until it tells that the error is over;
+- a node is lost, restarts, leaves its operational state or (the valve node) tells of an error, the bus is
+  off or the interface away: the driver is no longer `operational`, `trouble` says why, and every command from
+  there on is the passive one. Only `close` and `open` end that. Inputs that come no more stand as they were.
+
+A frame that finds no room is not sent again: the next tick's follows. If that lasts, the node's own watchdog
+strikes.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import struct
+import time as wall
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+from drivers.base import ABSENT, JOINTS, PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.can_bus import ERROR, FRAME
+from drivers.canopen.counters import BusCounters
+from drivers.canopen.frames import (
+    COMMAND,
+    COMMAND_LENGTH,
+    EMERGENCY,
+    EMERGENCY_LENGTH,
+    GREATEST_LOAD,
+    HEARTBEAT,
+    INPUTS_LENGTH,
+    NMT,
+    POSITION_LENGTH,
+    RPDO1,
+    SERVICE_ANSWER,
+    SYNC,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    beat_period,
+    bus_load,
+    frame,
+    greatest_rate,
+    pressure_groups,
+)
+from drivers.canopen.link import FrameLink, open_link
+from drivers.canopen.services import Node
+from drivers.canopen.settings import FULL_SCALE, CanopenSettings
+from drivers.canopen.setup import set_up_encoder, set_up_valve_node
+
+_START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
+"""NMT commands."""
+_BOOT_UP, _OPERATIONAL = 0, 5
+"""States in a heartbeat."""
+_ALL = 0b111
+"""Every encoder's sample is awaited."""
+_MOST_WAITING = 64
+"""Frames taken in one go: more than a bus of 1 Mbit/s brings in three ticks of a millisecond."""
+_MISSED = 3.0
+"""Periods of silence that make a node lost."""
+_MOST_NO_ROOM = 0.5
+"""Of the watchdog's time: so long commands may find no room before the driver calls it trouble."""
+
+_BUS_OFF, _CONTROLLER = 0x40, 0x04
+"""Error classes of an error frame (linux/can/error.h); the second one explains itself in byte 1."""
+_OVERFLOW, _PASSIVE_BUS = 0x03, 0x30
+
+_VALVE_NODE = 3
+"""Index of the valve node among the nodes, after the encoders."""
+
+_Opened = Callable[[CanopenSettings, list[int]], FrameLink]
+
+
+class CanopenDriver:
+    """See the module's text. `counters`, `trouble` and `load` are open to whoever asks."""
+
+    def __init__(
+        self,
+        settings: CanopenSettings | None = None,
+        *,
+        period: float = 0.001,
+        watchdog: float = 0.02,
+        counts_per_revolution: int = 2**17,
+        clock: Callable[[], float] = wall.monotonic,
+        open_bus: _Opened = open_link,
+    ) -> None:
+        """`period` (s) is the loop's, `watchdog` (s) the silence after which the valve node lets go.
+
+        `counts_per_revolution` is what the encoders must have. `clock` bounds waiting and nothing else.
+        """
+        self.settings = settings or CanopenSettings()
+        self.period, self.watchdog = period, watchdog
+        self.counters = BusCounters()
+        self.trouble = ""
+        """Why it is not operational; empty while it is."""
+        self.load = bus_load(self.settings, period, watchdog)
+        """Share of the bus that is taken at most."""
+        self.applied = PASSIVE
+        """The command sent last."""
+        self._counts, self._clock, self._open_bus = counts_per_revolution, clock, open_bus
+        self._link: FrameLink | None = None
+        encoders, valve_node = self.settings.encoders, self.settings.valve_node
+        self._numbers = (*encoders.nodes, valve_node.node)
+        self._roles = (*(f"encoder of the {joint}" for joint in JOINTS), "valves and interlocks")
+        self._range = [counts_per_revolution] * 3
+        self._sync = frame(SYNC)
+        self._beat = frame(HEARTBEAT + self.settings.master, bytes([_OPERATIONAL]))
+        self._beat_period = beat_period(watchdog)
+        self._command_identifier = RPDO1 + valve_node.node
+        scale = FULL_SCALE / valve_node.full_scale
+        self._valve_span = valve_node.span * scale
+        a, b, c = (centre * scale + 0.5 for centre in valve_node.centre)
+        self._valve_centre = (a, b, c)
+        outputs = valve_node.outputs
+        self._output_bits = (
+            1 << outputs.supply_enable, 1 << outputs.exhaust_closed, 1 << outputs.guard_release,
+            1 << outputs.beacon, 1 << outputs.tee,
+        )  # fmt: skip
+        self._passive_frame = self._packed(PASSIVE)
+        inputs = valve_node.inputs
+        self._input_bits = (
+            1 << inputs.emergency_stop_clear, 1 << inputs.guard_closed, 1 << inputs.guard_locked,
+            1 << inputs.local_reset, 1 << inputs.ball_present,
+        )  # fmt: skip
+        self._pressure_zero = valve_node.pressure_at_zero
+        self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
+        self._takers = self._make_takers()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Start without any knowledge of the bus."""
+        self._time = -math.inf
+        self._count = [0, 0, 0]
+        self._sampled: list[float] = [ABSENT] * 3
+        self._seen, self._faulty = [False] * 3, [False] * 3
+        self._awaited = 0
+        self._sync_time = ABSENT
+        self._inputs = 0
+        self._pressures = dict.fromkeys(range(255), ABSENT)
+        self._pressures_heard = [-math.inf, -math.inf]
+        self._heard = [ABSENT] * 4
+        self._inputs_heard = ABSENT
+        self._states = [-1] * 4
+        self._beaten = -math.inf
+        self._room_since = ABSENT
+        self._answer: tuple[int, bytes] | None = None
+        self._listening = False
+        """The start-up is over: what nodes tell of themselves counts."""
+
+    @property
+    def operational(self) -> bool:
+        """Whether commands are obeyed, as far as is known here."""
+        return self._link is not None and not self.trouble
+
+    # Opening and closing -------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Set the nodes up, read back what was set, let them begin; passive at first.
+
+        Raises:
+            DriverError: open already, the bus would be too full, no interface, or a node that is missing,
+                unfit or refuses something; the text says which and what to do.
+        """
+        if self._link is not None:
+            raise DriverError("canopen driver: open() found it open already; call close() first")
+        self._check_load()
+        self._forget()
+        self.trouble, self.applied = "", PASSIVE
+        self._link = self._open_bus(self.settings, sorted(self._takers))
+        try:
+            self._begin()
+        except OSError as error:
+            self._detach()
+            raise DriverError(
+                f"canopen: channel {self.settings.channel!r}: {error}; see whether the interface is up"
+            ) from error
+        except BaseException:
+            self._detach()
+            raise
+
+    def _check_load(self) -> None:
+        if self.load > GREATEST_LOAD:
+            rate = int(greatest_rate(self.settings, self.watchdog))
+            raise DriverError(
+                f"canopen: found a bus load of {self.load:.0%} at {1.0 / self.period:.0f} ticks a second and "
+                f"{self.settings.bitrate} bit/s, expected at most {GREATEST_LOAD:.0%}; lower loop.rate to "
+                f"{rate} Hz, raise canopen.bitrate, or make canopen.pressure_ticks longer"
+            )
+
+    def _begin(self) -> None:
+        """Go through the start-up."""
+        nodes = [
+            Node(number, role, self._put, self._next, self._clock, self.settings.service_time)
+            for number, role in zip(self._numbers, self._roles, strict=True)
+        ]
+        for node in nodes:
+            self._order(_ENTER_PRE_OPERATIONAL, node.number)
+        valve_node = nodes[_VALVE_NODE]
+        set_up_valve_node(valve_node, self.settings, self.watchdog)
+        for joint in range(3):
+            self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
+        self._inputs = valve_node.read(0x6000, 1, "inputs")
+        self._states = [-1] * 4
+        for node in nodes:
+            self._order(_START, node.number)
+        self._put(self._beat)
+        self._put(self._passive_frame)
+        self._await_states()
+        self._listening = True
+        self._await_samples()
+        if self.trouble:
+            raise DriverError(f"canopen: {self.trouble}; see to that node, then start again")
+
+    def _await_states(self) -> None:
+        """Wait until every node has told that it is operational.
+
+        Raises:
+            DriverError: one has not.
+        """
+        end = self._clock() + _MISSED * self.settings.heartbeat
+        while (left := end - self._clock()) > 0.0 and any(state != _OPERATIONAL for state in self._states):
+            self._next(min(left, self._beat_period))
+            self._put(self._passive_frame)  # the node's watchdog runs from the first command on
+            self._put(self._beat)
+        for number, role, state in zip(self._numbers, self._roles, self._states, strict=True):
+            if state != _OPERATIONAL:
+                found = "no heartbeat" if state < 0 else f"state {state} in its heartbeat"
+                raise DriverError(
+                    f"canopen: node {number} ({role}), heartbeat: found {found} within "
+                    f"{_MISSED * self.settings.heartbeat:g} s after its start, expected 5 (operational); "
+                    "see its own display, its number and whether another master commands it"
+                )
+
+    def _await_samples(self) -> None:
+        """Try one SYNC, so that an encoder that does not answer is refused here.
+
+        Raises:
+            DriverError: one does not.
+        """
+        self._awaited, self._sync_time = _ALL, self._time
+        self._put(self._sync)
+        end = self._clock() + self.settings.service_time
+        while self._awaited and (left := end - self._clock()) > 0.0:
+            self._next(min(left, self._beat_period))
+            self._put(self._passive_frame)
+        for joint in range(3):
+            if self._awaited >> joint & 1:
+                raise DriverError(
+                    f"canopen: node {self._numbers[joint]} ({self._roles[joint]}), object "
+                    f"{self.settings.encoders.position:04X}h in TPDO2: found no answer to SYNC within "
+                    f"{self.settings.service_time:g} s, expected one; see whether it listens to 080h (1005h)"
+                )
+        self._sampled, self._seen = [ABSENT] * 3, [False] * 3  # the loop's time has not begun
+
+    def close(self) -> None:
+        """Leave the device passive, its nodes stopped, and the bus. Allowed in any state, also twice."""
+        if self._link is not None:
+            self.make_passive()
+            with suppress(Exception):  # whatever became of the bus
+                self._order(_STOP, self._numbers[_VALVE_NODE])
+                for number in self._numbers[:_VALVE_NODE]:
+                    self._order(_ENTER_PRE_OPERATIONAL, number)
+        self._detach()
+        self.applied = PASSIVE
+
+    def _detach(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            with suppress(Exception):
+                link.shutdown()
+
+    def make_passive(self) -> None:
+        """Send the passive command if the bus is open; else it is passive already. Never raises."""
+        self.applied = PASSIVE
+        if self._link is not None:
+            with suppress(Exception):
+                self._link.send_frame(self._passive_frame)
+
+    # The tick ------------------------------------------------------------------------------------
+
+    def read(self, time: float) -> Readings:
+        """Let the encoders sample now and return what they and the inputs show.
+
+        Takes up to `answer_time` when a sample is missing. A sample's time is that of its SYNC, `time`.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or before the last one.
+        """
+        link = self._link
+        if link is None:
+            raise DriverError("canopen driver: read() found it closed, expected it open; call open() first")
+        if not self._time <= time < math.inf:
+            raise DriverError(
+                f"canopen driver: read() found time {time} s, expected a finite one from {self._time} s on; "
+                "give it CLOCK_MONOTONIC"
+            )
+        if self._time == -math.inf:
+            self._start_listening(time)
+        self._time = time
+        counters, clock = self.counters, self._clock
+        try:
+            for _ in range(_MOST_WAITING):  # what came since the last tick
+                waiting = link.receive_frame(0.0)
+                if waiting is None:
+                    break
+                self._take(waiting)
+            else:
+                counters.floods += 1
+            if self._awaited:
+                counters.missing += self._awaited.bit_count()
+                self._awaited = 0
+            if self._send(link, self._sync):
+                counters.syncs += 1
+                self._sync_time, self._awaited = time, _ALL
+                end = clock() + self.settings.answer_time
+                while self._awaited and (left := end - clock()) > 0.0:
+                    waiting = link.receive_frame(left)
+                    if waiting is None:
+                        break
+                    self._take(waiting)
+        except OSError as error:
+            counters.receive_failures += 1
+            self._note_trouble(f"receiving failed: {error}")
+        self._supervise(time)
+        return self._readings(time)
+
+    def write(self, command: Command) -> Command:
+        """Send `command` within the device's limits; return what is applied, PASSIVE when not operational.
+
+        Raises:
+            DriverError: not open.
+        """
+        link = self._link
+        if link is None:
+            raise DriverError("canopen driver: write() found it closed, expected it open; call open() first")
+        applied = PASSIVE if self.trouble else device_limited(command)
+        if self._time - self._beaten >= self._beat_period:
+            self._beaten = self._time
+            self._send(link, self._beat)
+        if self._send(link, self._passive_frame if applied is PASSIVE else self._packed(applied)):
+            self.applied, self._room_since = applied, ABSENT
+        elif math.isnan(self._room_since):
+            self._room_since = self._time
+        elif self._time - self._room_since > _MOST_NO_ROOM * self.watchdog:
+            self._note_trouble("commands find no room in the queue of the interface")
+        return PASSIVE if self.trouble else self.applied
+
+    def _packed(self, command: Command) -> bytes:
+        """Return the frame of `command`, which is within limits."""
+        (a, b, c), supply, closed, lock, beacon, tee = command
+        first, second, third = self._valve_centre
+        span, bits = self._valve_span, self._output_bits
+        return COMMAND.pack(
+            self._command_identifier,
+            COMMAND_LENGTH,
+            int(first + span * a),
+            int(second + span * b),
+            int(third + span * c),
+            (bits[0] if supply else 0)
+            | (bits[1] if closed else 0)
+            | (0 if lock else bits[2])
+            | (bits[3] if beacon else 0)
+            | (bits[4] if tee else 0),
+        )
+
+    def _send(self, link: FrameLink, whole: bytes) -> bool:
+        """Send a frame; return whether that was possible."""
+        try:
+            link.send_frame(whole)
+        except OSError as error:
+            if error.errno in (errno.ENOBUFS, errno.EAGAIN):
+                self.counters.no_room += 1
+            else:
+                self.counters.send_failures += 1
+                self._note_trouble(f"sending failed: {error}")
+            return False
+        return True
+
+    def _readings(self, time: float) -> Readings:
+        inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
+        node, seen, faulty = self.settings.valve_node, self._seen, self._faulty
+        a, b, c = self._sampled
+        p1, p2, p3, p4, p5, p6 = node.chamber_pressures
+        return Readings(
+            time,
+            (self._count[0], self._count[1], self._count[2]),
+            (a, b, c),
+            (seen[0] and not faulty[0], seen[1] and not faulty[1], seen[2] and not faulty[2]),
+            (time - a, time - b, time - c),
+            inputs & bits[0] != 0,
+            inputs & bits[1] != 0,
+            inputs & bits[2] != 0,
+            pressures[node.supply_pressure],
+            inputs & bits[3] != 0,
+            inputs & bits[4] != 0,
+            (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
+        )
+
+    # What comes from the bus ---------------------------------------------------------------------
+
+    def _make_takers(self) -> dict[int, Callable[[bytes], None]]:
+        """Return what takes the data of each identifier; each counts its frame."""
+        takers: dict[int, Callable[[bytes], None]] = {}
+        for joint, number in enumerate(self.settings.encoders.nodes):
+            takers[TPDO2 + number] = partial(self._take_position, joint)
+        for index, number in enumerate(self._numbers):
+            takers[HEARTBEAT + number] = partial(self._take_heartbeat, index)
+            takers[EMERGENCY + number] = partial(self._take_emergency, index)
+            takers[SERVICE_ANSWER + number] = partial(self._take_answer, number)
+        node = self.settings.valve_node
+        takers[TPDO1 + node.node] = self._take_inputs
+        for n, (base, group) in enumerate(zip((TPDO2, TPDO3), pressure_groups(node), strict=False)):
+            packed = struct.Struct(f"<{len(group)}h")
+            takers[base + node.node] = partial(self._take_pressures, n, group, packed)
+        return takers
+
+    def _take(self, whole: bytes) -> None:
+        """Take one frame, whatever it is."""
+        counters = self.counters
+        counters.frames += 1
+        identifier, length, data = FRAME.unpack(whole)
+        taker = self._takers.get(identifier)  # flags in it make it a foreign one
+        if taker is not None:
+            taker(data[:length])
+        elif identifier & ERROR:
+            self._take_error(identifier, data)
+        else:
+            counters.foreign += 1
+
+    def _take_position(self, joint: int, data: bytes) -> None:
+        counters, bit = self.counters, 1 << joint
+        if len(data) != POSITION_LENGTH:
+            counters.wrong_length += 1
+            return
+        if not self._awaited & bit:
+            counters.duplicates += 1
+            return
+        self._awaited &= ~bit
+        if self._sync_time == self._time:
+            counters.positions += 1
+        else:
+            counters.late += 1
+        position = int.from_bytes(data, "little")
+        # A count outside of the range is passed on: the bench calls it implausible.
+        self._count[joint] = position % self._counts if position < self._range[joint] else position
+        self._sampled[joint], self._seen[joint] = self._sync_time, True
+
+    def _take_inputs(self, data: bytes) -> None:
+        if len(data) != INPUTS_LENGTH:
+            self.counters.wrong_length += 1
+            return
+        self.counters.inputs += 1
+        self._inputs, self._inputs_heard = data[0], self._time
+
+    def _take_pressures(self, n: int, group: tuple[int, ...], packed: struct.Struct, data: bytes) -> None:
+        if len(data) != packed.size:
+            self.counters.wrong_length += 1
+            return
+        self.counters.pressures += 1
+        self._pressures_heard[n] = self._time
+        for channel, count in zip(group, packed.unpack(data), strict=True):
+            self._pressures[channel] = self._pressure_zero + self._pressure_scale * count
+
+    def _take_heartbeat(self, index: int, data: bytes) -> None:
+        if len(data) != 1:
+            self.counters.wrong_length += 1
+            return
+        state = data[0] & 0x7F
+        self._heard[index], self._states[index] = self._time, state
+        who = f"node {self._numbers[index]} ({self._roles[index]})"
+        if state == _BOOT_UP:
+            self.counters.boot_ups += 1
+            self._note_trouble(f"{who} has restarted")
+        else:
+            self.counters.heartbeats += 1
+            if state != _OPERATIONAL:
+                self._note_trouble(f"{who} has left its operational state for state {state}")
+
+    def _take_emergency(self, index: int, data: bytes) -> None:
+        if len(data) != EMERGENCY_LENGTH:
+            self.counters.wrong_length += 1
+            return
+        self.counters.emergencies += 1
+        code = data[0] | data[1] << 8
+        if index < _VALVE_NODE:
+            self._faulty[index] = code != 0
+        elif code:
+            who = f"node {self._numbers[index]} ({self._roles[index]})"
+            self._note_trouble(f"{who} tells of error {code:04X}h, register {data[2]:02X}h")
+
+    def _take_answer(self, number: int, data: bytes) -> None:
+        self.counters.services += 1
+        self._answer = SERVICE_ANSWER + number, data
+
+    def _take_error(self, identifier: int, data: bytes) -> None:
+        """Take an error frame of the interface (linux/can/error.h)."""
+        counters = self.counters
+        counters.error_frames += 1
+        if identifier & _BUS_OFF:
+            counters.bus_off += 1
+            self._note_trouble("the controller is bus-off: see to wiring, terminators and bit rates")
+        if identifier & _CONTROLLER:
+            counters.overruns += bool(data[1] & _OVERFLOW)
+            counters.error_passive += bool(data[1] & _PASSIVE_BUS)
+
+    def _note_trouble(self, text: str) -> None:
+        """Stop obeying commands; the first reason stands."""
+        if self._listening:
+            self.trouble = self.trouble or text
+
+    def _start_listening(self, time: float) -> None:
+        """Let all silence begin at `time`."""
+        self._heard = [time] * 4
+        self._inputs_heard = time
+
+    def _supervise(self, time: float) -> None:
+        """Notice who is silent for too long."""
+        longest = _MISSED * self.settings.heartbeat
+        for index in range(4):
+            if time - self._heard[index] > longest:
+                who = f"node {self._numbers[index]} ({self._roles[index]})"
+                self._note_trouble(f"{who} has sent no heartbeat for {longest:g} s")
+        if time - self._inputs_heard > _MISSED * self.settings.interlock_period:
+            self._note_trouble("the interlocks have not come for three of their periods")
+        stale = _MISSED * self.settings.pressure_ticks * self.period
+        for n, group in enumerate(pressure_groups(self.settings.valve_node)):
+            if time - self._pressures_heard[n] > stale and self._pressures_heard[n] > -math.inf:
+                self._pressures_heard[n] = -math.inf
+                for channel in group:
+                    self._pressures[channel] = ABSENT
+
+    # The start-up's side of the bus --------------------------------------------------------------
+
+    def _put(self, whole: bytes) -> None:
+        """Send a frame; OSError when that fails."""
+        if self._link is not None:
+            self._link.send_frame(whole)
+
+    def _order(self, command: int, number: int) -> None:
+        self._put(frame(NMT, bytes([command, number])))
+
+    def _next(self, timeout: float) -> tuple[int, bytes] | None:
+        """Take the next frame; return it when it answers a question."""
+        whole = None if self._link is None else self._link.receive_frame(timeout)
+        self._answer = None
+        if whole is not None:
+            self._take(whole)
+        return self._answer

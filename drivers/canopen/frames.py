@@ -1,0 +1,105 @@
+"""Every frame of the bench's bus: identifiers, lengths, contents and rates; the load follows from them."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from drivers.can_bus import FRAME
+from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
+
+NMT, SYNC, EMERGENCY = 0x000, 0x080, 0x080
+TPDO1, TPDO2, TPDO3, RPDO1 = 0x180, 0x280, 0x380, 0x200
+SERVICE_ANSWER, SERVICE_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
+"""Function codes of CiA 301's predefined connection set; the node's number is added."""
+
+GREATEST_LOAD = 0.75
+"""Of the bus: above it frames of low priority wait too long."""
+
+COMMAND = struct.Struct("=IB3x3hBx")
+"""The command as a whole frame (`drivers.can_bus.FRAME`): three valves, then the outputs."""
+COMMAND_LENGTH = 7
+POSITION_LENGTH = 4
+INPUTS_LENGTH = 1
+PRESSURES_IN_ONE = 4
+"""Analogue inputs in a frame."""
+EMERGENCY_LENGTH = 8
+
+
+def frame(identifier: int, data: bytes = b"") -> bytes:
+    """Return a whole data frame."""
+    return FRAME.pack(identifier, len(data), data)
+
+
+def worst_bits(length: int) -> int:
+    """Return the bits that a frame of `length` data bytes takes at most, stuffing and pause included.
+
+    Classic base frame: 44 bits and the data, 34 of them and the data subject to stuffing, 3 bits of pause.
+    """
+    return 47 + 8 * length + (33 + 8 * length) // 4
+
+
+class Traffic(NamedTuple):
+    """One kind of frame, and how often it comes."""
+
+    name: str
+    identifier: int
+    length: int
+    rate: float
+    """Per second."""
+
+    @property
+    def load(self) -> float:
+        """Bits per second at most."""
+        return self.rate * worst_bits(self.length)
+
+
+def pressure_groups(node: ValveNodeSettings) -> tuple[tuple[int, ...], ...]:
+    """Return the analogue inputs of TPDO2, and of TPDO3 when more than four are fitted."""
+    fitted = node.analogue_inputs
+    return tuple(fitted[at : at + PRESSURES_IN_ONE] for at in range(0, len(fitted), PRESSURES_IN_ONE))
+
+
+def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[Traffic]:
+    """Return all that is sent while the bench runs at a tick of `period` (s)."""
+    ticks, node = 1.0 / period, settings.valve_node.node
+    numbers = (*settings.encoders.nodes, node)
+    sent = [Traffic("SYNC", SYNC, 0, ticks)]
+    sent += [
+        Traffic(f"position {joint}", TPDO2 + number, POSITION_LENGTH, ticks)
+        for joint, number in zip(("shoulder", "arm", "wrist"), settings.encoders.nodes, strict=True)
+    ]
+    sent += [Traffic("command", RPDO1 + node, COMMAND_LENGTH, ticks)]
+    sent += [Traffic("inputs", TPDO1 + node, INPUTS_LENGTH, 1.0 / settings.interlock_period)]
+    sent += [
+        Traffic(f"pressures {n + 1}", base + node, 2 * len(group), ticks / settings.pressure_ticks)
+        for n, (base, group) in enumerate(
+            zip((TPDO2, TPDO3), pressure_groups(settings.valve_node), strict=False)
+        )
+    ]
+    sent += [
+        Traffic(f"heartbeat {number}", HEARTBEAT + number, 1, 1.0 / settings.heartbeat) for number in numbers
+    ]
+    own = Traffic("heartbeat of the bench", HEARTBEAT + settings.master, 1, 1.0 / beat_period(watchdog))
+    return [*sent, own]
+
+
+def beat_period(watchdog: float) -> float:
+    """Return the time between two heartbeats of the bench (s): three in the node's watchdog time."""
+    return watchdog / 3.0
+
+
+def bus_load(settings: CanopenSettings, period: float, watchdog: float) -> float:
+    """Return the share of the bus that is taken at most, 0 … 1 and above."""
+    return sum(one.load for one in traffic(settings, period, watchdog)) / settings.bitrate
+
+
+def greatest_rate(settings: CanopenSettings, watchdog: float) -> float:
+    """Return the ticks per second at which the load is just GREATEST_LOAD."""
+    slow = bus_load(settings, 1e9, watchdog)
+    return max(0.0, GREATEST_LOAD - slow) / (bus_load(settings, 1.0, watchdog) - slow)
+
+
+def valve_counts(volts: float, node: ValveNodeSettings) -> int:
+    """Return the count of an analogue output nearest to `volts`."""
+    return max(0, min(FULL_SCALE, round(volts / node.full_scale * FULL_SCALE)))

@@ -1,0 +1,128 @@
+"""Whole frames to and from any interface of python-can: raw where the socket can be had, else as messages.
+
+Frames are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). What fails does so with OSError and its
+number: ENOBUFS when there is no room for a frame, ENETDOWN and the like when the interface is away.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Protocol
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+from drivers.base import DriverError
+from drivers.can_bus import ERROR, EXTENDED, FRAME, REMOTE, LocalSocketBus, message_of
+from drivers.canopen.settings import CanopenSettings
+
+_SO_RCVBUFFORCE = 33
+_RECEIVE_BUFFER = 8 * 2**20
+"""Bytes; the kernel's own 212,992 hold 278 frames."""
+
+
+class FrameLink(Protocol):
+    """One opened interface."""
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send; OSError when that fails."""
+
+    def receive_frame(self, timeout: float) -> bytes | None:
+        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+
+    def shutdown(self) -> None:
+        """Close it. Allowed twice."""
+
+
+class SocketcanLink:
+    """SocketCAN's raw socket, without the messages."""
+
+    def __init__(self, bus: SocketcanBus) -> None:
+        self._bus, self._socket = bus, bus.socket
+        with suppress(OSError):  # needs CAP_NET_ADMIN
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send; OSError when that fails."""
+        self._socket.send(frame, socket.MSG_DONTWAIT)
+
+    def receive_frame(self, timeout: float) -> bytes | None:
+        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+        if timeout and not select.select([self._socket], (), (), timeout)[0]:
+            return None
+        try:
+            return self._socket.recv(FRAME.size, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+
+    def shutdown(self) -> None:
+        """Close it. Allowed twice."""
+        self._bus.shutdown()
+
+
+class MessageLink:
+    """Any other interface, by python-can's messages."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+
+    def send_frame(self, frame: bytes) -> None:
+        """Send; OSError when that fails."""
+        try:
+            self._bus.send(message_of(frame, ""))
+        except can.CanError as error:
+            raise OSError(error.error_code or errno.EIO, str(error)) from error
+
+    def receive_frame(self, timeout: float) -> bytes | None:
+        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+        try:
+            message = self._bus.recv(timeout)
+        except can.CanError as error:
+            raise OSError(error.error_code or errno.EIO, str(error)) from error
+        if message is None:
+            return None
+        flags = (
+            message.is_extended_id * EXTENDED
+            | message.is_remote_frame * REMOTE
+            | message.is_error_frame * ERROR
+        )
+        return FRAME.pack(message.arbitration_id | flags, message.dlc & 0xF, bytes(message.data[:8]))
+
+    def shutdown(self) -> None:
+        """Close it. Allowed twice."""
+        self._bus.shutdown()
+
+
+def open_link(settings: CanopenSettings, identifiers: Sequence[int]) -> FrameLink:
+    """Open the interface; of data frames only those with one of `identifiers` come through.
+
+    Raises:
+        DriverError: it cannot be opened; the text says what to do.
+    """
+    filters = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False} for identifier in identifiers]
+    where = f"canopen: interface {settings.interface!r}, channel {settings.channel!r}"
+    try:
+        bus = can.Bus(
+            interface=settings.interface,
+            channel=settings.channel,
+            bitrate=settings.bitrate,
+            can_filters=filters,
+        )
+    except can.CanInterfaceNotImplementedError as error:
+        raise DriverError(
+            f"{where}: {error}; set canopen.interface to one that python-can knows (can.VALID_INTERFACES)"
+        ) from error
+    except (OSError, can.CanError, ValueError, ImportError) as error:
+        cure = (
+            f"bring it up: ip link set {settings.channel} up type can bitrate {settings.bitrate}"
+            if settings.interface == "socketcan"
+            else "correct canopen.interface and canopen.channel, or install what that interface needs"
+        )
+        raise DriverError(f"{where}: it cannot be opened: {error}; {cure}") from error
+    if isinstance(bus, LocalSocketBus):
+        return bus
+    return SocketcanLink(bus) if isinstance(bus, SocketcanBus) else MessageLink(bus)

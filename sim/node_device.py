@@ -1,0 +1,412 @@
+"""A CANopen device after CiA 301: object dictionary from its EDS, SDO, NMT, heartbeat, SYNC, PDO, EMCY.
+
+What a device is comes from its EDS file, which is read as data, and from what a master writes into it. Time
+is given; frames come in by `hear` and go out by the function it was made with. Nothing here knows the bench's
+driver.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import canopen
+from canopen.objectdictionary import ODVariable, import_od
+from canopen.objectdictionary.datatypes import NUMBER_TYPES, SIGNED_TYPES
+from canopen.sdo.exceptions import SdoAbortedError
+from canopen.sdo.server import SdoServer
+
+Send = Callable[[int, bytes], None]
+"""Takes identifier and data of a frame to send."""
+
+INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+"""States as a heartbeat tells them."""
+
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+"""NMT commands."""
+
+RPDO_TIMEOUT, HEARTBEAT_LOST, PDO_TOO_SHORT, NO_ERROR = 0x8250, 0x8130, 0x8210, 0x0000
+"""Emergency error codes."""
+
+_ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
+_CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT, _ERROR_BEHAVIOUR = 0x1016, 0x1017, 0x1029
+_INVALID = 0x80000000
+_EVENT = 254
+"""Transmission type from which on a PDO goes by events instead of SYNC."""
+
+_NOT_READABLE, _NOT_WRITABLE, _NO_OBJECT, _NO_SUB_INDEX = 0x06010001, 0x06010002, 0x06020000, 0x06090011
+_NOT_MAPPABLE, _PDO_TOO_LONG, _WRONG_LENGTH, _NO_VALUE = 0x06040041, 0x06040042, 0x06070010, 0x060A0023
+_TOO_HIGH, _TOO_LOW, _BAD_VALUE, _NOT_NOW = 0x06090031, 0x06090032, 0x06090030, 0x08000022
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """One object in a PDO."""
+
+    index: int
+    subindex: int
+    size: int
+    """Bytes."""
+
+
+@dataclass
+class Pdo:
+    """One PDO as it is set at present."""
+
+    number: int
+    """From 0."""
+    identifier: int
+    kind: int
+    """Transmission type."""
+    period: float
+    """Event timer, s; infinite without one."""
+    mapped: tuple[Mapped, ...]
+    due: float = math.inf
+    """When the event timer runs out."""
+    syncs: int = 0
+    held: bytes | None = field(default=None, repr=False)
+    """Received, and to be applied with the next SYNC."""
+
+    @property
+    def length(self) -> int:
+        """Bytes of a frame."""
+        return sum(one.size for one in self.mapped)
+
+
+class _Wire(canopen.Network):
+    """What canopen's SDO server answers into."""
+
+    def __init__(self, send: Send) -> None:
+        super().__init__(None)
+        self._send = send
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self._send(can_id, bytes(data))
+
+
+class CanopenDevice:
+    """One device. A subclass gives its objects meaning: `sampled`, `written` and `fall_back`."""
+
+    def __init__(self, number: int, eds: Path, send: Send) -> None:
+        """Node `number` (1 … 127) as the file `eds` describes it; it is without power until `boot`."""
+        self.number, self._send = number, send
+        self.object_dictionary = import_od(str(eds), number)
+        self._objects: dict[tuple[int, int], ODVariable] = {}
+        for index, entry in self.object_dictionary.items():
+            parts: Any = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+            self._objects |= {(index, subindex): part for subindex, part in parts.items()}
+        self.state = INITIALISING
+        self.errors = 0
+        """Emergency messages sent that told of an error."""
+        self._values: dict[tuple[int, int], bytes] = {}
+        self._sdo = SdoServer(0x600 + number, 0x580 + number, self)
+        self._sdo.network = _Wire(send)
+        self._tpdos: list[Pdo] = []
+        self._rpdos: dict[int, Pdo] = {}
+        self._heartbeat, self._heartbeat_due = math.inf, math.inf
+        self._watched: dict[int, tuple[float, float]] = {}
+        """Node -> longest silence (s), when it is over."""
+        self._sync = 0x80
+        self._now = 0.0
+        self._trouble = False
+
+    # What a subclass says ------------------------------------------------------------------------
+
+    def sampled(self) -> bool:
+        """Bring the objects of a synchronous TPDO up to date; return False not to answer this SYNC."""
+        return True
+
+    def written(self, index: int) -> None:
+        """Act on what a master has written into object `index`."""
+
+    def fall_back(self) -> None:
+        """Set the outputs to what they are to be while nobody commands them."""
+
+    # Life ----------------------------------------------------------------------------------------
+
+    def boot(self, now: float) -> None:
+        """Come up with the values of the EDS at `now` (s): boot-up message, then pre-operational."""
+        self._now = now
+        self._values.clear()
+        self._watched.clear()
+        self._heartbeat = self._heartbeat_due = math.inf
+        self._trouble = False
+        self._read_settings()
+        self.fall_back()
+        self.state = PRE_OPERATIONAL
+        self._send(0x700 + self.number, bytes([INITIALISING]))
+
+    def hear(self, identifier: int, data: bytes, now: float) -> None:
+        """Take a data frame from the bus at `now` (s)."""
+        self._now = now
+        if identifier == self._sync:
+            self._hear_sync()
+        elif (pdo := self._rpdos.get(identifier)) is not None:
+            self._hear_rpdo(pdo, data)
+        elif identifier == 0:
+            if len(data) == 2 and data[1] in (0, self.number):
+                self._obey(data[0])
+        elif identifier == 0x600 + self.number:
+            if len(data) == 8 and self.state != STOPPED:
+                self._sdo.on_request(identifier, bytearray(data), now)
+        elif identifier - 0x700 in self._watched:
+            period, _ = self._watched[identifier - 0x700]
+            self._watched[identifier - 0x700] = period, now + period
+
+    def run_timers(self, now: float) -> None:
+        """Do what is due at `now` (s)."""
+        self._now = now
+        if now >= self._heartbeat_due:
+            self._heartbeat_due = now + self._heartbeat
+            self._send(0x700 + self.number, bytes([self.state]))
+        if self.state != OPERATIONAL:
+            return
+        for pdo in self._rpdos.values():
+            if now >= pdo.due:
+                pdo.due = math.inf
+                self.fail(RPDO_TIMEOUT, 0x11)
+        for node, (period, due) in self._watched.items():
+            if now >= due:
+                self._watched[node] = period, math.inf
+                self.fail(HEARTBEAT_LOST, 0x11)
+        for pdo in self._tpdos:
+            if now >= pdo.due:
+                self._transmit(pdo)
+
+    @property
+    def next_due(self) -> float:
+        """When `run_timers` has something to do next, s."""
+        dues = [self._heartbeat_due, *(pdo.due for pdo in self._tpdos)]
+        dues += [pdo.due for pdo in self._rpdos.values()] + [due for _, due in self._watched.values()]
+        return min(dues)
+
+    def fail(self, code: int, register: int) -> None:
+        """Tell of a communication error, let the outputs fall back, and change state as 1029h says."""
+        self.tell_error(code, register)
+        behaviour = self.number_at(_ERROR_BEHAVIOUR, 1) if (_ERROR_BEHAVIOUR, 1) in self else 0
+        if behaviour in (0, 2):
+            self._enter(STOPPED if behaviour == 2 else PRE_OPERATIONAL)
+        self.fall_back()
+
+    def tell_error(self, code: int, register: int) -> None:
+        """Send an emergency message; code 0 tells that the errors are over."""
+        self._trouble = code != NO_ERROR
+        self.errors += self._trouble
+        self.put(_ERROR_REGISTER, 0, register)
+        if self.state != STOPPED:
+            self._send(self.number_at(_EMERGENCY_COB_ID) & 0x7FF, struct.pack("<HB5x", code, register))
+
+    def tell_change(self, index: int) -> None:
+        """Send every event-driven TPDO that has object `index` in it."""
+        if self.state == OPERATIONAL:
+            for pdo in self._tpdos:
+                if pdo.kind >= _EVENT and any(one.index == index for one in pdo.mapped):
+                    self._transmit(pdo)
+
+    # Values --------------------------------------------------------------------------------------
+
+    def __contains__(self, key: tuple[int, int]) -> bool:
+        """Tell whether the dictionary has the object (index, sub-index)."""
+        return key in self._objects
+
+    def number_at(self, index: int, subindex: int = 0) -> int:
+        """Return the value of a whole-number object."""
+        signed = self._find(index, subindex).data_type in SIGNED_TYPES
+        return int.from_bytes(self.get_data(index, subindex), "little", signed=signed)
+
+    def put(self, index: int, subindex: int, value: int) -> None:
+        """Set an object from inside the device."""
+        self._values[index, subindex] = self._find(index, subindex).encode_raw(value)
+
+    def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
+        """Return the bytes of an object: what canopen's SDO server asks for.
+
+        Raises:
+            SdoAbortedError: there is none, or it cannot be read.
+        """
+        found = self._find(index, subindex)
+        if check_readable and not found.readable:
+            raise SdoAbortedError(_NOT_READABLE)
+        kept = self._values.get((index, subindex))
+        if kept is not None:
+            return kept
+        if found.default is None:
+            raise SdoAbortedError(_NO_VALUE)
+        return bytes(found.encode_raw(found.default))
+
+    def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
+        """Take the bytes that a master writes.
+
+        Raises:
+            SdoAbortedError: as CiA 301 has it.
+        """
+        found = self._find(index, subindex)
+        if check_writable and not found.writable:
+            raise SdoAbortedError(_NOT_WRITABLE)
+        if found.data_type in NUMBER_TYPES:
+            if 8 * len(data) != len(found):
+                raise SdoAbortedError(_WRONG_LENGTH)
+            value = int.from_bytes(data, "little", signed=found.data_type in SIGNED_TYPES)
+            if found.max is not None and value > found.max:
+                raise SdoAbortedError(_TOO_HIGH)
+            if found.min is not None and value < found.min:
+                raise SdoAbortedError(_TOO_LOW)
+            if 0x1400 <= index < 0x1C00:
+                self._check_pdo(index, subindex, value)
+        self._values[index, subindex] = bytes(data)
+        if index < 0x2000:
+            self._read_settings()
+        self.written(index)
+
+    def _find(self, index: int, subindex: int) -> ODVariable:
+        found = self._objects.get((index, subindex))
+        if found is None:
+            raise SdoAbortedError(_NO_SUB_INDEX if index in self.object_dictionary else _NO_OBJECT)
+        return found
+
+    # PDO -----------------------------------------------------------------------------------------
+
+    def _check_pdo(self, index: int, subindex: int, value: int) -> None:
+        """Refuse what CiA 301 refuses while a PDO is set up.
+
+        Raises:
+            SdoAbortedError: a valid PDO is changed, or an object cannot be mapped.
+        """
+        communication = index & ~0x200 if index & 0x200 else index
+        cob_id = self.number_at(communication, 1)
+        if index == communication:
+            if subindex == 1 and not (cob_id | value) & _INVALID and cob_id & 0x7FF != value & 0x7FF:
+                raise SdoAbortedError(_BAD_VALUE)
+            if subindex == 2 and not (value <= 240 or value >= _EVENT):
+                raise SdoAbortedError(_BAD_VALUE)
+            if subindex > 2 and not cob_id & _INVALID:
+                raise SdoAbortedError(_NOT_NOW)
+            return
+        if not cob_id & _INVALID:
+            raise SdoAbortedError(_NOT_NOW)
+        if subindex == 0:
+            entries = [self.number_at(index, n) for n in range(1, value + 1) if self._find(index, n)]
+            if sum(entry & 0xFF for entry in entries) > 64:
+                raise SdoAbortedError(_PDO_TOO_LONG)
+            return
+        if self.number_at(index):
+            raise SdoAbortedError(_NOT_NOW)
+        if value:
+            mapped = self._find(value >> 16, value >> 8 & 0xFF)
+            if not mapped.pdo_mappable or len(mapped) != value & 0xFF:
+                raise SdoAbortedError(_NOT_MAPPABLE)
+
+    def _pdos(self, communication: int, mapping: int) -> Iterable[Pdo]:
+        """Return the valid PDOs of one direction."""
+        for number in range(8):
+            if communication + number not in self.object_dictionary:
+                return
+            cob_id = self.number_at(communication + number, 1)
+            count = self.number_at(mapping + number)
+            if cob_id & _INVALID or not count:
+                continue
+            entries = [self.number_at(mapping + number, n) for n in range(1, count + 1)]
+            has_timer = (communication + number, 5) in self
+            timer = self.number_at(communication + number, 5) if has_timer else 0
+            yield Pdo(
+                number,
+                cob_id & 0x7FF,
+                self.number_at(communication + number, 2),
+                1e-3 * timer or math.inf,
+                tuple(Mapped(entry >> 16, entry >> 8 & 0xFF, (entry & 0xFF) // 8) for entry in entries),
+            )
+
+    def _read_settings(self) -> None:
+        """Read from the dictionary what is needed at every frame."""
+        self._tpdos = list(self._pdos(0x1800, 0x1A00))
+        self._rpdos = {pdo.identifier: pdo for pdo in self._pdos(0x1400, 0x1600)}
+        if self.state == OPERATIONAL:
+            self._start_timers()
+        self._sync = self.number_at(_SYNC_COB_ID) & 0x7FF
+        heartbeat = 1e-3 * self.number_at(_PRODUCER_HEARTBEAT) or math.inf
+        if heartbeat != self._heartbeat:
+            self._heartbeat, self._heartbeat_due = heartbeat, self._now + heartbeat
+        watched = {}
+        for subindex in range(1, 128):
+            if (_CONSUMER_HEARTBEAT, subindex) not in self:
+                break
+            value = self.number_at(_CONSUMER_HEARTBEAT, subindex)
+            node, period = value >> 16 & 0x7F, 1e-3 * (value & 0xFFFF)
+            if node and period:
+                before = self._watched.get(node, (0.0, 0.0))
+                watched[node] = before if before[0] == period else (period, math.inf)
+        self._watched = watched
+
+    def _start_timers(self) -> None:
+        """Let the event timers of the TPDOs run; those of RPDOs begin with the first frame."""
+        for pdo in self._tpdos:
+            pdo.due = self._now + pdo.period if pdo.kind >= _EVENT else math.inf
+
+    def _transmit(self, pdo: Pdo) -> None:
+        if pdo.kind >= _EVENT:
+            pdo.due = self._now + pdo.period
+        self._send(pdo.identifier, b"".join([self.get_data(one.index, one.subindex) for one in pdo.mapped]))
+
+    def _hear_sync(self) -> None:
+        if self.state != OPERATIONAL:
+            return
+        for pdo in self._rpdos.values():
+            if pdo.held is not None:
+                self._apply(pdo, pdo.held)
+                pdo.held = None
+        answers = [pdo for pdo in self._tpdos if 0 < pdo.kind <= 240]
+        if answers and self.sampled():
+            for pdo in answers:
+                pdo.syncs += 1
+                if pdo.syncs >= pdo.kind:
+                    pdo.syncs = 0
+                    self._transmit(pdo)
+
+    def _hear_rpdo(self, pdo: Pdo, data: bytes) -> None:
+        if self.state != OPERATIONAL:
+            return
+        if len(data) < pdo.length:
+            self.tell_error(PDO_TOO_SHORT, 0x11)
+            return
+        pdo.due = self._now + pdo.period
+        if pdo.kind < _EVENT:
+            pdo.held = data
+        else:
+            self._apply(pdo, data)
+
+    def _apply(self, pdo: Pdo, data: bytes) -> None:
+        at = 0
+        for one in pdo.mapped:
+            self._values[one.index, one.subindex] = data[at : at + one.size]
+            at += one.size
+        for index in dict.fromkeys(one.index for one in pdo.mapped):
+            self.written(index)
+
+    # NMT -----------------------------------------------------------------------------------------
+
+    def _obey(self, command: int) -> None:
+        if command in (RESET_NODE, RESET_COMMUNICATION):
+            self.boot(self._now)
+        elif command == START:
+            self._enter(OPERATIONAL)
+        elif command == STOP:
+            self._enter(STOPPED)
+            self.fall_back()
+        elif command == ENTER_PRE_OPERATIONAL:
+            self._enter(PRE_OPERATIONAL)
+
+    def _enter(self, state: int) -> None:
+        if state == self.state:
+            return
+        self.state = state
+        if state == OPERATIONAL:
+            if self._trouble:
+                self.tell_error(NO_ERROR, 0)
+            self._read_settings()
+            for pdo in self._tpdos:
+                if pdo.kind >= _EVENT:
+                    self._transmit(pdo)
