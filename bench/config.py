@@ -26,6 +26,7 @@ from bench.control.settings import (
 )
 from bench.errors import BenchError
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
+from drivers.canopen.settings import CanopenSettings
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Wind
@@ -105,6 +106,7 @@ class Configuration:
     bench: BenchSettings
     loop: LoopSettings
     driver: DriverSettings
+    canopen: CanopenSettings
     network: NetworkSettings
     swing: SwingSettings
     plant: PlantParameters
@@ -132,6 +134,17 @@ class Configuration:
         if club is not None:
             plant = replace(plant, robot=replace(plant.robot, club=_choice(self, "clubs", club)))
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
+
+    def driver_arguments(self) -> dict[str, Any]:
+        """Return the keyword arguments that the factory of the driver `driver.name` takes."""
+        if self.driver.name != "canopen":
+            return {}
+        return {
+            "settings": self.canopen,
+            "period": 1.0 / self.loop.rate,
+            "watchdog": self.driver.watchdog,
+            "counts_per_revolution": self.plant.encoders.counts_per_revolution,
+        }
 
     def effective(self) -> dict[str, Any]:
         """Return all values nested as in the file, SI and radians, for records and reports; no password."""

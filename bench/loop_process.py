@@ -63,7 +63,7 @@ def open_driver(plan: LoopPlan) -> Driver:
         if settings.time == "wall":
             return ProcessPlantDriver(plan.folder, watchdog=settings.watchdog)
         return SimDriver(plan.configuration.plant)
-    return choose_driver(settings.name, find_drivers())()
+    return choose_driver(settings.name, find_drivers())(**plan.configuration.driver_arguments())
 
 
 class LoopProcess:

@@ -23,6 +23,7 @@ from bench.config import (
 )
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.errors import BenchError
+from drivers.canopen.settings import CanopenSettings
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Wind
@@ -109,6 +110,7 @@ def test_the_shipped_configuration_equals_the_defaults_of_the_code(default: Conf
         ("estimator", default.estimator, EstimatorSettings()),
         ("clubs.driver", default.clubs["driver"], Club.driver()),
         ("clubs.thesis", default.clubs["thesis"], Club.thesis()),
+        ("canopen", default.canopen, CanopenSettings()),
         ("air", default.air, Air()),
         ("wind", default.wind, Wind()),
         ("turf", default.turf, Turf()),
@@ -327,7 +329,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ('[clubs.x]\nlike = "thesis"', "clubs.x.like", '"thesis"', "one of driver"),
         ('[bench]\nid = "a/b"', "bench.id", '"a/b"', "letters"),
         ('[swing]\nclub = "putter"', "swing.club", '"putter"', "one of driver, thesis, iron7"),
-        ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of mock, sim"),
+        ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of canopen, mock, sim"),
         ("[plant.shoulder]\nlower = 2.9", "plant.shoulder.lower", "2.9, with upper 2.7", "less than upper"),
         ("[plant.shoulder]\nupper = 4.5", "plant.shoulder.upper", "rad of travel", "less than one turn"),
         ("[plant.wrist.friction]\nstatic = 20.0", "plant.wrist.friction.static", "20", "at least coulomb"),

@@ -1,0 +1,193 @@
+"""A DBC file of every frame on the bench's bus, for candump, SavvyCAN, cantools and the like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from drivers.base import ACTUATORS, CHAMBERS, JOINTS
+from drivers.canopen.frames import (
+    COMMAND_LENGTH,
+    EMERGENCY,
+    EMERGENCY_LENGTH,
+    HEARTBEAT,
+    INPUTS_LENGTH,
+    NMT,
+    POSITION_LENGTH,
+    RPDO1,
+    SERVICE_ANSWER,
+    SERVICE_REQUEST,
+    SYNC,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    beat_period,
+    pressure_groups,
+)
+from drivers.canopen.settings import FULL_SCALE, CanopenSettings
+
+_MASTER = "BENCH"
+_NMT_COMMANDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset bus"}
+_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+
+class Signal(NamedTuple):
+    """One value in a frame: little-endian, `value = offset + factor * count`."""
+
+    name: str
+    start: int
+    """Bit."""
+    length: int
+    """Bits."""
+    signed: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    words: dict[int, str] | None = None
+
+
+class Frame(NamedTuple):
+    """One kind of frame."""
+
+    identifier: int
+    name: str
+    length: int
+    sender: str
+    signals: tuple[Signal, ...]
+    comment: str
+    cycle: float = 0.0
+    """s between two of them; 0: by events."""
+
+
+def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterator[Frame]:
+    """Yield every frame at a tick of `period` (s)."""
+    node = settings.valve_node
+    yield Frame(
+        NMT, "NMT", 2, _MASTER,
+        (Signal("command", 0, 8, words=_NMT_COMMANDS), Signal("node", 8, 8)),
+        "States of the nodes; node 0: all",
+    )  # fmt: skip
+    yield Frame(SYNC, "SYNC", 0, _MASTER, (), "All encoders sample now", period)
+    for joint, number in zip(JOINTS, settings.encoders.nodes, strict=True):
+        position = Signal("position", 0, 32, unit="counts")
+        name = f"POSITION_{joint.upper()}"
+        yield Frame(
+            TPDO2 + number,
+            name,
+            POSITION_LENGTH,
+            sender(number),
+            (position,),
+            f"Encoder of the {joint}",
+            period,
+        )
+    factor = node.full_scale / FULL_SCALE
+    valves = [
+        Signal(f"valve_{_word(actuator)}", 16 * n, 16, signed=True, factor=factor, unit="V")
+        for n, actuator in enumerate(ACTUATORS)
+    ]
+    switches = [Signal(name, 48 + bit, 1) for name, bit in vars(node.outputs).items()]
+    yield Frame(
+        RPDO1 + node.node, "COMMAND", COMMAND_LENGTH, _MASTER, (*valves, *switches),
+        "Valves (centred at canopen.valve_node.centre) and switches", period,
+    )  # fmt: skip
+    contacts = tuple(Signal(name, bit, 1) for name, bit in vars(node.inputs).items())
+    yield Frame(
+        TPDO1 + node.node, "INPUTS", INPUTS_LENGTH, sender(node.node), contacts,
+        "Interlocks, on change and at least this often", settings.interlock_period,
+    )  # fmt: skip
+    yield from _pressures(settings, period)
+    yield from _services(settings, watchdog)
+
+
+def _pressures(settings: CanopenSettings, period: float) -> Iterator[Frame]:
+    node = settings.valve_node
+    names = {
+        channel: f"pressure_{_word(name)}"
+        for channel, name in zip(
+            (node.supply_pressure, *node.chamber_pressures), ("supply", *CHAMBERS), strict=True
+        )
+    }
+    factor = (node.pressure_at_full_scale - node.pressure_at_zero) / FULL_SCALE
+    for n, (base, group) in enumerate(zip((TPDO2, TPDO3), pressure_groups(node), strict=False), start=1):
+        signals = tuple(
+            Signal(names[channel], 16 * k, 16, True, factor, node.pressure_at_zero, "Pa")
+            for k, channel in enumerate(group)
+        )
+        yield Frame(
+            base + node.node, f"PRESSURES_{n}", 2 * len(group), sender(node.node), signals,
+            "Absolute pressures", settings.pressure_ticks * period,
+        )  # fmt: skip
+
+
+def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
+    """Yield what every node has: errors, heartbeats, questions and answers."""
+    object_signals = (
+        Signal("specifier", 0, 8), Signal("object_index", 8, 16), Signal("sub_index", 24, 8),
+        Signal("content", 32, 32),
+    )  # fmt: skip
+    state = (Signal("state", 0, 8, words=_STATES),)
+    for number in (*settings.encoders.nodes, settings.valve_node.node):
+        error = (Signal("error_code", 0, 16), Signal("error_register", 16, 8))
+        yield Frame(
+            EMERGENCY + number,
+            f"EMERGENCY_{number}",
+            EMERGENCY_LENGTH,
+            sender(number),
+            error,
+            "Code 0: errors over",
+        )
+        yield Frame(
+            HEARTBEAT + number,
+            f"HEARTBEAT_{number}",
+            1,
+            sender(number),
+            state,
+            "Of a node",
+            settings.heartbeat,
+        )
+        yield Frame(SERVICE_REQUEST + number, f"QUESTION_{number}", 8, _MASTER, object_signals, "SDO request")
+        yield Frame(
+            SERVICE_ANSWER + number, f"ANSWER_{number}", 8, sender(number), object_signals, "SDO response"
+        )
+    own = HEARTBEAT + settings.master
+    yield Frame(own, "HEARTBEAT_BENCH", 1, _MASTER, state, "Of the bench", beat_period(watchdog))
+
+
+def sender(number: int) -> str:
+    """Return the name of a node in the file."""
+    return f"NODE_{number}"
+
+
+def describe(settings: CanopenSettings, period: float, watchdog: float) -> str:
+    """Return the DBC file."""
+    described = list(frames(settings, period, watchdog))
+    senders = list(dict.fromkeys(frame.sender for frame in described))
+    lines = ['VERSION "1"', "", "NS_ :", "", "BS_:", "", f"BU_: {' '.join(senders)}", ""]
+    for frame in described:
+        lines.append(f"BO_ {frame.identifier} {frame.name}: {frame.length} {frame.sender}")
+        lines += [f" SG_ {_signal(signal, frame.sender)}" for signal in frame.signals]
+        lines.append("")
+    lines += [f'CM_ BO_ {frame.identifier} "{frame.comment}";' for frame in described]
+    lines += ['BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;', 'BA_DEF_DEF_ "GenMsgCycleTime" 0;']
+    for frame in described:
+        if frame.cycle:
+            lines.append(f'BA_ "GenMsgCycleTime" BO_ {frame.identifier} {max(1, round(1e3 * frame.cycle))};')
+    for frame in described:
+        for signal in frame.signals:
+            if signal.words:
+                words = " ".join(f'{value} "{word}"' for value, word in signal.words.items())
+                lines.append(f"VAL_ {frame.identifier} {signal.name} {words} ;")
+    return "\n".join(lines) + "\n"
+
+
+def _signal(signal: Signal, sent_by: str) -> str:
+    sign = "-" if signal.signed else "+"
+    heard_by = "Vector__XXX" if sent_by == _MASTER else _MASTER
+    return (
+        f"{signal.name} : {signal.start}|{signal.length}@1{sign} ({signal.factor!r},{signal.offset!r}) [0|0] "
+        f'"{signal.unit}" {heard_by}'
+    )
+
+
+def _word(name: str) -> str:
+    return name.lower().replace(" ", "_")
