@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
@@ -12,13 +14,27 @@ from bench.session import Session
 if TYPE_CHECKING:
     from bench.campaign.plan import Plan
     from bench.config import Configuration
+    from bench.store.campaigns import CampaignEntry, CampaignStore
 
 app = typer.Typer(help="Test series: plan, run, judge and keep them.", no_args_is_help=True)
 
 File = Annotated[
     Path, typer.Argument(metavar="FILE", help="A plan, TOML, or the name of one that comes with golfbench.")
 ]
+Id = Annotated[
+    str,
+    typer.Argument(metavar="ID", help="Id of a campaign or its beginning; the newest that fits is meant."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+class Outputs(NamedTuple):
+    """What a run leaves beside its records."""
+
+    json: bool
+    junit: Path | None
+    report: Path | None
+    baseline: Path | None
 
 
 @app.command()
@@ -54,3 +70,170 @@ def _checked(context: typer.Context, file: Path) -> tuple[Plan, Configuration]:
     plan = load_plan(file, configuration)
     require_swings(plan, configuration)
     return plan, configuration
+
+
+@contextmanager
+def _store(configuration: Configuration) -> Iterator[CampaignStore]:
+    """Open the campaigns of the configured bench."""
+    from bench.store.campaigns import CampaignStore
+    from bench.store.database import database_url, open_database
+
+    settings = configuration.bench
+    with open_database(database_url(settings.database, settings.data_dir)) as engine:
+        yield CampaignStore(engine)
+
+
+@app.command()
+def run(
+    context: typer.Context,
+    file: File,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="On the simulated bench, in lock-step, in this process.")
+    ] = False,
+    json_: Json = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
+    ] = None,
+    report_to: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE", help="Also write the report, HTML.")
+    ] = None,
+    check_: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
+    ] = None,
+) -> None:
+    """Run a campaign from its first shot to its end.
+
+    Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
+    """
+    from datetime import UTC, datetime
+
+    from bench.campaign.operate import new_entry
+    from bench.errors import BenchError
+
+    plan, configuration = _checked(context, file)
+    if not sim:
+        raise BenchError("campaign run", "no --sim", "--sim", "Runs against a daemon are not there yet.")
+    with _store(configuration) as store:
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=sim)
+        store.begin(entry)
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, check_))
+
+
+@app.command()
+def resume(
+    context: typer.Context,
+    campaign: Id,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="Its plan, which must be unchanged.")
+    ] = None,
+    json_: Json = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
+    ] = None,
+) -> None:
+    """Go on with a campaign that was paused, stopped, suspended or cut off."""
+    from bench.campaign.operate import ask, is_running, known, require_resumable
+
+    configuration = context.ensure_object(Session).configuration()
+    plan = _checked(context, file)[0] if file else None
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        require_resumable(entry, store.standing(entry.id).state, configuration, plan)
+        if is_running(configuration.bench.data_dir, entry.id):
+            typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
+            return
+        _run(store, entry, configuration, Outputs(json_, junit, None, None))
+
+
+def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs) -> None:
+    """Run `entry` with a progress bar and tell what came of it."""
+    import json
+
+    from bench.campaign.operate import run_simulated
+    from bench.campaign.plan import plan_from_record
+    from bench.campaign.screen import ProgressWatcher
+    from bench.errors import ExitCode
+    from bench.interrupt import deferred_interrupt
+    from bench.progress import progress_bar
+    from bench.store.campaigns import CampaignState
+
+    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
+    typer.echo(f"campaign {entry.id}", err=True)
+    with deferred_interrupt() as asked, progress_bar() as bar:
+        outcome = run_simulated(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set)
+    fine = outcome.state is CampaignState.FINISHED
+    if outputs.json:
+        typer.echo(json.dumps({"campaign": entry.id, **outcome._asdict()}, indent=2))
+    else:
+        reason = f": {outcome.reason}" if outcome.reason else ""
+        typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
+    if not fine:
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def _request(context: typer.Context, campaign: str, request: str) -> None:
+    from bench.campaign.operate import ask, known
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request)}")
+
+
+@app.command()
+def pause(context: typer.Context, campaign: Id) -> None:
+    """Pause a running campaign after the shot under way; resume goes on."""
+    _request(context, campaign, "pause")
+
+
+@app.command()
+def stop(context: typer.Context, campaign: Id) -> None:
+    """Stop a running campaign after the shot under way; it can be resumed."""
+    _request(context, campaign, "stop")
+
+
+@app.command()
+def abort(context: typer.Context, campaign: Id) -> None:
+    """End a campaign for good."""
+    _request(context, campaign, "abort")
+
+
+@app.command("list")
+def list_campaigns(context: typer.Context, json_: Json = False) -> None:
+    """Show the campaigns of this bench, the newest first."""
+    import json
+
+    from rich.console import Console
+
+    from bench.campaign.screen import listing, listing_record
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        found = store.entries()
+    if json_:
+        typer.echo(json.dumps(listing_record(found), indent=2))
+    elif found:
+        Console().print(listing(found))
+    else:
+        typer.echo("No campaigns yet.")
+
+
+@app.command()
+def export(
+    context: typer.Context,
+    campaign: Id,
+    format_: Annotated[Literal["csv"], typer.Option("--format", help="What to write.")] = "csv",
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to [default: standard output].")
+    ] = None,
+) -> None:
+    """Write a campaign's shots, one row each."""
+    from bench.campaign.operate import known
+    from bench.campaign.shot_table import shot_table_text, write_shot_table
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        shots = [stored.shot for stored in store.shots(known(store, campaign).id)]
+    if output is None:
+        typer.echo(shot_table_text(shots), nl=False)
+    else:
+        write_shot_table(output, shots)

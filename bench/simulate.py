@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import version
 from typing import Any, Literal
@@ -39,7 +39,7 @@ from sim.compiled import new_record
 from sim.driver import SimDriver, hanging_pose
 from sim.flight import Flight, Wind, fly
 from sim.impact import Delivery, delivery_from_plane, impact_parameters
-from sim.plant import Plant, PlantParameters, build_plant
+from sim.plant import Plant, PlantParameters, build_plant, initial_state
 from sim.truth import Contact, contact_in
 from sim.turf import Turf
 
@@ -196,6 +196,45 @@ def simulate_swings(
         rig.step(1, DISARM)
     finally:
         rig.close()
+
+
+class ArmedBench:
+    """A simulated bench that is armed once; each swing begins at that same instant.
+
+    A swing then depends on its own `plant` and `ball` only, not on those before it: a series that was cut off
+    goes on as if it had not been.
+    """
+
+    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
+        """Arm `bench`, whose engine is the lock-step one.
+
+        Raises:
+            Refused: the robot does not reach its address.
+            KeyboardInterrupt: `stop` became true before it did.
+        """
+        self._rig = rig = _Rig(bench, stop)
+        if not isinstance(rig.stepper, Lockstep):
+            raise ValueError(f"engine {bench.engine!r} cannot be set back")
+        self._stepper: Lockstep = rig.stepper
+        if not rig.arm():
+            raise KeyboardInterrupt
+        self._tick = self._stepper.tick
+        self._instant = [array.copy() for array in self._arrays()]
+
+    def _arrays(self) -> list[np.ndarray]:
+        stepper = self._stepper
+        return [stepper.plant_state, stepper.readings, stepper.command, *stepper.state]
+
+    def swing(self, plant: PlantParameters, ball: Ball | None) -> SwingResult:
+        """Swing at `ball` from the instant of arming, with the plant as it is at this shot."""
+        rig, stepper = self._rig, self._stepper
+        for array, then in zip(self._arrays(), self._instant, strict=True):
+            array[...] = then
+        stepper.tick = self._tick
+        rig.bench = replace(rig.bench, plant=plant)
+        rig.plant = stepper.plant = build_plant(plant)
+        stepper.plant_state["random"] = initial_state(rig.plant, stepper.plant_state["angle"][0])["random"]
+        return rig.swing(ball)
 
 
 class _Rig:

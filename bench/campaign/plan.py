@@ -128,7 +128,7 @@ class Stop:
     """Greatest half width of a difference's interval, in the unit of the compared quantity."""
     blocks_at_least: Annotated[int, Range(2, 100000, "")]
     looks: Annotated[int, Range(1, 50, "")]
-    """Times the data are looked at, evenly from blocks_at_least to blocks."""
+    """Times the data are looked at, evenly from blocks_at_least to blocks, the end included."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def load_plan(path: Path, configuration: Configuration) -> Plan:
     file = find_plan(path)
     faults: list[BenchError] = []
     given = as_tree(read_toml(file, "a campaign's plan", "Correct the path."), file, faults)
-    known = {"balls": configuration.balls, "clubs": configuration.clubs}
+    known: dict[str, Mapping[str, Any]] = {"balls": configuration.balls, "clubs": configuration.clubs}
     entries = {name: _completed(name, given.pop(name, {}), known[name], file, faults) for name in known}
     base = as_tree(read_toml(DEFAULTS, "defaults", "Install golfbench anew."), DEFAULTS, faults)
     plan = _build({**laid_over(base, given), **entries}, file, faults)
@@ -350,6 +350,10 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
         yield Mistake(
             "stop.blocks_at_least", str(stop.blocks_at_least), f"up to design.blocks, {d.blocks}", "Lower it."
         )
+    if stop.rule != "fixed" and stop.looks < 2:
+        yield Mistake(
+            "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
+        )
     if stop.rule == "width" and not stop.width:
         yield Mistake("stop.width", "0", "a half width above 0 for the rule width", "Set it.")
     if stop.rule == "equivalence" and not analysis.margin:
@@ -371,6 +375,8 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
 
 def _hits(plan: Plan) -> Iterator[Mistake]:
     """Tell of balls that would be hit more often than they may, repeats left out."""
+    from bench.campaign.sequence import hits_needed
+
     handling = plan.ball_handling
     allowed = handling.samples * handling.hits
     for name, needed in hits_needed(plan).items():
@@ -393,17 +399,3 @@ def levels(plan: Plan) -> tuple[str, ...]:
 def controls_per_block(plan: Plan) -> int:
     """Return how often a block hits the control ball: at start and end, and between where there is one."""
     return 0 if not plan.control.ball else 2 + (len(levels(plan)) > 1)
-
-
-def hits_needed(plan: Plan) -> dict[str, int]:
-    """Return how often each ball is hit at most, without repeats."""
-    d = plan.design
-    sections = len(d.balls) * len(d.clubs) * len(d.swings) // len(levels(plan))
-    shots = dict.fromkeys(plan.ball_names, 0)
-    for ball in d.balls:
-        shots[ball] += d.blocks * len(d.clubs) * len(d.swings)
-    if plan.control.ball:
-        shots[plan.control.ball] += controls_per_block(plan) * d.blocks * sections
-    warm_up = plan.control.ball or d.balls[0]
-    shots[warm_up] += plan.warm_up.at_most * sections
-    return shots

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bench.campaign.plan import Plan, controls_per_block, hits_needed, levels
+from bench.campaign.plan import Plan, controls_per_block, levels
 from bench.campaign.power import (
     block_freedom,
     power_of_difference,
@@ -19,7 +19,7 @@ from bench.campaign.power import (
     resolution,
     shots_needed,
 )
-from bench.campaign.sequence import Role, Trial, all_trials, sections
+from bench.campaign.sequence import Role, Trial, all_trials, hits_needed, sections
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from enum import StrEnum
 from itertools import product
 from typing import NamedTuple
@@ -98,3 +99,18 @@ def all_trials(plan: Plan) -> list[Trial]:
         for number in range(1, plan.design.blocks + 1)
         for trial in block_trials(plan, section, number)
     ]
+
+
+def warm_up_arms(section: Section) -> list[Arm]:
+    """Return one arm with the warm-up's ball for each swing and club of the section."""
+    arms = {(arm.swing, arm.club): arm._replace(ball=section.warm_up.ball) for arm in section.arms}
+    return list(arms.values())
+
+
+def hits_needed(plan: Plan) -> Counter[str]:
+    """Return how often each ball is hit at most, without repeats."""
+    hits = Counter(trial.arm.ball for trial in all_trials(plan))
+    for section in sections(plan):
+        for arm in warm_up_arms(section):
+            hits[arm.ball] += plan.warm_up.at_most
+    return hits

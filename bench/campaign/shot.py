@@ -63,6 +63,19 @@ class Shot:
     launch_source: str = ""
     carry_source: str = ""
     time_utc: datetime = datetime(1970, 1, 1, tzinfo=UTC)
+    carry_side_m: float | None = None
+    """Where the ball came down beside the target line, positive to the right."""
+    swing: str = ""
+    role: str = "test"
+    """"test", "control" or "warm-up"."""
+    section: int = 1
+    attempt: int = 1
+    """From 1; a shot that was not valid is repeated."""
+    sample: int = 0
+    """Number of the physical ball; 0 when balls are not told apart."""
+    air_temperature_k: float | None = None
+    air_pressure_pa: float | None = None
+    relative_humidity: float | None = None
 
     @classmethod
     def from_measurements(
@@ -81,8 +94,12 @@ class Shot:
         reason: str = "",
         launch_source: str = "simulated",
         carry_source: str = "simulated",
+        **more: Any,
     ) -> Shot:
-        """Return the shot of what was measured (SI, radians); what is None stays empty with its source."""
+        """Return the shot of what was measured (SI, radians); what is None stays empty with its source.
+
+        `more` are further columns.
+        """
         figures: dict[str, Any] = {}
         if delivery is not None:
             figures |= {
@@ -111,8 +128,11 @@ class Shot:
                 "apex_m": flight.apex,
                 "landing_angle_deg": degrees(flight.landing_angle),
                 "carry_source": carry_source,
+                "carry_side_m": flight.carry_side,
             }
-        return cls(shot, block, position, club, ball, status, reason, time_utc=time_utc, **figures)
+        return cls(
+            shot, block, position, club, ball, status, reason, time_utc=time_utc, **{**figures, **more}
+        )
 
     def __post_init__(self) -> None:
         """Refuse what a table cannot hold: non-finite figures, times without zone, a reason missing."""

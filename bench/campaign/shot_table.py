@@ -23,12 +23,17 @@ from bench.telemetry.whole_file import whole_file
 
 def write_shot_table(path: Path, shots: Sequence[Shot]) -> None:
     """Write one row a shot to `path`, whole or not at all. Raises BenchError when it cannot be stored."""
+    with whole_file(path) as stream:
+        stream.write(shot_table_text(shots).encode())
+
+
+def shot_table_text(shots: Sequence[Shot]) -> str:
+    """Return the table as text."""
     text = io.StringIO(newline="")
     table = csv.writer(text)
     table.writerow([column.name for column in COLUMNS])
     table.writerows([_to_cell(getattr(shot, column.name)) for column in COLUMNS] for shot in shots)
-    with whole_file(path) as stream:
-        stream.write(text.getvalue().encode())
+    return text.getvalue()
 
 
 def read_shot_table(path: Path) -> list[Shot]:

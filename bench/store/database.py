@@ -16,11 +16,18 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, func, insp
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
 
 from bench.errors import BenchError
-from bench.store.tables import Row, SchemaVersionRow
+from bench.store.tables import VERSION_2, Row, SchemaVersionRow
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
-MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {}
+
+def _add_campaigns(connection: Connection) -> None:
+    """Version 1 had calibrations only."""
+    tables = [Row.metadata.tables[name] for name in VERSION_2]
+    Row.metadata.create_all(connection, tables=tables)
+
+
+MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {1: _add_campaigns}
 """Version -> what turns its tables into those of the next one."""
 
 FILE = "golfbench.sqlite"

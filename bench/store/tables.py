@@ -8,7 +8,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import DDL, JSON, DateTime, Dialect, Table, UniqueConstraint, event
+from sqlalchemy import DDL, JSON, DateTime, Dialect, Double, ForeignKey, Table, UniqueConstraint, event
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
@@ -33,7 +33,7 @@ class UtcTime(TypeDecorator[datetime]):
 class Row(DeclarativeBase):
     """Base of all tables."""
 
-    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON}  # noqa: RUF012 - as SQLAlchemy wants it
+    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, float: Double}  # noqa: RUF012 - as SQLAlchemy wants it
 
 
 class SchemaVersionRow(Row):
@@ -78,3 +78,111 @@ def _only_add(table: Table, what: str) -> None:
 
 
 _only_add(Row.metadata.tables[CalibrationRow.__tablename__], "calibrations")
+
+
+class CampaignRow(Row):
+    """One campaign, with all that it was begun with."""
+
+    __tablename__ = "campaigns"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    bench: Mapped[str]
+    name: Mapped[str]
+    title: Mapped[str]
+    date: Mapped[datetime]
+    simulated: Mapped[bool]
+    state: Mapped[str]
+    """Of `bench.store.campaigns.CampaignState`."""
+    reason: Mapped[str]
+    """Why it is in that state; empty when there is nothing to say."""
+    requested: Mapped[str]
+    """What was asked of its runner and not yet done: "pause", "stop", "abort" or nothing."""
+    answered: Mapped[int]
+    """Number of the last prompt that a person has answered."""
+    seed: Mapped[int]
+    plan: Mapped[dict[str, Any]]
+    digest: Mapped[str]
+    """Of the plan."""
+    configuration: Mapped[dict[str, Any]]
+    versions: Mapped[dict[str, Any]]
+    real_time: Mapped[dict[str, Any]]
+    """Settings as granted; empty in simulation."""
+    calibrations: Mapped[dict[str, Any]]
+
+
+class ShotRow(Row):
+    """One shot; but for the first and the last two its columns are those of the shot table."""
+
+    __tablename__ = "shots"
+
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
+    shot: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    block: Mapped[int]
+    position: Mapped[int]
+    club: Mapped[str]
+    ball: Mapped[str]
+    status: Mapped[str]
+    reason: Mapped[str]
+    club_speed_mps: Mapped[float | None]
+    attack_angle_deg: Mapped[float | None]
+    club_path_deg: Mapped[float | None]
+    face_angle_deg: Mapped[float | None]
+    dynamic_loft_deg: Mapped[float | None]
+    strike_x_mm: Mapped[float | None]
+    strike_y_mm: Mapped[float | None]
+    ball_speed_mps: Mapped[float | None]
+    launch_angle_deg: Mapped[float | None]
+    direction_deg: Mapped[float | None]
+    spin_rpm: Mapped[float | None]
+    spin_axis_deg: Mapped[float | None]
+    carry_m: Mapped[float | None]
+    total_m: Mapped[float | None]
+    apex_m: Mapped[float | None]
+    landing_angle_deg: Mapped[float | None]
+    delivery_source: Mapped[str]
+    launch_source: Mapped[str]
+    carry_source: Mapped[str]
+    time_utc: Mapped[datetime]
+    carry_side_m: Mapped[float | None]
+    swing: Mapped[str]
+    role: Mapped[str]
+    section: Mapped[int]
+    attempt: Mapped[int]
+    sample: Mapped[int]
+    air_temperature_k: Mapped[float | None]
+    air_pressure_pa: Mapped[float | None]
+    relative_humidity: Mapped[float | None]
+    file: Mapped[str]
+    """Record of its cycles below `data_dir`, whole before this row exists; empty: the robot did not swing."""
+    bytes: Mapped[int]
+    """Size of that file."""
+
+
+class CampaignEventRow(Row):
+    """What happened in a campaign beside its shots."""
+
+    __tablename__ = "campaign_events"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
+    date: Mapped[datetime]
+    before_shot: Mapped[int]
+    kind: Mapped[str]
+    text: Mapped[str]
+
+
+class HitCountRow(Row):
+    """How often something was used: a ball, a club, a valve."""
+
+    __tablename__ = "hit_counts"
+
+    scope: Mapped[str] = mapped_column(primary_key=True)
+    """Id of the bench; of the campaign when it is simulated, whose balls do not exist elsewhere."""
+    kind: Mapped[str] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(primary_key=True)
+    sample: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    hits: Mapped[int]
+
+
+VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
+"""Tables that came with schema version 2."""

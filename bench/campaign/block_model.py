@@ -1,0 +1,104 @@
+"""Levels compared within blocks: block effects fixed, a linear drift if there is one, intervals exact.
+
+Model of one shot: y = block + level + slope * time + noise, the noise normal and the same for all. Blocks are
+taken out by subtracting their means (Frisch, Waugh and Lovell), so that ten thousand shots are a small
+problem; the estimates are those of the full least-squares fit.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+Codes = NDArray[np.intp]
+
+
+class Contrast(NamedTuple):
+    """The difference of two levels."""
+
+    estimate: float
+    error: float
+    """Standard error; 0 when nothing scatters."""
+    freedom: float
+
+    def interval(self, confidence: float) -> tuple[float, float]:
+        """Return Student's interval."""
+        half = float(stats.t.ppf((1 + confidence) / 2, self.freedom)) * self.error
+        return self.estimate - half, self.estimate + half
+
+    @property
+    def p(self) -> float:
+        """Two-sided probability of such a difference where there is none."""
+        if not self.error:
+            return 1.0 if not self.estimate else 0.0
+        return float(2 * stats.t.sf(abs(self.estimate) / self.error, self.freedom))
+
+    def p_same(self, margin: float) -> float:
+        """Probability of two one-sided tests: small when the difference is less than `margin` for sure."""
+        if not self.error:
+            return 0.0 if abs(self.estimate) < margin else 1.0
+        return float(stats.t.sf((margin - abs(self.estimate)) / self.error, self.freedom))
+
+
+class BlockFit(NamedTuple):
+    """A fitted model."""
+
+    effects: Array
+    """Of levels 0, 1, ..., (then of time), levels relative to level 0."""
+    inverse: Array
+    """(X'X)^-1 of the same; level 0 is left out."""
+    deviation: float
+    """Of one shot."""
+    freedom: float
+    residuals: Array
+    estimable: Array
+    """Projection onto what can be estimated."""
+
+    def contrast(self, first: int, second: int) -> Contrast | None:
+        """Return level `first` less level `second`; None when the blocks do not connect the two."""
+        weights = np.zeros(len(self.inverse))
+        for level, sign in ((first, 1.0), (second, -1.0)):
+            if level:
+                weights[level - 1] += sign
+        if self.freedom < 1 or not np.allclose(self.estimable @ weights, weights, atol=1e-8):
+            return None
+        error = self.deviation * sqrt(max(float(weights @ self.inverse @ weights), 0.0))
+        return Contrast(float(self.effects[first] - self.effects[second]), error, self.freedom)
+
+
+def fit_blocks(y: Array, level: Codes, block: Codes, levels: int, time: Array | None = None) -> BlockFit:
+    """Fit y (n,) on `level` (0 ... levels - 1), `block` (any codes) and, if given, `time` (n,)."""
+    columns = [(level == index).astype(float) for index in range(1, levels)]
+    if time is not None:
+        columns.append(np.asarray(time, dtype=float))
+    design = np.column_stack(columns) if columns else np.zeros((len(y), 0))
+    _, codes = np.unique(block, return_inverse=True)
+    counts = np.bincount(codes)
+
+    def within(values: Array) -> Array:
+        return values - (np.bincount(codes, values) / counts)[codes]
+
+    response = within(np.asarray(y, dtype=float))
+    reduced = np.column_stack([within(column) for column in design.T]) if columns else design
+    # The same unit for all columns, so that the rank does not hang on that of time.
+    scale = np.sqrt((reduced**2).sum(axis=0))
+    scale[scale == 0] = 1.0
+    _, singular, right = np.linalg.svd(reduced / scale, full_matrices=False)
+    kept = singular > 1e-10 * max(len(y), 1)
+    basis = right[kept] / scale
+    inverse = (basis.T / singular[kept] ** 2) @ basis
+    slopes = inverse @ (reduced.T @ response)
+    residuals = response - reduced @ slopes
+    freedom = float(len(y) - len(counts) - kept.sum())
+    variance = float(residuals @ residuals) / freedom if freedom >= 1 else float("nan")
+    spanned = right[kept] * scale
+    projection = np.linalg.pinv(spanned) @ spanned if kept.any() else np.zeros_like(inverse)
+    effects = np.concatenate([[0.0], slopes])
+    return BlockFit(
+        effects, inverse, sqrt(variance) if variance >= 0 else float("nan"), freedom, residuals, projection
+    )

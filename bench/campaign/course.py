@@ -1,0 +1,111 @@
+"""The course of a campaign: which shot comes next, given those before it, and when it is over.
+
+`course` is a generator: it yields the next step and is sent the shot that came of it. It reads no clock and
+draws nothing by itself, so that sending it the stored shots of an interrupted campaign leads to the very
+step that would have come next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.campaign.gate import Centre, median_delivery
+from bench.campaign.plan import Plan
+from bench.campaign.sequence import Arm, Role, Section, Trial, block_trials, sections, warm_up_arms
+from bench.campaign.shot import Shot, Status
+
+
+class Step(NamedTuple):
+    """The next shot: what is tried, for which time, and which delivery it is judged by."""
+
+    trial: Trial
+    attempt: int
+    centre: Centre
+
+
+class Ending(NamedTuple):
+    """How a campaign ended."""
+
+    complete: bool
+    """It did what its plan asks; early by the plan's own stopping rule is complete."""
+    reason: str
+
+
+Decide = Callable[[Plan, Sequence[Shot]], str]
+"""From a section's shots: why it has enough, or nothing."""
+Planned = Mapping[tuple[str, str], Centre]
+"""(swing, club) -> delivery it was designed for."""
+Course = Generator[Step, Shot, Ending]
+
+
+def course(plan: Plan, planned: Planned, decide: Decide) -> Course:
+    """Yield the steps of `plan`; send each one's shot."""
+    words = []
+    for section in sections(plan):
+        centres = dict(planned)
+        if plan.warm_up.at_most:
+            for arm in warm_up_arms(section):
+                settled, why = yield from _warm_up(plan, section, arm)
+                if why:
+                    return Ending(False, why)
+                if plan.gate.centre == "warm-up":
+                    centres[arm.swing, arm.club] = median_delivery(settled, plan.clubs[arm.club])
+        shots: list[Shot] = []
+        looks = looks_after(plan)
+        for number in range(1, plan.design.blocks + 1):
+            for trial in block_trials(plan, section, number):
+                for attempt in range(1, plan.design.repeats + 2):
+                    shot = yield Step(trial, attempt, centres[trial.arm.swing, trial.arm.club])
+                    shots.append(shot)
+                    if shot.status is Status.VALID:
+                        break
+            if number in looks and (enough := decide(plan, shots)):
+                words.append(
+                    f"section {section.number} after {number} of {plan.design.blocks} blocks: {enough}"
+                )
+                break
+    return Ending(True, "; ".join(words))
+
+
+def looks_after(plan: Plan) -> frozenset[int]:
+    """Return the blocks of a section after which the plan's stopping rule is asked; never the last one."""
+    stop, blocks = plan.stop, plan.design.blocks
+    if stop.rule == "fixed":
+        return frozenset()
+    points = np.linspace(stop.blocks_at_least, blocks, stop.looks)
+    return frozenset(round(float(point)) for point in points) - {blocks}
+
+
+def _warm_up(plan: Plan, section: Section, arm: Arm) -> Generator[Step, Shot, tuple[list[Shot], str]]:
+    """Swing until the club speed is stable; return the last shots, and why not when it is refused."""
+    w, recent = plan.warm_up, list[Shot]()
+    for position in range(1, w.at_most + 1):
+        trial = Trial(Role.WARM_UP, section.number, 0, position, arm)
+        shot = yield Step(trial, 1, Centre())
+        if shot.status is not Status.VALID or shot.club_speed_mps is None:
+            recent = []
+            continue
+        recent = [*recent, shot][-w.window :]
+        speeds = [found.club_speed_mps for found in recent if found.club_speed_mps is not None]
+        if len(recent) == w.window and max(speeds) - min(speeds) <= w.tolerance:
+            return recent, _set_up_wrong(plan, recent)
+    return [], (
+        f"the robot did not warm up: {w.window} club speeds did not come within {w.tolerance:g} m/s in "
+        f"{w.at_most} shots of {arm}"
+    )
+
+
+def _set_up_wrong(plan: Plan, shots: Sequence[Shot]) -> str:
+    """Tell when the control ball's speed is not what the machine is to be set to."""
+    wanted, tolerance = plan.set_up.control_ball_speed, plan.set_up.tolerance
+    speeds = [shot.ball_speed_mps for shot in shots if shot.ball_speed_mps is not None]
+    if not wanted or (speeds and abs(float(np.mean(speeds)) - wanted) <= tolerance):
+        return ""
+    found = f"{np.mean(speeds):.2f} m/s" if speeds else "not measured"
+    return (
+        f"set-up: the control ball's speed is {found}, wanted {wanted:g} ± {tolerance:g} m/s; "
+        "change the swing, or the figure in [set_up]"
+    )

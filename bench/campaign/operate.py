@@ -1,0 +1,232 @@
+"""Begin a campaign, go on with one, and ask a running one to pause, stop or abort."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.analysis import decide
+from bench.campaign.course import Course, course
+from bench.campaign.gate import Centre, planned_delivery
+from bench.campaign.plan import Plan, plan_from_record
+from bench.campaign.runner import Outcome, Runner, Watcher
+from bench.campaign.sequence import hits_needed
+from bench.campaign.simulated import SimulatedShots
+from bench.campaign.swings import require_swings
+from bench.config import Configuration
+from bench.errors import BenchError, Refused
+from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
+from bench.swing.profile import Profile
+
+PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")
+"""Whose versions stand in the record."""
+
+
+def new_entry(plan: Plan, configuration: Configuration, now: datetime, *, simulated: bool) -> CampaignEntry:
+    """Return a campaign that begins `now`; its id is name and time."""
+    return CampaignEntry(
+        id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}",
+        bench=configuration.bench.id,
+        name=plan.campaign.name,
+        title=plan.campaign.title or plan.campaign.name,
+        date=now,
+        simulated=simulated,
+        seed=plan.design.seed,
+        plan=plan.record(),
+        digest=plan.digest,
+        configuration=configuration.effective(),
+        versions={name: version(name) for name in PACKAGES} | {"python": platform.python_version()},
+        real_time={},
+        calibrations={},
+    )
+
+
+def course_of(plan: Plan, profiles: Mapping[str, Profile], lie: float) -> Course:
+    """Return the course of `plan` from its first shot."""
+    planned: dict[tuple[str, str], Centre] = {
+        (swing, club): planned_delivery(profile, lie)
+        for swing, profile in profiles.items()
+        for club in plan.design.clubs
+    }
+    return course(plan, planned, decide)
+
+
+def run_simulated(
+    entry: CampaignEntry,
+    configuration: Configuration,
+    store: CampaignStore,
+    watcher: Watcher,
+    interrupted: Callable[[], bool],
+) -> Outcome:
+    """Begin or go on with a simulated campaign until its end or a stop.
+
+    Raises:
+        Refused: another runner has it.
+        BenchError: something cannot be stored; what is stored is whole.
+        ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
+    """
+    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
+    profiles = require_swings(plan, configuration)
+    data_dir = configuration.bench.data_dir
+    with runner_lock(data_dir, entry.id):
+        runner = Runner(
+            entry,
+            plan,
+            store,
+            data_dir,
+            SimulatedShots(plan, configuration, profiles, interrupted),
+            watcher,
+        )
+        return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+
+
+def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:
+    """Refuse a plan whose balls have taken too many hits already.
+
+    Raises:
+        Refused: there are not enough left.
+    """
+    handling, hits = plan.ball_handling, store.hits(scope)
+    for ball, needed in hits_needed(plan).items():
+        samples = range(handling.first_sample, handling.first_sample + handling.samples)
+        left = sum(max(0, handling.hits - hits[Hit("ball", ball, sample)]) for sample in samples)
+        if left < needed:
+            raise Refused(
+                f"balls {ball!r}, samples {samples[0]} to {samples[-1]}",
+                f"{left} hits left of {handling.hits} each",
+                f"{needed} hits",
+                f"Take a fresh box: ball_handling.first_sample = {samples[-1] + 1}.",
+            )
+
+
+def require_resumable(
+    entry: CampaignEntry, state: CampaignState, configuration: Configuration, plan: Plan | None
+) -> None:
+    """Refuse to go on with a campaign that is over, or with another plan or configuration than its own.
+
+    Raises:
+        Refused: the text says which.
+    """
+    place = f"campaign {entry.id}"
+    if state in ENDED:
+        raise Refused(place, str(state), "a campaign that is not over", "Begin a new one.")
+    if plan is not None and plan.digest != entry.digest:
+        raise Refused(
+            place,
+            "another plan than it was begun with",
+            f"the plan {entry.digest}, which is stored with it",
+            "Leave the file out to go on as planned, or begin a new campaign.",
+        )
+    if changed := _changed(entry.configuration, configuration.effective()):
+        raise Refused(
+            place,
+            f"a configuration that differs in {', '.join(changed[:5])}",
+            "the one it was begun with",
+            "Go on with --config and that configuration, or begin a new campaign.",
+        )
+
+
+def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:
+    found = []
+    for key in sorted(before.keys() | now.keys()):
+        one, two = before.get(key), now.get(key)
+        if isinstance(one, Mapping) and isinstance(two, Mapping):
+            found += _changed(one, two, f"{path}{key}.")
+        elif one != two and f"{path}{key}" not in {"files", "bench.database"}:
+            found.append(f"{path}{key}")
+    return found
+
+
+def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> str:
+    """Ask a campaign's runner for "pause", "stop", "abort" or to go on (""); return what will happen.
+
+    Raises:
+        Refused: it is over, or nobody runs it.
+    """
+    store.entry(campaign)
+    standing = store.standing(campaign)
+    if standing.state in ENDED:
+        raise Refused(
+            f"campaign {campaign}",
+            str(standing.state),
+            "a campaign that is not over",
+            "Nothing is to be done.",
+        )
+    if not is_running(data_dir, campaign):
+        if request == "abort":
+            store.change(campaign, state=CampaignState.ABORTED, reason="aborted by request", requested="")
+            return "aborted; nobody was running it"
+        raise Refused(
+            f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
+        )
+    store.change(campaign, requested=request)
+    return {
+        "pause": "pauses after the shot under way",
+        "stop": "stops after the shot under way",
+        "abort": "is aborted",
+        "": "goes on",
+    }[request]
+
+
+@contextmanager
+def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
+    """Be the one runner of `name`.
+
+    Raises:
+        Refused: another process is, which is named.
+    """
+    path = _lock_file(data_dir, name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+", encoding="ascii") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            raise Refused(
+                f"campaign {name}",
+                f"process {file.read().strip()}, which runs it",
+                "no other runner",
+                "Stop it.",
+            ) from None
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def is_running(data_dir: Path, name: str) -> bool:
+    """Tell whether a process runs `name`."""
+    path = _lock_file(data_dir, name)
+    if not path.exists():
+        return False
+    with path.open("a+", encoding="ascii") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _lock_file(data_dir: Path, name: str) -> Path:
+    return data_dir / "campaigns" / name / "runner"
+
+
+def known(store: CampaignStore, wanted: str) -> CampaignEntry:
+    """Return the campaign of id `wanted`, or the newest one whose id begins so; "" is the newest of all.
+
+    Raises:
+        BenchError: there is none.
+    """
+    for entry, _, _ in store.entries():
+        if entry.id == wanted or entry.id.startswith(wanted):
+            return entry
+    raise BenchError(
+        f"campaign {wanted}", "no such campaign", "an id, or its beginning", "See golfbench campaign list."
+    )

@@ -1,0 +1,76 @@
+"""What a campaign shows at the terminal: its progress, and the list of all."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.progress import Progress
+from rich.table import Column, Table
+
+from bench.campaign.plan import Plan
+from bench.campaign.runner import Watcher
+from bench.campaign.sequence import Role, all_trials
+from bench.campaign.shot import Shot, Status
+from bench.store.campaigns import CampaignEntry, Standing
+
+Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
+
+
+class ProgressWatcher(Watcher):
+    """Moves a progress bar: one step for each planned shot that is done with."""
+
+    def __init__(self, bar: Progress, plan: Plan) -> None:
+        self._bar, self._plan = bar, plan
+        self._task = bar.add_task("warming up", total=len(all_trials(plan)))
+        self._invalid = 0
+
+    def shot(self, shot: Shot) -> None:
+        """Show a shot."""
+        done = shot.role != Role.WARM_UP and (
+            shot.status is Status.VALID or shot.attempt > self._plan.design.repeats
+        )
+        self._invalid += shot.status is not Status.VALID
+        text = f"shot {shot.shot}, block {shot.block}" + (
+            f", {self._invalid} invalid" if self._invalid else ""
+        )
+        self._bar.update(self._task, advance=int(done), description=text)
+
+    def say(self, text: str) -> None:
+        """Print above the bar."""
+        self._bar.console.print(escape(text), highlight=False)
+
+
+def listing(found: Listed) -> Table:
+    """Return the campaigns as a table."""
+    table = Table(Column("id", no_wrap=True), "begun", "state", "shots", "valid", "why")
+    for entry, standing, counts in found:
+        table.add_row(
+            escape(entry.id),
+            f"{entry.date:%Y-%m-%d %H:%M} UTC",
+            f"{standing.state}{' (sim)' if entry.simulated else ''}",
+            str(sum(counts.values())),
+            str(counts[Status.VALID]),
+            escape(standing.reason),
+        )
+    return table
+
+
+def listing_record(found: Listed) -> list[dict[str, Any]]:
+    """Return the campaigns for a program to read."""
+    return [
+        {
+            "id": entry.id,
+            "name": entry.name,
+            "date": entry.date.isoformat(),
+            "simulated": entry.simulated,
+            "seed": entry.seed,
+            "plan": entry.digest,
+            "state": str(standing.state),
+            "reason": standing.reason,
+            "shots": {str(status): counts[status] for status in Status},
+        }
+        for entry, standing, counts in found
+    ]

@@ -1,0 +1,186 @@
+"""Shots of the simulated bench in lock-step: each depends on plan and number only, never on those before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from datetime import UTC, datetime, timedelta
+from math import pi
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from bench.campaign.course import Step
+from bench.campaign.plan import Plan
+from bench.campaign.shot import Shot, Status
+from bench.config import Configuration
+from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
+from bench.swing.profile import Profile
+from drivers.base import Launch
+from sim.ball import Ball
+from sim.flight import Flight, fly
+
+BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
+"""A simulated campaign's first shot: its clock is as virtual as its robot, so that it repeats."""
+
+_SHOTS, _SAMPLES = 1, 2
+"""Streams of random numbers."""
+
+
+class Taken(NamedTuple):
+    """A shot as it was taken, with its record."""
+
+    shot: Shot
+    cycles: np.ndarray[Any, Any] | None
+    """None: the robot did not swing."""
+    metadata: Mapping[str, Any]
+    struck: bool
+    """The ball was hit, which wears it."""
+    events: tuple[tuple[str, str], ...] = ()
+    """(kind, text) of what happened before it."""
+    stopped: bool = False
+    """The robot was stopped within the swing."""
+
+
+class SimulatedShots:
+    """The simulated bench as a campaign sees it."""
+
+    simulated = True
+
+    def __init__(
+        self,
+        plan: Plan,
+        configuration: Configuration,
+        profiles: Mapping[str, Profile],
+        stop: Callable[[], bool],
+    ) -> None:
+        self._plan, self._configuration, self._profiles, self._stop = plan, configuration, profiles, stop
+        self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
+
+    def time_of(self, number: int) -> datetime:
+        """Return when shot `number` is."""
+        return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
+        s, arm = self._plan.simulation, step.trial.arm
+        events = []
+        if number in s.door_opened:
+            events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
+        if number in s.low_supply:
+            events.append(("supply", "supply pressure too low; waited until it was back"))
+        if number in s.feeder_jam:
+            shot = self._shot(
+                step, number, sample, None, None, None, Status.FAILED, "feeder jam: no ball came"
+            )
+            return Taken(shot, None, {}, False, tuple(events))
+        armed, base = self._bench(arm.swing, arm.club)
+        random = np.random.default_rng((self._plan.design.seed, _SHOTS, number))
+        draws = random.standard_normal(6)
+        ball = self._ball(arm.ball, sample, number, float(draws[0]))
+        c = self._configuration
+        supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
+        plant = replace(self._nominal(arm.club), ball=ball, supply=supply, seed=int(random.integers(2**31)))
+        result = armed.swing(plant, None if number in s.missed_ball else ball)
+        shot = self._judged(step, number, sample, result, ball, draws[2:])
+        varied = {
+            "restitution_factor": ball.restitution_factor,
+            "supply_pressure": supply.pressure,
+            "seed": plant.seed,
+        }
+        metadata = {**base, "varied": varied, **result.replay_metadata()}
+        return Taken(
+            shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
+        )
+
+    def _judged(
+        self, step: Step, number: int, sample: int, result: SwingResult, ball: Ball, noise: np.ndarray
+    ) -> Shot:
+        """Return the shot as launch monitor and flight model see it."""
+        status, reason = result.status, result.reason
+        launch, flight = result.launch, None
+        if launch is not None and number in self._plan.simulation.missing_launch:
+            launch, status = None, Status.EXCLUDED
+            reason = reason or "the launch monitor saw no ball"
+        if launch is not None:
+            s, c = self._plan.simulation, self._configuration
+            launch = Launch(
+                speed=launch.speed + s.ball_speed * float(noise[0]),
+                launch_angle=launch.launch_angle + s.launch_angle * float(noise[1]),
+                direction=launch.direction + s.direction * float(noise[2]),
+                spin=launch.spin + s.spin_rpm * pi / 30 * float(noise[3]),
+                spin_axis=launch.spin_axis,
+            )
+            try:
+                flight = fly(launch, c.air, ball, c.wind, c.turf)
+            except ValueError as error:
+                status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
+        return self._shot(step, number, sample, result, launch, flight, status, reason)
+
+    def _shot(
+        self,
+        step: Step,
+        number: int,
+        sample: int,
+        result: SwingResult | None,
+        launch: Launch | None,
+        flight: Flight | None,
+        status: Status,
+        reason: str,
+    ) -> Shot:
+        trial, air = step.trial, self._configuration.air
+        return Shot.from_measurements(
+            shot=number,
+            block=trial.block,
+            position=trial.position,
+            club=trial.arm.club,
+            ball=trial.arm.ball,
+            time_utc=self.time_of(number),
+            delivery=None if result is None else result.delivery,
+            launch=launch,
+            flight=flight,
+            status=status,
+            reason=reason,
+            swing=trial.arm.swing,
+            role=str(trial.role),
+            section=trial.section,
+            attempt=step.attempt,
+            sample=sample,
+            air_temperature_k=air.temperature,
+            air_pressure_pa=air.pressure,
+            relative_humidity=air.relative_humidity,
+        )
+
+    def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
+        """Return the bench armed with a swing and a club, and what stands in all its records."""
+        if (swing, club) not in self._armed:
+            c = self._configuration
+            around = Surroundings(c.air, c.wind, c.turf)
+            bench = SimulatedBench(
+                self._profiles[swing], self._nominal(club), c.control, c.envelope, c.estimator, around
+            )
+            series = {
+                "campaign": self._plan.campaign.name,
+                "digest": self._plan.digest,
+                "scatter": asdict(self._plan.simulation),
+            }
+            self._armed[swing, club] = ArmedBench(bench, self._stop), bench.metadata({"series": series})
+        return self._armed[swing, club]
+
+    def _nominal(self, club: str) -> Any:
+        """Return the plant with `club` and the encoders' noise, without what varies from shot to shot."""
+        plant = self._configuration.plant
+        noise = float(np.hypot(plant.encoders.noise, self._plan.simulation.encoders))
+        return replace(
+            plant,
+            robot=replace(plant.robot, club=self._plan.clubs[club]),
+            encoders=replace(plant.encoders, noise=noise),
+        )
+
+    def _ball(self, name: str, sample: int, number: int, draw: float) -> Ball:
+        """Return ball `sample` of a model as it is at shot `number`."""
+        s, ball = self._plan.simulation, self._plan.balls[name]
+        own = np.random.default_rng((self._plan.design.seed, _SAMPLES, crc32(name.encode()), sample))
+        factor = 1 + s.sample * float(own.standard_normal()) + s.restitution * draw + s.drift * number / 1000
+        return replace(ball, restitution_factor=ball.restitution_factor * factor)

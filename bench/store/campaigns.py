@@ -1,0 +1,257 @@
+"""Campaigns in the database: begun once, shots added in batches, each batch whole or not at all.
+
+A shot's file is whole on disk before its row is written; rows, events and hit counts of a batch are one
+transaction. What a crash leaves is therefore at worst a file that no row knows, which the same shot replaces.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from sqlalchemy import Connection, Engine, func, insert, select, update
+from sqlalchemy.exc import IntegrityError
+
+from bench.campaign.shot import COLUMNS, Shot, Status
+from bench.errors import BenchError, Refused
+from bench.store.tables import CampaignEventRow, CampaignRow, HitCountRow, Row, ShotRow
+
+_CAMPAIGNS, _SHOTS, _EVENTS, _HITS = (
+    Row.metadata.tables[row.__tablename__] for row in (CampaignRow, ShotRow, CampaignEventRow, HitCountRow)
+)
+
+
+class CampaignState(StrEnum):
+    """Where a campaign stands."""
+
+    RUNNING = "running"
+    """Or its runner died: `campaign resume` tells."""
+    PAUSED = "paused"
+    SUSPENDED = "suspended"
+    """By itself, for a reason that a person must look at."""
+    STOPPED = "stopped"
+    """By a person, after a whole shot; it can be resumed."""
+    ABORTED = "aborted"
+    """By a person, at once; it is over."""
+    FINISHED = "finished"
+
+
+ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
+"""States that nothing leads out of."""
+
+
+@dataclass(frozen=True)
+class CampaignEntry:
+    """A campaign as it was begun."""
+
+    id: str
+    bench: str
+    name: str
+    title: str
+    date: datetime
+    simulated: bool
+    seed: int
+    plan: Mapping[str, Any]
+    digest: str
+    configuration: Mapping[str, Any]
+    versions: Mapping[str, Any]
+    real_time: Mapping[str, Any]
+    calibrations: Mapping[str, Any]
+
+    @property
+    def hit_scope(self) -> str:
+        """Return whose hits these are."""
+        return self.id if self.simulated else self.bench
+
+
+class Standing(NamedTuple):
+    """Where a campaign stands and what is asked of it."""
+
+    state: CampaignState
+    reason: str
+    requested: str
+    answered: int
+
+
+class StoredShot(NamedTuple):
+    """A shot and the file of its cycles, whole already; "" when the robot did not swing."""
+
+    shot: Shot
+    file: str = ""
+    bytes: int = 0
+
+
+class Event(NamedTuple):
+    """Something that happened before a shot."""
+
+    date: datetime
+    before_shot: int
+    kind: str
+    text: str
+
+
+class Hit(NamedTuple):
+    """What wears: a ball's sample, a club, a valve."""
+
+    kind: str
+    name: str
+    sample: int = 0
+
+
+class CampaignStore:
+    """The campaigns in one open database."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+
+    def begin(self, entry: CampaignEntry) -> None:
+        """Add a campaign.
+
+        Raises:
+            Refused: there is one of that id.
+        """
+        values = asdict(entry) | {
+            "state": CampaignState.RUNNING,
+            "reason": "",
+            "requested": "",
+            "answered": 0,
+        }
+        try:
+            with self._writing() as connection:
+                connection.execute(insert(_CAMPAIGNS).values(values))
+        except IntegrityError:
+            raise Refused(
+                f"campaign {entry.id}", "one of that id", "a new id", "Start it again in a second."
+            ) from None
+
+    def entry(self, campaign: str) -> CampaignEntry:
+        """Return a campaign as it was begun.
+
+        Raises:
+            BenchError: there is none.
+        """
+        names = CampaignEntry.__dataclass_fields__
+        with self._engine.connect() as connection:
+            query = select(*(_CAMPAIGNS.c[name] for name in names)).where(_CAMPAIGNS.c.id == campaign)
+            found = connection.execute(query).mappings().first()
+        if found is None:
+            raise BenchError(
+                f"campaign {campaign}", "no such campaign", "the id of one", "`golfbench campaign list`"
+            )
+        return CampaignEntry(**found)
+
+    def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
+        """Return all campaigns, the newest first, with where they stand and their shots by status."""
+        names = CampaignEntry.__dataclass_fields__
+        with self._engine.connect() as connection:
+            rows = connection.execute(select(_CAMPAIGNS).order_by(_CAMPAIGNS.c.date.desc())).mappings().all()
+            counts: dict[str, Counter[str]] = {}
+            grouped = select(_SHOTS.c.campaign, _SHOTS.c.status, func.count()).group_by(
+                _SHOTS.c.campaign, _SHOTS.c.status
+            )
+            for campaign, status, number in connection.execute(grouped):
+                counts.setdefault(campaign, Counter())[status] = number
+        return [
+            (
+                CampaignEntry(**{name: row[name] for name in names}),
+                Standing(CampaignState(row["state"]), row["reason"], row["requested"], row["answered"]),
+                counts.get(row["id"], Counter()),
+            )
+            for row in rows
+        ]
+
+    def standing(self, campaign: str) -> Standing:
+        """Return where a campaign stands."""
+        c = _CAMPAIGNS.c
+        with self._engine.connect() as connection:
+            row = connection.execute(
+                select(c.state, c.reason, c.requested, c.answered).where(c.id == campaign)
+            ).one()
+        return Standing(CampaignState(row[0]), *row[1:])
+
+    def change(self, campaign: str, **values: Any) -> None:
+        """Set columns `state`, `reason`, `requested` or `answered`."""
+        with self._writing() as connection:
+            connection.execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
+
+    def shots(self, campaign: str) -> list[StoredShot]:
+        """Return its shots in order."""
+        query = select(_SHOTS).where(_SHOTS.c.campaign == campaign).order_by(_SHOTS.c.shot)
+        names = [column.name for column in COLUMNS]
+        with self._engine.connect() as connection:
+            return [
+                StoredShot(
+                    Shot(**{name: row[name] for name in names} | {"status": Status(row["status"])}),
+                    row["file"],
+                    row["bytes"],
+                )
+                for row in connection.execute(query).mappings()
+            ]
+
+    def events(self, campaign: str) -> list[Event]:
+        """Return its events in order."""
+        c = _EVENTS.c
+        query = (
+            select(c.date, c.before_shot, c.kind, c.text)
+            .where(c.campaign == campaign)
+            .order_by(c.before_shot, c.id)
+        )
+        with self._engine.connect() as connection:
+            return [Event(*row) for row in connection.execute(query)]
+
+    def hits(self, scope: str) -> Counter[Hit]:
+        """Return how often everything was used."""
+        c = _HITS.c
+        with self._engine.connect() as connection:
+            rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
+            return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
+
+    def add(
+        self,
+        entry: CampaignEntry,
+        shots: Sequence[StoredShot],
+        events: Iterable[Event] = (),
+        hits: Mapping[Hit, int] | None = None,
+    ) -> None:
+        """Add a batch in one transaction; the shots' files are whole already.
+
+        Raises:
+            Refused: one of these shots is there already: another runner has this campaign.
+        """
+        names = [column.name for column in COLUMNS]
+        rows = [
+            {"campaign": entry.id, "file": stored.file, "bytes": stored.bytes}
+            | {name: getattr(stored.shot, name) for name in names}
+            for stored in shots
+        ]
+        found = [{"campaign": entry.id, **event._asdict()} for event in events]
+        try:
+            with self._writing() as connection:
+                if rows:
+                    connection.execute(insert(_SHOTS), rows)
+                if found:
+                    connection.execute(insert(_EVENTS), found)
+                for hit, number in (hits or {}).items():
+                    _count(connection, entry.hit_scope, hit, number)
+        except IntegrityError:
+            raise Refused(
+                f"campaign {entry.id}",
+                f"shot {shots[0].shot.shot} there already",
+                "one runner a campaign",
+                "Stop the other runner.",
+            ) from None
+
+    def _writing(self) -> Any:
+        """Return a transaction that takes its turn to write at once."""
+        return self._engine.execution_options(sqlite_begin="IMMEDIATE").begin()
+
+
+def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:
+    c = _HITS.c
+    mine = (c.scope == scope) & (c.kind == hit.kind) & (c.name == hit.name) & (c.sample == hit.sample)
+    if not connection.execute(update(_HITS).where(mine).values(hits=c.hits + number)).rowcount:
+        connection.execute(insert(_HITS).values(scope=scope, **hit._asdict(), hits=number))
