@@ -23,6 +23,7 @@ from bench.nodes_command import nodes
 from bench.run_command import run
 from bench.session import Session
 from bench.swing.commands import app as swing_app
+from bench.view_command import view
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -46,6 +47,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(nodes)
+app.command()(view)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")

@@ -192,9 +192,7 @@ def run_demo(
                 write_recording(
                     files.recording,
                     records,
-                    setup.robot,
-                    setup.site,
-                    setup.ball.radius,
+                    configuration.plant,
                     files.recording.parent.name,
                 )
                 screen.step()

@@ -7,7 +7,7 @@ plane's frame with its origin at the shoulder axis R1; its bodies turn and move 
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from math import cos, degrees, pi, sin
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ MAT = (84, 98, 92)
 LINE = (250, 250, 245)
 TEE = (240, 196, 110)
 BALL = (255, 255, 255)
+PLANE = (88, 110, 140)
 
 _SOLID = rr.components.FillMode.Solid
 _ALONG_X = rr.Quaternion(xyzw=(0.0, sin(pi / 4), 0.0, cos(pi / 4)))
@@ -68,6 +69,7 @@ def log_static_scene(
     log("", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
     log("robot", rr.Transform3D(translation=origin, mat3x3=axes))
     _log_bodies(log, robot)
+    _log_plane(log, robot, site)
     _log_stand(log, axes, origin)
     rest = ball_at_rest(robot, site, radius)
     tee = max(rest[1] - radius, 0.005)
@@ -126,6 +128,27 @@ def _log_head(log: Any, robot: RobotParameters) -> None:
     tilted = np.column_stack([normal, np.cross(toe, normal), toe])
     log("robot/club/face", rr.Transform3D(translation=face - 0.003 * normal, mat3x3=tilted))
     log("robot/club/face", rr.Ellipsoids3D(half_sizes=[(0.003, 0.026, 0.046)], colors=FACE, fill_mode=_SOLID))
+
+
+def _log_plane(log: Any, robot: RobotParameters, site: Site) -> None:
+    """Log the swing plane, tilted by the lie angle: its frame from the ground up and the head's reach."""
+    side, top, reach = 1.9, 1.9, robot.l12 + robot.l23 + robot.club.length_to_face
+    frame = [(-side, site.ground), (side, site.ground), (side, top), (-side, top), (-side, site.ground)]
+    turn = np.linspace(0.0, 2.0 * pi, 145)
+    circle = reach * np.column_stack([np.cos(turn), np.sin(turn)])
+    inside = circle[circle[:, 1] > site.ground]
+    first = int(np.argmax(np.diff(np.append(np.arctan2(inside[:, 0], -inside[:, 1]), 9.0))))
+    arc = np.roll(inside, -first - 1, axis=0)
+    strips = [[(x, y, -0.02) for x, y in line] for line in (frame, arc)]
+    log("robot/plane", rr.LineStrips3D(strips, radii=0.004, colors=[PLANE]))
+    words = rr.Points3D(
+        [(0.0, top, -0.02)],
+        labels=[f"swing plane, {degrees(robot.lie):.0f}°"],
+        radii=0.004,
+        colors=[LINE],
+        show_labels=True,
+    )
+    log("robot/plane/label", words)
 
 
 def _log_stand(log: Any, axes: np.ndarray, origin: np.ndarray) -> None:

@@ -18,8 +18,9 @@ from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.rerun_recording import write_recording
 from bench.telemetry.rerun_scene import ball_at_rest, body_poses, plane_to_golf
 from bench.telemetry.whole_file import NotStored
+from sim.ball import Ball
 from sim.kinematics import joint_positions
-from sim.plant import Site
+from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
 
 Records = Callable[[int], list[ShotRecord]]
@@ -45,11 +46,16 @@ class Recording:
 
 
 @pytest.fixture(scope="module")
+def plant(robot: RobotParameters) -> PlantParameters:
+    return replace(PlantParameters(), robot=robot, site=SITE, ball=Ball(radius=RADIUS))
+
+
+@pytest.fixture(scope="module")
 def three(
-    tmp_path_factory: pytest.TempPathFactory, make_records: Records, robot: RobotParameters
+    tmp_path_factory: pytest.TempPathFactory, make_records: Records, plant: PlantParameters
 ) -> Recording:
     path = tmp_path_factory.mktemp("recording") / "demo.rrd"
-    write_recording(path, make_records(3), robot, SITE, RADIUS, name="three swings")
+    write_recording(path, make_records(3), plant, name="three swings")
     assert os.listdir(path.parent) == ["demo.rrd"]
     return Recording(path)
 
@@ -120,11 +126,11 @@ def test_every_shot_says_its_figures(three: Recording) -> None:
 
 
 def test_a_shot_without_ball_is_shown_too(
-    tmp_path: Path, make_records: Records, robot: RobotParameters
+    tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     missed = make_records(4)[3]
     stopped = ShotRecord(missed.shot, np.zeros(0, CYCLE))
-    write_recording(tmp_path / "x.rrd", [missed, stopped], robot, SITE)
+    write_recording(tmp_path / "x.rrd", [missed, stopped], plant)
     recording = Recording(tmp_path / "x.rrd")
     assert not any("range/shots" in entity for entity in recording.entities)
     _, texts = recording.read("/shot", "TextDocument:text")
@@ -132,12 +138,12 @@ def test_a_shot_without_ball_is_shown_too(
 
 
 def test_hardware_without_pressure_sensors_shows_gaps_not_zeros(
-    tmp_path: Path, make_records: Records, robot: RobotParameters
+    tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
     for name in ("chamber_pressure", "plant_pressure"):
         record.cycles[name] = np.nan
-    write_recording(tmp_path / "x.rrd", [record], robot, SITE)
+    write_recording(tmp_path / "x.rrd", [record], plant)
     _, rows = Recording(tmp_path / "x.rrd").read("/signals/pressure_bar", "Scalars:scalars")
     assert np.isnan(np.array(rows)[:, :6]).all()
 
@@ -163,32 +169,32 @@ def test_the_right_arm_points_from_wrist_to_shoulder(robot: RobotParameters) -> 
     assert np.allclose(tip, points[:, 3])
 
 
-def test_a_full_disk_is_told(tmp_path: Path, make_records: Records, robot: RobotParameters) -> None:
+def test_a_full_disk_is_told(tmp_path: Path, make_records: Records, plant: PlantParameters) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
     try:
         with pytest.raises(NotStored, match="nothing was stored"):
-            write_recording(tmp_path / "x.rrd", make_records(2), robot, SITE)
+            write_recording(tmp_path / "x.rrd", make_records(2), plant)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert os.listdir(tmp_path) == []
 
 
 def test_no_shots_and_no_folder_are_refused(
-    tmp_path: Path, make_records: Records, robot: RobotParameters
+    tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     with pytest.raises(ValueError, match="at least one shot"):
-        write_recording(tmp_path / "x.rrd", [], robot, SITE)
+        write_recording(tmp_path / "x.rrd", [], plant)
     with pytest.raises(NotStored, match="No such file"):
-        write_recording(tmp_path / "absent" / "x.rrd", make_records(1), robot, SITE)
+        write_recording(tmp_path / "absent" / "x.rrd", make_records(1), plant)
 
 
 def test_only_the_record_counts_not_when_it_began(
-    tmp_path: Path, make_records: Records, robot: RobotParameters
+    tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
     later = record.cycles.copy()
     later["time"] += 5.0
-    write_recording(tmp_path / "x.rrd", [replace(record, cycles=later)], robot, SITE)
+    write_recording(tmp_path / "x.rrd", [replace(record, cycles=later)], plant)
     time, _ = Recording(tmp_path / "x.rrd").read("/range/ball", "Points3D:positions")
     assert time[0] == pytest.approx(1.186, abs=2e-3)

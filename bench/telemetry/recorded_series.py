@@ -1,0 +1,34 @@
+"""Which records make a series: a folder's, or those that are named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.errors import BenchError
+
+
+def record_files(places: Sequence[Path]) -> list[Path]:
+    """Return the records at `places` in order: a folder stands for all records below it, by name.
+
+    Raises:
+        BenchError: a place does not exist, or there is no record at all.
+    """
+    files: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            files += sorted(place.rglob("*.parquet"))
+        elif place.exists():
+            files.append(place)
+        else:
+            raise BenchError(
+                str(place), "no such file or folder", "a record or a folder of records", "Correct the path."
+            )
+    if not files:
+        raise BenchError(
+            ", ".join(map(str, places)) or "records",
+            "no record (.parquet)",
+            "at least one",
+            "Name another folder.",
+        )
+    return files
