@@ -38,7 +38,7 @@ def nodes(
     context: typer.Context,
     folder: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Of the plant's shared records [default: one that goes away]."),
+        typer.Option(metavar="DIR", help="Of the plant's shared records; by default one that goes away."),
     ] = None,
     dbc: Annotated[
         Path | None,

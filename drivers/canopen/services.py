@@ -28,6 +28,10 @@ _CURES = {
 }
 
 
+_ABORT = 0x80
+"""Command specifier."""
+
+
 class ServiceError(DriverError):
     """An object could not be read or written."""
 
@@ -142,6 +146,11 @@ class _PolledClient(SdoClient):
             if heard is not None and heard[0] == self.tx_cobid:
                 self.on_response(heard[0], heard[1], 0.0)  # type: ignore[no-untyped-call]
         return super().read_response()  # type: ignore[no-any-return, no-untyped-call]
+
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Tell the node that the transfer is given up; whoever asked hears of it by the exception."""
+        self.send_request(struct.pack("<B3xL", _ABORT, abort_code))  # type: ignore[no-untyped-call]
 
 
 class _Sender(canopen.Network):
