@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
@@ -12,7 +12,10 @@ import typer
 from bench.session import Session
 
 if TYPE_CHECKING:
+    from bench.campaign.baseline import Checked
+    from bench.campaign.findings import Findings
     from bench.campaign.plan import Plan
+    from bench.campaign.runner import Outcome
     from bench.config import Configuration
     from bench.store.campaigns import CampaignEntry, CampaignStore
 
@@ -150,6 +153,10 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     """Run `entry` with a progress bar and tell what came of it."""
     import json
 
+    from bench.campaign.baseline import check_baseline, read_baseline
+    from bench.campaign.campaign_report import load_record, write_campaign_report
+    from bench.campaign.findings import findings, findings_record
+    from bench.campaign.junit import junit_xml
     from bench.campaign.operate import run_simulated
     from bench.campaign.plan import plan_from_record
     from bench.campaign.screen import ProgressWatcher
@@ -157,19 +164,79 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     from bench.interrupt import deferred_interrupt
     from bench.progress import progress_bar
     from bench.store.campaigns import CampaignState
+    from bench.telemetry.whole_file import whole_file
 
+    bands = read_baseline(outputs.baseline) if outputs.baseline else []
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt() as asked, progress_bar() as bar:
         outcome = run_simulated(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set)
-    fine = outcome.state is CampaignState.FINISHED
+    record = load_record(store, entry)
+    found = findings(plan, record.shots)
+    figures = findings_record(found)
+    checks = check_baseline(figures, bands)
+    if outputs.report and record.shots:
+        write_campaign_report(outputs.report, record, found)
+    if outputs.junit:
+        with whole_file(outputs.junit) as stream:
+            stream.write(junit_xml(entry, outcome, record.shots, checks))
     if outputs.json:
-        typer.echo(json.dumps({"campaign": entry.id, **outcome._asdict()}, indent=2))
+        held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
+        typer.echo(
+            json.dumps(
+                {"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures}, indent=2
+            )
+        )
     else:
-        reason = f": {outcome.reason}" if outcome.reason else ""
-        typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
-    if not fine:
+        _tell(outcome, found, checks)
+    if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _tell(outcome: Outcome, found: Findings, checks: Sequence[Checked]) -> None:
+    """Print how a run ended and what it found."""
+    reason = f": {outcome.reason}" if outcome.reason else ""
+    typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
+    for verdicts in found.verdicts:
+        for verdict in verdicts:
+            typer.echo(f"{verdict.headline}\n  {verdict.detail}")
+    for check in checks:
+        typer.echo(f"{'holds' if check.holds else 'OUTSIDE'}  {check}")
+
+
+@app.command()
+def report(
+    context: typer.Context,
+    campaign: Id,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where to [default: report.html beside the campaign's records]."),
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
+    ] = False,
+) -> None:
+    """Write the report of a campaign: one HTML file, verdict first, for the screen and for paper."""
+    import json
+
+    from bench.campaign.campaign_report import load_record, write_campaign_report
+    from bench.campaign.findings import findings, findings_record
+    from bench.campaign.operate import known
+    from bench.errors import Refused
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        record = load_record(store, known(store, campaign))
+    entry = record.entry
+    if not record.shots:
+        raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
+    found = findings(record.plan, record.shots)
+    if json_:
+        typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
+        return
+    path = output or configuration.bench.data_dir / "campaigns" / entry.id / "report.html"
+    write_campaign_report(path, record, found)
+    typer.echo(str(path))
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:

@@ -154,14 +154,10 @@ def render_report(records: Sequence[ShotRecord], setup: Setup) -> str:
     valid = [record.shot for record in records if record.valid]
     shown = _typical(records)
     look = Look(records)
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(
-        (files("bench.campaign") / "report.html.j2").read_text(encoding="utf-8")
-    )
+    template = page_template("report.html.j2")
     times = [record.shot.time_utc for record in records]
     return template.render(
+        title=setup.title,
         setup=setup,
         first=min(times),
         last=max(times),
@@ -171,15 +167,30 @@ def render_report(records: Sequence[ShotRecord], setup: Setup) -> str:
         summary=SUMMARY,
         robot=[(quantity, _spread(quantity, valid)) for quantity in ROBOT],
         table=TABLE,
-        rows=[(record.shot, [_figure(q, q.value(record.shot)) for q in TABLE]) for record in records],
+        rows=[(record.shot, [figure_text(q, q.value(record.shot)) for q in TABLE]) for record in records],
         colour=look.colour,
         count={status: sum(record.shot.status is status for record in records) for status in Status},
         shown=shown.shot if shown else None,
         figures=all_figures(records, shown, setup.robot, setup.site, setup.ball.radius),
-        configuration=_flat(setup.configuration),
+        configuration=flat(setup.configuration),
         sources=_sources(records),
         limits=(*setup.assumptions, *LIMITS),
     )
+
+
+def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
+    """Return a page of this package, with `filters` of its own; what is not defined in it is an error."""
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(
+            lambda wanted: (files("bench.campaign") / wanted).read_text(encoding="utf-8")
+        ),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(filters or {})
+    return environment.get_template(name)
 
 
 def verdicts(valid: Sequence[Shot], wished_yd: float = 1.0) -> list[Verdict]:
@@ -230,17 +241,17 @@ def _spread(quantity: Quantity, shots: Sequence[Shot]) -> Spread:
     values = np.array(_values(quantity, shots))
     if not len(values):
         return Spread("–", "–")
-    mean = _figure(quantity, float(values.mean()))
+    mean = figure_text(quantity, float(values.mean()))
     if len(values) < 2:
         return Spread(mean, "–")
     digits = quantity.digits
     deviation, freedom = float(values.std(ddof=1)), len(values) - 1
     low, high = deviation * np.sqrt(freedom / stats.chi2.ppf([0.975, 0.025], freedom))
-    span = f"{_figure(quantity, float(values.min()))} … {_figure(quantity, float(values.max()))}"
+    span = f"{figure_text(quantity, float(values.min()))} … {figure_text(quantity, float(values.max()))}"
     return Spread(mean, f"{deviation:.{digits}f}", f"{low:.{digits}f} … {high:.{digits}f}", span)
 
 
-def _figure(quantity: Quantity, value: float | None) -> str:
+def figure_text(quantity: Quantity, value: float | None) -> str:
     """Write a figure with the quantity's digits and a real minus sign."""
     if value is None:
         return "–"
@@ -256,7 +267,7 @@ def _typical(records: Sequence[ShotRecord]) -> ShotRecord | None:
     return next((record for record in records if len(record.cycles) > 1), None)
 
 
-def _flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
+def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return the configuration as titled groups of (key, value as text)."""
     groups: dict[str, list[tuple[str, str]]] = {}
 

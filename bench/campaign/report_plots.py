@@ -35,7 +35,7 @@ _CHI2_95 = 5.991
 _WIDTH = 7.4
 """Inches: the text width of a printed A4 page."""
 
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
     "axes.titlesize": 8.5,
@@ -127,7 +127,7 @@ def _landing(axes: Axes, records: Sequence[ShotRecord], look: Look) -> None:
         axes.plot(*points.T, **style, linestyle="none", alpha=0.85, label=ball)
         axes.plot(*others.T, **style, linestyle="none", markerfacecolor="none")
         if len(points) >= 3:
-            extent += _ellipse(axes, points, look.colour(ball))
+            extent += draw_ellipse(axes, points, look.colour(ball))
         if len(points):
             axes.plot(*points.mean(axis=0), color=look.colour(ball), marker="+", markersize=10, mew=1.4)
     axes.axvline(0, color=_GREY, linewidth=0.8, linestyle=(0, (5, 3)))
@@ -153,7 +153,7 @@ def _yards_on_the_right(axes: Axes) -> None:
     axes.secondary_yaxis("right", functions=functions).set_ylabel("carry, yd")
 
 
-def _ellipse(axes: Axes, points: np.ndarray, colour: str) -> list[tuple[float, float]]:
+def draw_ellipse(axes: Axes, points: np.ndarray, colour: str) -> list[tuple[float, float]]:
     """Draw the ellipse that holds 95 % of a normal scatter like the points'; return its corners."""
     covariance = np.cov(points.T)
     values, vectors = np.linalg.eigh(covariance)
@@ -407,7 +407,7 @@ def all_figures(
 ) -> Mapping[str, str]:
     """Return every plot of a report as SVG by name; `shown` is the swing drawn against time."""
     look = Look(records)
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figures = {
             "dispersion": dispersion(records, look),
             "head": head_path(records, look, robot, site, ball_radius),

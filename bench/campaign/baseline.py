@@ -1,0 +1,104 @@
+"""A baseline: figures of a campaign that must lie within stated bands, as a gate in CI.
+
+A TOML file with one `[[figure]]` a band: `path`, dotted, into the campaign's JSON, and `low` and `high`.
+Numbers are places in lists; names pick a list's entry of that `name`, `column` or `club`. What is not there
+or not known lies outside every band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+from bench.errors import BenchError
+from bench.from_toml import read_toml, shown
+
+
+@dataclass(frozen=True)
+class Band:
+    """Where one figure must lie."""
+
+    path: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A figure and its band."""
+
+    band: Band
+    value: float | None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the figure is known and inside."""
+        return self.value is not None and self.band.low <= self.value <= self.band.high
+
+    def __str__(self) -> str:
+        value = "not there" if self.value is None else f"{self.value:.6g}"
+        return f"{self.band.path}: {value}, band {self.band.low:g} to {self.band.high:g}"
+
+
+def read_baseline(path: Path) -> list[Band]:
+    """Return the bands in `path`.
+
+    Raises:
+        BenchError: the file is missing or no TOML.
+        ExceptionGroup: of BenchErrors, one for each mistake in it.
+    """
+    raw = read_toml(path, "a baseline", "Correct the path.")
+    entries = raw.get("figure")
+    cure = "Write [[figure]] with path, low and high."
+    if not isinstance(entries, list) or not entries or set(raw) != {"figure"}:
+        raise BenchError(
+            str(path), f"keys {', '.join(raw) or 'none'}", "[[figure]] entries, no other key", cure
+        )
+    faults, bands = [], list[Band]()
+    for number, entry in enumerate(entries, 1):
+        if fault := _fault(entry):
+            faults.append(BenchError(f"{path}: figure {number}", fault, "path, low and high", cure))
+        else:
+            bands.append(Band(entry["path"], float(entry.get("low", -inf)), float(entry.get("high", inf))))
+    if faults:
+        raise ExceptionGroup(f"{path} does not hold", faults)
+    return bands
+
+
+def _fault(entry: Any) -> str:
+    if not isinstance(entry, dict) or not isinstance(entry.get("path"), str):
+        return "no path"
+    if unknown := set(entry) - {"path", "low", "high"}:
+        return f"unknown key {sorted(unknown)[0]}"
+    bounds = [entry[key] for key in ("low", "high") if key in entry]
+    if not bounds or any(
+        isinstance(b, bool) or not isinstance(b, int | float) or not isfinite(b) for b in bounds
+    ):
+        return f"bounds {shown(bounds)}"
+    return "low above high" if len(bounds) == 2 and bounds[0] > bounds[1] else ""
+
+
+def check_baseline(record: Mapping[str, Any], bands: Sequence[Band]) -> list[Checked]:
+    """Return each band's figure in the campaign's JSON `record`."""
+    return [Checked(band, _found(record, band.path.split("."))) for band in bands]
+
+
+def _found(node: Any, parts: Sequence[str]) -> float | None:
+    for part in parts:
+        if isinstance(node, Mapping):
+            node = node.get(part)
+        elif isinstance(node, list):
+            if part.isdigit():
+                node = node[int(part)] if int(part) < len(node) else None
+            else:
+                node = next((entry for entry in node if _named(entry, part)), None)
+        else:
+            return None
+    return float(node) if isinstance(node, int | float) and not isinstance(node, bool) else None
+
+
+def _named(entry: Any, name: str) -> bool:
+    return isinstance(entry, Mapping) and name in (entry.get(key) for key in ("name", "column", "club"))

@@ -1,0 +1,246 @@
+"""The report of a campaign from its stored shots: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
+from bench.campaign.campaign_plots import campaign_figures
+from bench.campaign.findings import Findings
+from bench.campaign.mixed_model import MixedModel
+from bench.campaign.plan import Plan, plan_from_record
+from bench.campaign.preview import UNITS
+from bench.campaign.report import TABLE, figure_text, flat, page_template
+from bench.campaign.report_plots import COLOURS
+from bench.campaign.shot import Shot, Status
+from bench.campaign.verdicts import NAMES
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Standing
+from bench.telemetry.whole_file import whole_file
+
+_ALL_ROWS = 1000
+"""Shots up to which each has a row; of more only those that do not count or are flagged."""
+_MOST_ROWS = 500
+
+LIMITS = (
+    "Comparisons use valid shots only. A shot is excluded for its delivery or a fault, never for where its "
+    "ball went.",
+    "Intervals are for independent shots with normal scatter that is the same for all; blocks are fixed. The "
+    "plan fixed quantity, margin and analysis before the first shot.",
+    "The drift correction is linear within a block, from the control ball and all others together; what "
+    "differs between blocks is taken out by the blocks.",
+    "In a tilted swing plane attack angle and club path are coupled, and the two strike figures are "
+    "projections of one in-plane number; they are not independent measurements.",
+)
+
+
+@dataclass(frozen=True)
+class CampaignRecord:
+    """A campaign as the database holds it."""
+
+    entry: CampaignEntry
+    standing: Standing
+    plan: Plan
+    shots: Sequence[Shot]
+    events: Sequence[Event]
+    hits: Counter[Hit]
+
+
+def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
+    """Return a campaign with all that the database has of it."""
+    return CampaignRecord(
+        entry,
+        store.standing(entry.id),
+        plan_from_record(entry.plan, f"campaign {entry.id}"),
+        [stored.shot for stored in store.shots(entry.id)],
+        store.events(entry.id),
+        store.hits(entry.hit_scope),
+    )
+
+
+def write_campaign_report(path: Path, record: CampaignRecord, found: Findings) -> None:
+    """Write the report to `path`, whole or not at all; the same record gives the same bytes.
+
+    Raises:
+        BenchError: it cannot be stored.
+        ValueError: there are no shots.
+    """
+    text = render_campaign_report(record, found)
+    with whole_file(path) as stream:
+        stream.write(text.encode())
+
+
+def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
+    """Return the report as HTML."""
+    if not record.shots:
+        raise ValueError("a report needs at least one shot")
+    plan, entry, shots = record.plan, record.entry, record.shots
+    flagged = {shot for section in found.sections for shot, _ in section.outliers}
+    all_rows = len(shots) <= _ALL_ROWS
+    rows = [s for s in shots if all_rows or s.status is not Status.VALID or s.shot in flagged][
+        : _MOST_ROWS * 2
+    ]
+    filters: dict[str, Callable[..., Any]] = {
+        "number": _number,
+        "signed": _signed,
+        "chance": _chance,
+        "digits": _digits,
+        "zip": zip,
+    }
+    template = page_template("campaign.html.j2", filters)
+    times = [shot.time_utc for shot in shots]
+    return template.render(
+        title=entry.title,
+        entry=entry,
+        plan=plan,
+        found=found,
+        first=min(times),
+        last=max(times),
+        facts=_facts(record),
+        standing_words=_standing_words(record.standing),
+        figures=campaign_figures(plan, shots, found.sections),
+        colours=COLOURS,
+        quantity=NAMES[plan.analysis.quantity],
+        unit=UNITS[plan.analysis.quantity],
+        confidence=f"{100 * plan.analysis.confidence:g}",
+        beside=_beside,
+        mixed_words=_mixed,
+        reasons=_reasons(found),
+        events=list(record.events)[:200],
+        table=TABLE,
+        all_rows=all_rows,
+        rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in rows],
+        many_clubs=len(plan.design.clubs) > 1,
+        many_swings=len(plan.design.swings) > 1,
+        sources=_sources(shots),
+        limits=_limits(record),
+        wear=_wear(record.hits),
+        plan_entries=flat({"plan": {k: v for k, v in entry.plan.items() if k not in {"balls", "clubs"}}}),
+        configuration=flat(entry.configuration),
+    )
+
+
+def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
+    entry, plan = record.entry, record.plan
+    first = record.shots[0]
+    air = "not recorded"
+    if first.air_temperature_k and first.air_pressure_pa and first.relative_humidity is not None:
+        air = (
+            f"{first.air_temperature_k - 273.15:.1f} °C, {first.air_pressure_pa / 100:.0f} hPa, "
+            f"{100 * first.relative_humidity:.0f} %"
+        )
+    handling = plan.ball_handling
+    return [
+        ("Campaign", entry.id),
+        ("Bench", f"{entry.bench}{', simulated' if entry.simulated else ''}"),
+        ("Begun", f"{entry.date:%Y-%m-%d %H:%M} UTC"),
+        ("Seed", str(entry.seed)),
+        ("Plan", entry.digest),
+        ("Clubs", ", ".join(plan.design.clubs)),
+        ("Swings", ", ".join(plan.design.swings)),
+        ("Air at the first shot", air),
+        (
+            "Balls",
+            f"{handling.samples} of each from no. {handling.first_sample}, at most {handling.hits} hits; "
+            f"{handling.temperature - 273.15:.0f} ± {handling.temperature_tolerance:g} °C for "
+            f"{handling.conditioning_time / 3600:g} h",
+        ),
+    ]
+
+
+def _standing_words(standing: Standing) -> str:
+    """Say it first when the campaign is not whole."""
+    if standing.state is CampaignState.FINISHED:
+        return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
+    reason = f" ({standing.reason})" if standing.reason else ""
+    return f"This campaign is not finished: {standing.state}{reason}. What follows is what was found so far."
+
+
+def _beside(section: SectionAnalysis, pair: Pair) -> str:
+    other = _same_pair(section.beside, pair)
+    return "–" if other is None else f"{_signed(other.difference)} (p {_chance(other.p_adjusted)})"
+
+
+def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
+    pairs = comparison.pairs if comparison else ()
+    return next((p for p in pairs if (p.first, p.second) == (pair.first, pair.second)), None)
+
+
+def _mixed(model: MixedModel, pair: Pair) -> str:
+    found = (p for p in model.pairs if (p.first, p.second) == (pair.first, pair.second))
+    other = next(found, None)
+    return "–" if other is None else f"{_signed(other.difference)} (p {_chance(other.p_adjusted)})"
+
+
+def _reasons(found: Findings) -> list[tuple[str, int]]:
+    total: Counter[str] = Counter()
+    for section in found.sections:
+        for level in (*section.levels, *((section.control,) if section.control else ())):
+            total.update(level.reasons)
+    return total.most_common()
+
+
+def _limits(record: CampaignRecord) -> list[str]:
+    limits = list(LIMITS)
+    if record.entry.simulated:
+        s = record.plan.simulation
+        limits[:0] = [
+            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
+            "what the models do, not what balls do.",
+            f"From shot to shot differ (standard deviations, assumptions): supply pressure "
+            f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
+            f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, spin "
+            f"{s.spin_rpm:g} rpm. Each swing begins from the same armed instant: the robot's own scatter from swing to "
+            "swing is not in it.",
+        ]
+    if record.plan.stop.rule != "fixed":
+        limits.append(
+            f"The data were looked at up to {record.plan.stop.looks} times; each look has its equal share of "
+            "the error (Bonferroni), so that all together keep the confidence."
+        )
+    return limits
+
+
+def _wear(hits: Counter[Hit]) -> list[tuple[str, str]]:
+    total: dict[tuple[str, str], list[int]] = {}
+    for hit, number in sorted(hits.items()):
+        total.setdefault((hit.kind, hit.name), []).append(number)
+    return [
+        (
+            f"{kind} {name}",
+            f"{sum(n)} hits" + (f", a ball at most {max(n)}" if kind == "ball" else "")
+            if kind != "valve"
+            else f"{sum(n)} swings",
+        )
+        for (kind, name), n in total.items()
+    ]
+
+
+def _sources(shots: Sequence[Shot]) -> list[tuple[str, str]]:
+    return [
+        (
+            what,
+            ", ".join(dict.fromkeys(s for shot in shots if (s := getattr(shot, f"{what}_source")))) or "none",
+        )
+        for what in ("delivery", "launch", "carry")
+    ]
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−") if isfinite(value) else "–"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−") if isfinite(value) else "–"
+
+
+def _digits(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}".replace("-", "−") if isfinite(value) else "–"
+
+
+def _chance(p: float) -> str:
+    return "< 0.0001" if p < 0.0001 else f"{p:.4f}" if p < 0.01 else f"{p:.2f}"

@@ -1,0 +1,108 @@
+"""How well the robot repeats the delivery: within a block, and over the whole campaign.
+
+Repeatability is the scatter between shots of one block; reproducibility adds what differs between blocks
+(one-way random effects, as ISO 5725-2 has it, blocks in the place of laboratories). Intervals: chi-square for
+the first, Satterthwaite's approximation for the second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from scipy import stats
+
+from bench.campaign.block_model import Array, Codes
+from bench.campaign.shot import Shot, Status
+
+FIGURES = (
+    ("club_speed_mps", "Club speed", "m/s", 3),
+    ("attack_angle_deg", "Attack angle", "°", 3),
+    ("club_path_deg", "Club path", "°", 3),
+    ("face_angle_deg", "Face angle", "°", 3),
+    ("dynamic_loft_deg", "Dynamic loft (shaft lean)", "°", 3),
+    ("strike_x_mm", "Strike, heel–toe", "mm", 2),
+    ("strike_y_mm", "Strike, low–high", "mm", 2),
+)
+"""Column, name, unit and digits of what is delivered."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """A standard deviation with its 95 % interval; NaN where there is too little."""
+
+    deviation: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """One figure of the delivery with one swing and club."""
+
+    column: str
+    name: str
+    unit: str
+    digits: int
+    n: int
+    blocks: int
+    mean: float
+    within: Scatter
+    overall: Scatter
+    """Reproducibility: within and between blocks."""
+    smallest: float
+    largest: float
+
+
+def repeatability(shots: Sequence[Shot]) -> dict[tuple[str, str], list[Repeatability]]:
+    """Return what was delivered in the valid `shots`, for each (swing, club)."""
+    groups: dict[tuple[str, str], list[Shot]] = {}
+    for shot in shots:
+        if shot.status is Status.VALID and shot.block:
+            groups.setdefault((shot.swing, shot.club), []).append(shot)
+    return {key: [r for row in FIGURES if (r := _figure(*row, mine))] for key, mine in groups.items()}
+
+
+def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot]) -> Repeatability | None:
+    found = [(getattr(shot, column), shot.block) for shot in shots if getattr(shot, column) is not None]
+    if not found:
+        return None
+    values = np.array([value for value, _ in found], dtype=float)
+    _, codes = np.unique([block for _, block in found], return_inverse=True)
+    within, overall = variance_components(values, codes)
+    return Repeatability(
+        column, name, unit, digits, len(values), int(codes.max()) + 1, float(values.mean()), within, overall,
+        float(values.min()), float(values.max()),
+    )  # fmt: skip
+
+
+def variance_components(values: Array, group: Codes, confidence: float = 0.95) -> tuple[Scatter, Scatter]:
+    """Return the scatter within groups (0, 1, ...) and within and between them together."""
+    nan = Scatter(float("nan"), float("nan"), float("nan"))
+    counts = np.bincount(group)
+    n, k = len(values), len(counts)
+    means = np.bincount(group, values) / counts
+    inside, between = n - k, k - 1
+    if k < 2 or inside < 1:
+        one_each = _interval(float(values.var(ddof=1)), n - 1, confidence) if n > 1 else nan
+        return (nan, one_each) if k > 1 else (one_each, one_each)
+    mean_square = float(((values - means[group]) ** 2).sum()) / inside
+    between_square = float((counts * (means - values.mean()) ** 2).sum()) / between
+    size = (n - float((counts**2).sum()) / n) / between
+    share = 1 / size
+    if between_square <= mean_square:
+        total, freedom = mean_square, float(inside)
+    else:
+        total = share * between_square + (1 - share) * mean_square
+        parts = (share * between_square) ** 2 / between + ((1 - share) * mean_square) ** 2 / inside
+        freedom = total**2 / parts
+    return _interval(mean_square, inside, confidence), _interval(total, freedom, confidence)
+
+
+def _interval(variance: float, freedom: float, confidence: float) -> Scatter:
+    deviation = sqrt(variance)
+    tails = [(1 + confidence) / 2, (1 - confidence) / 2]
+    low, high = deviation * np.sqrt(freedom / stats.chi2.ppf(tails, freedom))
+    return Scatter(deviation, float(low), float(high))

@@ -1,0 +1,110 @@
+"""The answers of a campaign in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from bench.campaign.analysis import Pair, SectionAnalysis
+from bench.campaign.comparison import Verdict
+from bench.campaign.plan import Plan, levels
+from bench.campaign.preview import UNITS
+
+NAMES = {
+    "carry_m": "carry",
+    "total_m": "total distance",
+    "ball_speed_mps": "ball speed",
+    "club_speed_mps": "club speed",
+    "launch_angle": "launch angle",
+    "landing_angle": "landing angle",
+    "spin_rpm": "spin",
+}
+"""Quantities as people call them."""
+
+
+def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
+    """Return one answer for a pair, or one for all pairs and one for each that was resolved."""
+    name = NAMES[plan.analysis.quantity]
+    if len(levels(plan)) < 2:
+        level = analysis.levels[0]
+        s, unit = level.spread, UNITS[plan.analysis.quantity]
+        if s.n < 2:
+            return (Verdict(False, f"Too few valid shots to describe {level.name}.", f"{s.n} valid shots."),)
+        return (
+            Verdict(
+                True,
+                f"{level.name}: {name} {s.mean:.2f} {unit}, one shot scatters by {s.deviation:.2f} {unit}.",
+                f"95 % interval of the mean {s.low:.2f} to {s.high:.2f}, of the standard deviation "
+                f"{s.deviation_low:.2f} to {s.deviation_high:.2f} {unit}; {s.n} valid shots. One level only: "
+                "nothing is compared.",
+            ),
+        )
+    comparison = analysis.confirmatory
+    if comparison is None or not comparison.pairs:
+        text = "Each needs valid shots in at least two blocks that it shares with another."
+        return (Verdict(False, f"Too few valid shots to compare {plan.design.compare}s.", text),)
+    if len(comparison.pairs) == 1:
+        return (_pair(plan, comparison.pairs[0], comparison.deviation),)
+    count = Counter(pair.verdict for pair in comparison.pairs)
+    different = count["different"] + count["both"]
+    headline = f"{different} of {len(comparison.pairs)} pairs differ in {name}"
+    if count["same"]:
+        headline += f", {count['same']} are the same within {_margin(plan)}"
+    open_ = count["not enough shots"] + count["open"]
+    if open_:
+        headline += f", for {open_} there are not enough shots"
+    best = max(analysis.levels, key=lambda level: level.spread.mean if level.spread.n else float("-inf"))
+    detail = f"Highest mean: {best.name}. All pairs together at {100 * plan.analysis.confidence:g} % (Holm)"
+    needed = comparison.pairs[0].needed
+    if open_ and needed:
+        detail += (
+            f"; a difference of {plan.analysis.difference:g} {UNITS[plan.analysis.quantity]} would need "
+            f"{needed} valid shots of each"
+        )
+    return (Verdict(not open_, f"{headline}.", f"{detail}. Every pair is in the table below."),)
+
+
+def _pair(plan: Plan, pair: Pair, deviation: float) -> Verdict:
+    a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
+    seen = (
+        f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
+        f"{100 * a.confidence:g} % interval {_signed(pair.low)} to {_signed(pair.high)} {unit}; "
+        f"at least {pair.shots} valid shots of each, one shot scatters by {deviation:.2f} {unit} (SD)."
+    )
+    match pair.verdict:
+        case "different" | "both":
+            ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
+            less = f", though by less than {_margin(plan)}" if pair.verdict == "both" else ""
+            headline = f"{ahead} has {abs(pair.difference):.2f} {unit} more {name} than {behind}{less}."
+            return Verdict(True, headline, seen)
+        case "same":
+            headline = f"{pair.first} and {pair.second} are the same in {name}, within {_margin(plan)}."
+            return Verdict(True, headline, seen)
+        case "open":
+            return Verdict(
+                True,
+                f"No difference in {name} between {pair.first} and {pair.second} was found.",
+                f"{seen} One of {a.difference:g} {unit} would have been seen with a chance of "
+                f"{100 * pair.power:.0f} %.",
+            )
+        case _:
+            outlook = []
+            if pair.needed:
+                outlook.append(
+                    f"about {pair.needed} valid shots of each to find a difference of {a.difference:g} {unit}"
+                )
+            if pair.needed_same:
+                outlook.append(f"about {pair.needed_same} to call them the same within {_margin(plan)}")
+            wanted = " and ".join(outlook)
+            return Verdict(
+                False,
+                f"Not enough shots to tell whether {pair.first} and {pair.second} differ in {name}.",
+                f"{seen} With this scatter it takes {wanted} ({100 * a.power:.0f} % chance).",
+            )
+
+
+def _margin(plan: Plan) -> str:
+    return f"{plan.analysis.margin:g} {UNITS[plan.analysis.quantity]}"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
