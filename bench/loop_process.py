@@ -87,6 +87,7 @@ class LoopProcess:
         )  # fmt: skip
         self._snapshot = new_record(SNAPSHOT)
         self._failures = 0
+        self._trouble = ""
 
     def run(self) -> str:
         """Warm up, tell that the loop is ready, run it until it is to end; return why it ended.
@@ -193,12 +194,20 @@ class LoopProcess:
                 raise
             return time
         self._failures = 0
+        self._watch_device()
         begin = int(marks[0])
         due, woke = (clock.due, clock.woke) if isinstance(clock, GridClock) else (begin, begin)
         self.timing.note(marks, due, woke)
         if record["answer"][0] == Answer.ACCEPTED and record["request"][0]:
             self._note_request(Request(int(record["request"][0])))
         return time
+
+    def _watch_device(self) -> None:
+        """Tell why the device went passive, if its driver knows."""
+        trouble = getattr(self.driver, "trouble", "")
+        if trouble and trouble != self._trouble:
+            tell("exception", text=f"device went passive: {trouble}")
+        self._trouble = trouble
 
     def _note_request(self, request: Request) -> None:
         """Keep the controller's memory where a motion begins."""

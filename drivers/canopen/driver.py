@@ -66,6 +66,9 @@ _MOST_WAITING = 64
 """Frames taken in one go: more than a bus of 1 Mbit/s brings in three ticks of a millisecond."""
 _MISSED = 3.0
 """Periods of silence that make a node lost."""
+_LONGEST_STEP = 5.0
+"""Periods of the loop that a tick counts for at most when silence is judged: while it stood still nobody
+listened."""
 _MOST_NO_ROOM = 0.5
 """Of the watchdog's time: so long commands may find no room before the driver calls it trouble."""
 
@@ -105,7 +108,7 @@ class CanopenDriver:
         """Share of the bus that is taken at most."""
         self.applied = PASSIVE
         """The command sent last."""
-        self._counts, self._clock, self._open_bus = counts_per_revolution, clock, open_bus
+        self._counts, self.clock, self._open_bus = counts_per_revolution, clock, open_bus
         self._link: FrameLink | None = None
         encoders, valve_node = self.settings.encoders, self.settings.valve_node
         self._numbers = (*encoders.nodes, valve_node.node)
@@ -146,8 +149,10 @@ class CanopenDriver:
         self._inputs = 0
         self._pressures = dict.fromkeys(range(255), ABSENT)
         self._pressures_heard = [-math.inf, -math.inf]
-        self._heard = [ABSENT] * 4
-        self._inputs_heard = ABSENT
+        self._heard = [0.0] * 4
+        self._listened = 0.0
+        """s for which the loop has listened: the clock by which silence is judged."""
+        self._inputs_heard = 0.0
         self._states = [-1] * 4
         self._beaten = -math.inf
         self._room_since = ABSENT
@@ -198,7 +203,7 @@ class CanopenDriver:
     def _begin(self) -> None:
         """Go through the start-up."""
         nodes = [
-            Node(number, role, self._put, self._next, self._clock, self.settings.service_time)
+            Node(number, role, self._put, self._next, self.clock, self.settings.service_time)
             for number, role in zip(self._numbers, self._roles, strict=True)
         ]
         for node in nodes:
@@ -225,8 +230,9 @@ class CanopenDriver:
         Raises:
             DriverError: one has not.
         """
-        end = self._clock() + _MISSED * self.settings.heartbeat
-        while (left := end - self._clock()) > 0.0 and any(state != _OPERATIONAL for state in self._states):
+        longest = _MISSED * self.settings.heartbeat + self.settings.service_time
+        end = self.clock() + longest
+        while (left := end - self.clock()) > 0.0 and any(state != _OPERATIONAL for state in self._states):
             self._next(min(left, self._beat_period))
             self._put(self._passive_frame)  # the node's watchdog runs from the first command on
             self._put(self._beat)
@@ -235,7 +241,7 @@ class CanopenDriver:
                 found = "no heartbeat" if state < 0 else f"state {state} in its heartbeat"
                 raise DriverError(
                     f"canopen: node {number} ({role}), heartbeat: found {found} within "
-                    f"{_MISSED * self.settings.heartbeat:g} s after its start, expected 5 (operational); "
+                    f"{longest:g} s after its start, expected 5 (operational); "
                     "see its own display, its number and whether another master commands it"
                 )
 
@@ -247,8 +253,8 @@ class CanopenDriver:
         """
         self._awaited, self._sync_time = _ALL, self._time
         self._put(self._sync)
-        end = self._clock() + self.settings.service_time
-        while self._awaited and (left := end - self._clock()) > 0.0:
+        end = self.clock() + self.settings.service_time
+        while self._awaited and (left := end - self.clock()) > 0.0:
             self._next(min(left, self._beat_period))
             self._put(self._passive_frame)
         for joint in range(3):
@@ -302,10 +308,9 @@ class CanopenDriver:
                 f"canopen driver: read() found time {time} s, expected a finite one from {self._time} s on; "
                 "give it CLOCK_MONOTONIC"
             )
-        if self._time == -math.inf:
-            self._start_listening(time)
+        self._listened += min(time - self._time, _LONGEST_STEP * self.period)
         self._time = time
-        counters, clock = self.counters, self._clock
+        counters, clock = self.counters, self.clock
         try:
             for _ in range(_MOST_WAITING):  # what came since the last tick
                 waiting = link.receive_frame(0.0)
@@ -329,7 +334,7 @@ class CanopenDriver:
         except OSError as error:
             counters.receive_failures += 1
             self._note_trouble(f"receiving failed: {error}")
-        self._supervise(time)
+        self._supervise()
         return self._readings(time)
 
     def write(self, command: Command) -> Command:
@@ -458,14 +463,14 @@ class CanopenDriver:
             self.counters.wrong_length += 1
             return
         self.counters.inputs += 1
-        self._inputs, self._inputs_heard = data[0], self._time
+        self._inputs, self._inputs_heard = data[0], self._listened
 
     def _take_pressures(self, n: int, group: tuple[int, ...], packed: struct.Struct, data: bytes) -> None:
         if len(data) != packed.size:
             self.counters.wrong_length += 1
             return
         self.counters.pressures += 1
-        self._pressures_heard[n] = self._time
+        self._pressures_heard[n] = self._listened
         for channel, count in zip(group, packed.unpack(data), strict=True):
             self._pressures[channel] = self._pressure_zero + self._pressure_scale * count
 
@@ -474,7 +479,7 @@ class CanopenDriver:
             self.counters.wrong_length += 1
             return
         state = data[0] & 0x7F
-        self._heard[index], self._states[index] = self._time, state
+        self._heard[index], self._states[index] = self._listened, state
         who = f"node {self._numbers[index]} ({self._roles[index]})"
         if state == _BOOT_UP:
             self.counters.boot_ups += 1
@@ -516,13 +521,9 @@ class CanopenDriver:
         if self._listening:
             self.trouble = self.trouble or text
 
-    def _start_listening(self, time: float) -> None:
-        """Let all silence begin at `time`."""
-        self._heard = [time] * 4
-        self._inputs_heard = time
-
-    def _supervise(self, time: float) -> None:
+    def _supervise(self) -> None:
         """Notice who is silent for too long."""
+        time = self._listened
         longest = _MISSED * self.settings.heartbeat
         for index in range(4):
             if time - self._heard[index] > longest:

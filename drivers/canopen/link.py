@@ -114,7 +114,8 @@ def open_link(settings: CanopenSettings, identifiers: Sequence[int]) -> FrameLin
         )
     except can.CanInterfaceNotImplementedError as error:
         raise DriverError(
-            f"{where}: {error}; set canopen.interface to one that python-can knows (can.VALID_INTERFACES)"
+            f"{where}: {error}; set canopen.interface to one that python-can knows (can.VALID_INTERFACES), "
+            "or install what it needs"
         ) from error
     except (OSError, can.CanError, ValueError, ImportError) as error:
         cure = (

@@ -147,7 +147,6 @@ class _PolledClient(SdoClient):
                 self.on_response(heard[0], heard[1], 0.0)  # type: ignore[no-untyped-call]
         return super().read_response()  # type: ignore[no-any-return, no-untyped-call]
 
-
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Tell the node that the transfer is given up; whoever asked hears of it by the exception."""
         self.send_request(struct.pack("<B3xL", _ABORT, abort_code))  # type: ignore[no-untyped-call]

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.child import Child
 from drivers.base import (
     PASSIVE,
     READINGS,
@@ -23,14 +24,18 @@ from drivers.base import (
     pack_readings,
     unpack_command,
 )
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.settings import CanopenSettings
 from drivers.mock import MockDriver
 from sim.compiled import new_record
 from sim.driver import SimDriver
+from sim.node_plan import NodesPlan
 from sim.plant import PlantParameters
 from sim.plant_exchange import PLANT_REPORT, REPORT_FILE, PlantPlan
 from sim.plant_process import start_plant
 from sim.process_driver import ProcessPlantDriver
 from sim.shared_record import SharedRecord
+from tests.drivers.canopen.in_step import Wire, make
 
 PERIOD = 1e-3
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
@@ -62,14 +67,7 @@ class PlantProcess:
 
     def in_force(self) -> Command:
         """Return the command in force once the plant has heard all that was sent before."""
-        report = np.zeros(1, PLANT_REPORT)
-        self._shared.read(report)
-        heard, deadline = report["ticks"][0] + 2, time.monotonic() + 20.0
-        while report["ticks"][0] < heard:
-            assert time.monotonic() < deadline
-            time.sleep(0.0005)
-            self._shared.read(report)
-        return unpack_command(report["node"]["applied"])
+        return newest_command(self._shared)
 
     def end(self) -> None:
         self._shared.close()
@@ -77,15 +75,80 @@ class PlantProcess:
             self.process.terminate()
 
 
+class NodesProcess:
+    """Simulated CANopen nodes on their own clock; they live as long as this module."""
+
+    def __init__(self, folder: Path) -> None:
+        self.settings = CanopenSettings(  # patient: the machine may be busy
+            "local_socket", str(folder / "can"), heartbeat=0.05, interlock_period=0.3, service_time=2.0
+        )
+        plan = NodesPlan(
+            self.settings.interface, self.settings.channel, self.settings.bitrate,
+            self.settings.encoders.nodes, self.settings.valve_node.node, PlantParameters(), folder,
+            angle=(0.2, 4.3, 6.0),
+        )  # fmt: skip
+        self.process = Child.start("nodes", "sim.nodes", plan)
+        try:
+            self.process.wait_until_ready(100.0)
+        except BaseException:
+            self.process.kill()
+            raise
+        first = CanopenDriver(self.settings, watchdog=0.5)
+        first.open()  # a node that was never set up falls back to 0 V, which is full stroke
+        first.close()
+        self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
+
+    def in_force(self) -> Command:
+        """Return the command in force, to the outputs' resolution, once all that was sent is heard."""
+        return rounded(newest_command(self._shared))
+
+    def end(self) -> None:
+        self._shared.close()
+        self.process.end(5.0)
+
+
+def newest_command(shared: SharedRecord) -> Command:
+    """Return the command in force once the plant has lived for two ticks more."""
+    report = np.zeros(1, PLANT_REPORT)
+    shared.read(report)
+    heard, deadline = report["ticks"][0] + 2, time.monotonic() + 20.0
+    while report["ticks"][0] < heard:
+        assert time.monotonic() < deadline
+        time.sleep(0.0005)
+        shared.read(report)
+    return unpack_command(report["node"]["applied"])
+
+
+def rounded(command: Command) -> Command:
+    a, b, c = (round(opening, 4) + 0.0 for opening in command.valve)
+    return command._replace(valve=(a, b, c))
+
+
+_WIRES: dict[int, Wire] = {}
+"""The wire of each driver in step, by the driver's id."""
+
+
+def in_step() -> Driver:
+    driver, wire = make()
+    driver.open()  # a node that was never set up falls back to 0 V, which is full stroke
+    driver.close()
+    _WIRES[id(driver)] = wire
+    return driver
+
+
 _PLANTS: list[PlantProcess] = []
 """The one of this module, once there is one."""
+_NODES: list[NodesProcess] = []
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     _PLANTS.append(PlantProcess(tmp_path_factory.mktemp("plant")))
+    _NODES.append(NodesProcess(tmp_path_factory.mktemp("nodes")))
     yield
     _PLANTS.pop().end()
+    _NODES.pop().end()
+    _WIRES.clear()
 
 
 DRIVERS: dict[str, Case] = {
@@ -94,6 +157,12 @@ DRIVERS: dict[str, Case] = {
     "plant process": Case(
         lambda: ProcessPlantDriver(_PLANTS[0].folder, watchdog=0.5),
         lambda _: _PLANTS[0].in_force(),
+        on_wall=True,
+    ),
+    "canopen in step": Case(in_step, lambda driver: _WIRES[id(driver)].in_force),
+    "canopen": Case(
+        lambda: CanopenDriver(_NODES[0].settings, watchdog=0.5),
+        lambda _: _NODES[0].in_force(),
         on_wall=True,
     ),
 }
@@ -119,7 +188,7 @@ def opened(driver: Driver) -> Driver:
 
 def times(driver: Driver, count: int) -> Iterator[float]:
     """Give the times of ticks: counted, or the wall's."""
-    on_wall = isinstance(driver, ProcessPlantDriver)
+    on_wall = isinstance(driver, ProcessPlantDriver) or getattr(driver, "clock", None) is time.monotonic
     start = time.monotonic()
     for k in range(count):
         if on_wall:
