@@ -19,6 +19,7 @@ from bench.calibration.commands import app as calibration_app
 from bench.campaign_commands import app as campaign_app
 from bench.control_commands import app as control_app
 from bench.errors import BenchError, ExitCode
+from bench.export_command import export
 from bench.nodes_command import nodes
 from bench.run_command import run
 from bench.session import Session
@@ -48,6 +49,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(nodes)
 app.command()(view)
+app.command()(export)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")

@@ -57,10 +57,14 @@ def read_shot(path: Path, number: int = 1) -> RecordedShot:
         BenchError: the file is missing, damaged or no record.
         ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
     """
-    cycles, metadata = read_swing(path)
-    plant, around = plant_of(metadata, str(path))
+    return recorded_shot(*read_swing(path), str(path), number)
+
+
+def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: int = 1) -> RecordedShot:
+    """Return the shot of a record's `cycles` and `metadata`; `place` names it. Raises as `read_shot`."""
+    plant, around = plant_of(metadata, place)
     if (given := metadata.get("shot")) is not None:
-        shot = shot_from_json(given, f"{path}: shot")
+        shot = shot_from_json(given, f"{place}: shot")
         return RecordedShot(ShotRecord(shot, cycles, flight_of(shot, plant, around)), plant, metadata)
     time = metadata.get("time_utc")
     record = shot_of_cycles(

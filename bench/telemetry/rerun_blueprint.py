@@ -50,10 +50,8 @@ def campaign_blueprint() -> rrb.Blueprint:
     """Return the layout for several shots: all so far as dispersion and table, and the one at the cursor."""
     return _of_records(
         rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Tabs(_robot(), _flight(), active_tab=0), _dispersion(), column_shares=[1.1, 1]
-            ),
-            _table(),
+            rrb.Horizontal(_robot(), _dispersion(), column_shares=[1.1, 1]),
+            rrb.Horizontal(_table(), _flight(), column_shares=[1.4, 1]),
             row_shares=[1.35, 1],
         ),
         rrb.Vertical(
@@ -65,6 +63,7 @@ def campaign_blueprint() -> rrb.Blueprint:
             row_shares=[1.5, 1, 1, 1, 1],
         ),
         share=2.1,
+        speed=1.0,
     )
 
 
@@ -82,7 +81,9 @@ def live_blueprint() -> rrb.Blueprint:
         ),
         active_tab=0,
     )
-    events = rrb.TextLogView(name="Events", origin="/events", columns=["LogLevel", "Body"])
+    events = rrb.TextLogView(
+        name="Events", origin="/events", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(
@@ -113,7 +114,9 @@ def live_blueprint() -> rrb.Blueprint:
     )
 
 
-def _of_records(left: rrb.Container, right: rrb.Container, share: float) -> rrb.Blueprint:
+def _of_records(
+    left: rrb.Container, right: rrb.Container, share: float, speed: float = 0.25
+) -> rrb.Blueprint:
     """Return a layout to play back; `share` is the left side's width over the right one's."""
     return rrb.Blueprint(
         rrb.Vertical(
@@ -122,7 +125,7 @@ def _of_records(left: rrb.Container, right: rrb.Container, share: float) -> rrb.
             row_shares=[5, 1],
         ),
         rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, playback_speed=0.25, play_state="playing", loop_mode="all"
+            state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="playing", loop_mode="all"
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

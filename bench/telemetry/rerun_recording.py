@@ -7,7 +7,8 @@ The swings follow one another on `bench_time`; the figures of the shots are also
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -46,13 +47,24 @@ def write_recording(
     """
     if not records:
         raise ValueError("a recording needs at least one shot")
+    with writing_recording(path, records, name) as recording:
+        log_shots(recording, records, plant)
+
+
+@contextmanager
+def writing_recording(
+    path: Path, records: Sequence[ShotRecord], name: str = ""
+) -> Iterator[rr.RecordingStream]:
+    """Yield a recording for `records` whose file appears at `path` whole or not at all. Raises NotStored."""
     with whole_path(path) as partial:
         recording = rr.RecordingStream(APPLICATION)
         recording.save(partial, default_blueprint=blueprint_for(records), write_footer=True)
         if name:
             recording.send_recording_name(name)
-        log_shots(recording, records, plant)
-        recording.disconnect()
+        try:
+            yield recording
+        finally:
+            recording.disconnect()
         _check_whole(partial, path)
 
 

@@ -113,7 +113,7 @@ class ShotSeries:
             recording.send_columns(f"{entity}/shots", now, dots)
             style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=False)
             recording.log(f"{entity}/shots", style, static=True)
-            key = corner + unit * np.array([0.06, 0.05 + 0.08 * place])
+            key = corner + unit * np.array([0.5, 0.06 + 0.08 * place])
             words = f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"
             recording.send_columns(f"{entity}/key", now, rr.Points2D.columns(positions=[key], labels=[words]))
             style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=True)
@@ -171,8 +171,8 @@ def shot_table(records: Sequence[ShotRecord]) -> str:
         lines.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
     means = _means(records)
     hidden = len(records) - _LONGEST_TABLE
-    more = [f"\n{hidden} earlier shots are not shown."] if hidden > 0 else []
-    return "\n".join([*lines, "", *means, *more])
+    more = [f"- {hidden} earlier shots are not shown"] if hidden > 0 else []
+    return "\n".join([*means, *more, "", *lines])
 
 
 def _means(records: Sequence[ShotRecord]) -> list[str]:
@@ -248,7 +248,7 @@ def _ellipse(points: Array) -> Array:
 def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: Array) -> tuple[Array, float]:
     """Log a grid of metres around `points` (n, 2): right, along. Return its far left corner and length."""
     middle = points.mean(axis=0)
-    reach = max(2 * _GRID, float(np.abs(points - middle).max()) + _GRID)
+    reach = max(1.5 * _GRID, float(np.abs(points - middle).max()) + 0.5 * _GRID)
     left, right = (_GRID * f((middle[0] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
     near, far = (_GRID * f((middle[1] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
     across, along = np.arange(near, far + 1, _GRID), np.arange(left, right + 1, _GRID)
@@ -260,8 +260,8 @@ def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: A
         rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0),
         static=True,
     )
-    marks = np.array([(left, -y) for y in across[1::2]] + [(x, -near) for x in along[1::2]])
-    words = [f"{y:.0f} m" for y in across[1::2]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
+    marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
+    words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
     recording.send_columns(
         "dispersion/marks",
         now,

@@ -1,0 +1,55 @@
+"""A record to export: cycles and metadata as they were stored, and what each column is."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.telemetry.cycle_record import arrow_schema
+from bench.telemetry.recorder import read_swing
+
+
+class Column(NamedTuple):
+    """What a column is."""
+
+    name: str
+    unit: str
+    """SI; "1" for pure numbers, codes and switches."""
+    description: str
+
+
+class Record(NamedTuple):
+    """What stands in a record's file."""
+
+    path: Path
+    cycles: np.ndarray[Any, Any]
+    """Records of CYCLE."""
+    metadata: dict[str, Any]
+
+    @property
+    def begin_utc(self) -> float:
+        """The calendar's time of the columns' zero, s since 1970; 0 where the record does not tell."""
+        told = self.metadata.get("time_utc")
+        if not isinstance(told, str) or not len(self.cycles):
+            return 0.0
+        return datetime.fromisoformat(told).timestamp() - float(self.cycles["time"][0])
+
+
+def read_record(path: Path) -> Record:
+    """Return the record at `path`.
+
+    Raises:
+        BenchError: it is missing, damaged or no record.
+    """
+    return Record(path, *read_swing(path))
+
+
+def columns() -> list[Column]:
+    """Return what the columns of a record are, in order."""
+    return [
+        Column(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
+        for field in arrow_schema()
+    ]
