@@ -131,20 +131,18 @@ class LocalSocketBus(can.BusABC):
         return waiting.popleft()
 
     def _take(self, peer: socket.socket) -> None:
-        """Take in what `peer` has sent."""
-        while True:
-            try:
-                frame = peer.recv(FRAME.size)
-            except BlockingIOError:
-                return
-            except OSError:
-                frame = b""
-            if not frame:  # it has gone
-                self._readable.remove(peer)
-                peer.close()
-                return
-            if len(frame) == FRAME.size and self._passes(frame):
-                self._waiting.append(frame)
+        """Take in the next frame of `peer`."""
+        try:
+            frame = peer.recv(FRAME.size)
+        except BlockingIOError:
+            return
+        except OSError:
+            frame = b""
+        if not frame:  # it has gone
+            self._readable.remove(peer)
+            peer.close()
+        elif len(frame) == FRAME.size and self._passes(frame):
+            self._waiting.append(frame)
 
     def _passes(self, frame: bytes) -> bool:
         """Whether the filters let `frame` in; error frames always pass, as in the kernel."""

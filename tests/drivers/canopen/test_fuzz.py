@@ -1,0 +1,17 @@
+"""A small part of the fuzz that `python -m tests.benchmarks frame_fuzz` runs at length."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.benchmarks.frame_fuzz import fuzz
+
+
+@pytest.mark.parametrize("listening", [True, False], ids=["latching", "never latched"])
+def test_no_frame_escapes_moves_or_goes_uncounted(listening: bool) -> None:
+    result = fuzz(10_000, 7, listening=listening)
+    assert result.escaped == []
+    assert result.motions == 0
+    assert result.counted == result.frames
+    assert result.frames > 10_000
+    assert all(result.classes.values()), result.classes
