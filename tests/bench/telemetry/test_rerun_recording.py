@@ -6,11 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
 
 from bench.campaign.shot_record import ShotRecord
 from bench.lifecycle import Phase
@@ -22,27 +20,11 @@ from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
+from tests.bench.telemetry.read_recording import Recording
 
 Records = Callable[[int], list[ShotRecord]]
 SITE = Site(ball_x=0.2315, ball_y=-1.514, ground=-1.57)
 RADIUS = 0.0213
-
-
-class Recording:
-    """What a recording holds, by entity: times (s) and the values of one component, row by row."""
-
-    def __init__(self, path: Path) -> None:
-        self.chunks = [chunk for chunk in RrdReader(path).stream() if not chunk.is_static]
-        self.entities = {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
-
-    def read(self, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
-        times, rows = [], []
-        for chunk in self.chunks:
-            if str(chunk.entity_path) == entity:
-                batch = chunk.to_record_batch()
-                times.append(batch.column("bench_time").cast("int64").to_numpy() * 1e-9)
-                rows += batch.column(component).to_pylist()
-        return np.concatenate(times), rows
 
 
 @pytest.fixture(scope="module")

@@ -83,7 +83,7 @@ def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> N
 
 def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> None:
     (path,) = write_mcap(tmp_path / "007.mcap", record)
-    back, times = np.zeros(len(record.cycles), CYCLE), []
+    back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         for n, (schema, channel, message) in enumerate(reader.iter_messages()):
@@ -93,7 +93,7 @@ def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> 
                 "json",
                 "/cycle",
             )
-            row = json.loads(message.data)
+            row, properties = json.loads(message.data), json.loads(schema.data)["properties"]
             for field in FIELDS:
                 values = (
                     [row[field.name][c] for c in field.components] if field.components else [row[field.name]]
@@ -101,7 +101,6 @@ def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> 
                 numbers = [np.nan if value is None else value for value in values]
                 back[field.name][n] = numbers if field.components else numbers[0]
             times.append(message.log_time)
-        properties = json.loads(schema.data)["properties"]
         (metadata,) = reader.iter_metadata()
     assert equal(back, record.cycles)
     assert properties["angle"]["properties"]["wrist"]["unit"] == "rad"
