@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
-from statsmodels.stats.multitest import multipletests
 
-from bench.campaign.block_model import Array, BlockFit, Contrast, fit_blocks
+from bench.campaign.block_model import Array, BlockFit, Contrast, fit_blocks, holm
 from bench.campaign.plan import Plan, controls_per_block, levels
 from bench.campaign.power import power_of_difference, shots_for_equivalence, shots_needed
 from bench.campaign.sequence import Role
@@ -81,9 +80,6 @@ class Pair:
     """Valid shots of the level with fewer."""
     power: float
     """To find the difference worth finding, with the scatter seen."""
-    needed: int | None
-    """Valid shots of each level that would find it with the wished power."""
-    needed_same: int | None
     verdict: str
     """"different", "same", "both" (different, but by less than the margin), "not enough shots" or "open"."""
 
@@ -189,23 +185,28 @@ def _compared(
     return Comparison(method, fit.deviation, fit.freedom, judged, slope, slope_error), _Fit(fit, kept)
 
 
+def shots_still_needed(plan: Plan, comparison: Comparison) -> tuple[int | None, int | None]:
+    """Return how many valid shots of each level would do, with the scatter seen.
+
+    The first finds the difference worth finding, the second calls equal levels the same; each with the wished
+    power. None: too many to name, or not asked.
+    """
+    a, count, controls = plan.analysis, len(levels(plan)), controls_per_block(plan)
+    single = alpha_of(plan) / max(len(comparison.pairs), 1)
+    deviation = comparison.deviation
+    same = shots_for_equivalence(a.margin, deviation, single, a.power, count, controls) if a.margin else None
+    return shots_needed(a.difference, deviation, single, a.power, count, controls), same
+
+
 def _judged(plan: Plan, pairs: Sequence[tuple[str, str, Contrast, int]], fit: BlockFit) -> tuple[Pair, ...]:
     """Adjust all pairs together and put each into one word."""
     a, alpha, count = plan.analysis, alpha_of(plan), len(pairs)
     contrasts = [contrast for _, _, contrast, _ in pairs]
-    adjusted = multipletests([c.p for c in contrasts], method="holm")[1]
+    adjusted = holm([c.p for c in contrasts])
     same: Sequence[float | None] = [None] * count
     if a.margin:
-        same = [float(p) for p in multipletests([c.p_same(a.margin) for c in contrasts], method="holm")[1]]
-    controls = controls_per_block(plan)
+        same = list[float | None](holm([c.p_same(a.margin) for c in contrasts]))
     single = alpha / count
-    of_levels = len(levels(plan))
-    needed = shots_needed(a.difference, fit.deviation, single, a.power, of_levels, controls)
-    needed_same = (
-        shots_for_equivalence(a.margin, fit.deviation, single, a.power, of_levels, controls)
-        if a.margin
-        else None
-    )
     found = []
     for (first, second, _, shots), contrast, p, equal in zip(pairs, contrasts, adjusted, same, strict=True):
         power = _power(a.difference, contrast, fit, single)
@@ -219,12 +220,10 @@ def _judged(plan: Plan, pairs: Sequence[tuple[str, str, Contrast, int]], fit: Bl
                 *contrast.interval(1 - alpha),
                 *contrast.interval(1 - single),
                 contrast.p,
-                float(p),
+                p,
                 equal,
                 shots,
                 power,
-                needed,
-                needed_same,
                 _verdict(p < alpha, equal is not None and equal < alpha, power >= a.power, bool(a.margin)),
             )
         )

@@ -7,6 +7,7 @@ problem; the estimates are those of the full least-squares fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
 from typing import NamedTuple
 
@@ -102,3 +103,12 @@ def fit_blocks(y: Array, level: Codes, block: Codes, levels: int, time: Array | 
     return BlockFit(
         effects, inverse, sqrt(variance) if variance >= 0 else float("nan"), freedom, residuals, projection
     )
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return probabilities adjusted by Holm's step-down: all tests together err with the level of one."""
+    order = np.argsort(p)
+    steps = np.asarray(p, dtype=float)[order] * np.arange(len(p), 0, -1)
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
+    return [float(value) for value in adjusted]

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from statsmodels.nonparametric.smoothers_lowess import lowess
 
 from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.plan import Plan, levels
@@ -144,10 +145,9 @@ def _drift(plan: Plan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figu
         number, off = np.array([s.shot for s in kept]), values - values.mean()
         axes.plot(number, off, color=_INK, marker="x", markersize=2.5 if many else 4, linestyle="none",
                   rasterized=many, label="control ball")  # fmt: skip
-        size = max(3, len(off) // 12)
-        smooth = np.convolve(off, np.ones(size) / size, mode="valid")
-        axes.plot(number[size - 1 :] - (number[size - 1 :] - number[: len(smooth)]) / 2, smooth, color=_INK,
-                  label=f"control ball, mean of {size}")  # fmt: skip
+        if len(off) >= 6:
+            smooth = lowess(off, number, frac=0.4, delta=0.01 * (number[-1] - number[0]), is_sorted=True)
+            axes.plot(*smooth.T, color=_INK, label="control ball, LOWESS")
         axes.legend(loc="upper right", ncols=2)
     for shot, _ in analysis.outliers:
         axes.axvline(shot, color=_RED, linewidth=0.6, alpha=0.5)

@@ -194,8 +194,8 @@ def _limits(record: CampaignRecord) -> list[str]:
             f"From shot to shot differ (standard deviations, assumptions): supply pressure "
             f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
             f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, spin "
-            f"{s.spin_rpm:g} rpm. Each swing begins from the same armed instant: the robot's own scatter from swing to "
-            "swing is not in it.",
+            f"{s.spin_rpm:g} rpm. Each swing begins from the same armed instant: the robot's own "
+            "scatter from swing to swing is not in it.",
         ]
     if record.plan.stop.rule != "fixed":
         limits.append(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.campaign.analysis import COLUMN, SectionAnalysis, analyse
+from bench.campaign.analysis import COLUMN, SectionAnalysis, analyse, shots_still_needed
 from bench.campaign.comparison import Verdict
 from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import Plan
@@ -49,6 +49,8 @@ class Findings:
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
     """For each section."""
+    needed: tuple[tuple[int | None, int | None], ...]
+    """For each section: valid shots of each level that would tell them apart, and call them the same."""
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """For each (swing, club)."""
     rules: tuple[RuleFinding, ...]
@@ -67,9 +69,17 @@ def findings(plan: Plan, shots: Sequence[Shot]) -> Findings:
         tuple(analyses),
         tuple(models),
         tuple(section_verdicts(plan, analysis) for analysis in analyses),
+        tuple(_needed(plan, analysis) for analysis in analyses),
         repeatability(shots),
         tuple(_rules(plan, shots)),
     )
+
+
+def _needed(plan: Plan, analysis: SectionAnalysis) -> tuple[int | None, int | None]:
+    comparison = analysis.confirmatory
+    if comparison is None or not comparison.pairs:
+        return None, None
+    return shots_still_needed(plan, comparison)
 
 
 def _rules(plan: Plan, shots: Sequence[Shot]) -> list[RuleFinding]:
@@ -113,8 +123,11 @@ def findings_record(found: Findings) -> dict[str, Any]:
             | {
                 "mixed": None if mixed is None else _plain(asdict(mixed)),
                 "verdicts": [verdict._asdict() for verdict in verdicts],
+                "shots_needed": {"different": needed[0], "same": needed[1]},
             }
-            for analysis, mixed, verdicts in zip(found.sections, found.mixed, found.verdicts, strict=True)
+            for analysis, mixed, verdicts, needed in zip(
+                found.sections, found.mixed, found.verdicts, found.needed, strict=True
+            )
         ],
         "repeatability": [
             {"swing": swing, "club": club, "figures": [_plain(asdict(figure)) for figure in figures]}

@@ -1,28 +1,30 @@
-"""A mixed model beside the confirmatory analysis: would other balls, or other blocks, say the same?
+"""A mixed model beside the confirmatory analysis: would other balls, and other blocks, say the same?
 
-Levels are fixed. Where several physical balls of each model were hit, the ball is a random effect within its
-model, so that the interval holds for balls that were not hit, too; the blocks' effects of the confirmatory
-fit are taken out first. With one ball each it cannot be told from its model, and blocks are random instead.
+Levels are fixed, blocks are random, and where several physical balls of a model were hit, so is the ball
+within its model: then the interval holds for balls that were not hit, too. Restricted maximum likelihood by
+Henderson's equations; blocks, each with a random effect of its own, are eliminated first, so that what is
+left is as small as the number of levels and balls.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import sqrt
+from math import exp, inf, log, sqrt
+from typing import NamedTuple
 
 import numpy as np
-import statsmodels.api as sm
-from scipy import stats
-from statsmodels.stats.multitest import multipletests
+from scipy import linalg, optimize, stats
 
 from bench.campaign.analysis import values_of
-from bench.campaign.block_model import fit_blocks
+from bench.campaign.block_model import Array, Codes, holm
 from bench.campaign.plan import Plan, levels
 from bench.campaign.sequence import Role
 from bench.campaign.shot import Shot
+
+_LEAST, _MOST = -8.0, 18.0
+"""Bounds of log(variance of a shot / variance of an effect); the upper one is an effect of nothing."""
 
 
 @dataclass(frozen=True)
@@ -41,59 +43,160 @@ class MixedPair:
 class MixedModel:
     """What the mixed model says."""
 
-    random: str
-    """What is random: "ball" or "block"."""
-    random_deviation: float
+    block_deviation: float
+    ball_deviation: float | None
+    """Between balls of one model; None where each model had one ball only."""
     deviation: float
     """Of one shot."""
+    freedom: float
+    """Containment: balls less levels where balls are random, else what is left beside blocks and levels."""
     converged: bool
     pairs: tuple[MixedPair, ...]
+
+
+class Reml(NamedTuple):
+    """A fit by restricted maximum likelihood."""
+
+    effects: Array
+    covariance: Array
+    variance: float
+    """Of one observation."""
+    block_variance: float
+    group_variance: float
+    converged: bool
 
 
 def mixed_model(plan: Plan, shots: Sequence[Shot]) -> MixedModel | None:
     """Return the mixed model of one section's `shots`; None when there is too little for one."""
     names, factor = levels(plan), plan.design.compare
-    kept, y = values_of(plan, [shot for shot in shots if shot.role == Role.TEST])
-    present = [name for name in names if sum(getattr(s, factor) == name for s in kept) >= 2]
-    kept_values = [(s, v) for s, v in zip(kept, y, strict=True) if getattr(s, factor) in present]
-    if len(present) < 2 or len(kept_values) < len(present) + 4:
+    every, values = values_of(plan, [shot for shot in shots if shot.role == Role.TEST])
+    present = [name for name in names if sum(getattr(s, factor) == name for s in every) >= 2]
+    chosen = [index for index, s in enumerate(every) if getattr(s, factor) in present]
+    if len(present) < 2 or len(chosen) < len(present) + 4:
         return None
-    kept, y = [s for s, _ in kept_values], np.array([v for _, v in kept_values])
+    kept, y = [every[index] for index in chosen], values[chosen]
     level = np.array([present.index(getattr(s, factor)) for s in kept])
-    block = np.array([s.block for s in kept])
-    samples = [(getattr(s, factor), s.ball, s.sample) for s in kept]
-    by_ball = len(set(samples)) > len(present) and len(set(samples)) < len(kept)
-    _, group = np.unique([str(sample) for sample in samples] if by_ball else block, return_inverse=True)
-    if by_ball:
-        y = _without_blocks(y, level, block, len(present))
-    design = np.column_stack([(level == index).astype(float) for index in range(len(present))])
-    scale = float(y.std()) or 1.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a variance at its bound of zero is no mistake
-        fit = sm.MixedLM((y - y.mean()) / scale, design, group).fit(reml=True)
-    covariance = np.asarray(fit.cov_params())[: len(present), : len(present)] * scale**2
+    _, block = np.unique([s.block for s in kept], return_inverse=True)
+    balls = sorted({(s.ball, s.sample) for s in kept})
+    by_ball = factor == "ball" and len(present) < len(balls) < len(kept)
+    ball = np.array([balls.index((s.ball, s.sample)) for s in kept]) if by_ball else None
+    fit = fit_reml(y, level, block, ball)
+    freedom = float(len(balls) - len(present) if by_ball else len(kept) - len(present) - block.max())
+    if freedom < 1:
+        return None
     found = []
     for one, two in combinations(range(len(present)), 2):
-        difference = float(fit.fe_params[one] - fit.fe_params[two]) * scale
+        covariance = fit.covariance
         variance = covariance[one, one] + covariance[two, two] - 2 * covariance[one, two]
-        found.append((present[one], present[two], difference, sqrt(max(float(variance), 0.0))))
-    p = [float(2 * stats.norm.sf(abs(d) / e)) if e else 1.0 for _, _, d, e in found]
-    adjusted = multipletests(p, method="holm")[1]
-    half = float(stats.norm.ppf((1 + plan.analysis.confidence) / 2))
+        found.append(
+            (present[one], present[two], fit.effects[one] - fit.effects[two], sqrt(max(variance, 0.0)))
+        )
+    p = [float(2 * stats.t.sf(abs(d) / e, freedom)) if e else float(d == 0) for _, _, d, e in found]
+    half = float(stats.t.ppf((1 + plan.analysis.confidence) / 2, freedom))
     return MixedModel(
-        "ball" if by_ball else "block",
-        scale * sqrt(max(float(np.asarray(fit.cov_re)[0, 0]), 0.0)),
-        scale * sqrt(float(fit.scale)),
-        bool(fit.converged),
+        sqrt(fit.block_variance),
+        sqrt(fit.group_variance) if by_ball else None,
+        sqrt(fit.variance),
+        freedom,
+        fit.converged,
         tuple(
-            MixedPair(first, second, d, d - half * e, d + half * e, float(a))
-            for (first, second, d, e), a in zip(found, adjusted, strict=True)
+            MixedPair(first, second, float(d), float(d - half * e), float(d + half * e), float(adjusted))
+            for (first, second, d, e), adjusted in zip(found, holm(p), strict=True)
         ),
     )
 
 
-def _without_blocks(y: np.ndarray, level: np.ndarray, block: np.ndarray, count: int) -> np.ndarray:
-    """Return `y` with the blocks' effects of the fixed fit taken out."""
-    fit = fit_blocks(y, level, block, count)
-    adjusted: np.ndarray = fit.effects[level] + fit.residuals + y.mean()
-    return adjusted
+def fit_reml(y: Array, level: Codes, block: Codes, group: Codes | None) -> Reml:
+    """Fit y (n,) with levels fixed, blocks and, if given, groups random; codes count from 0."""
+    count = int(level.max()) + 1
+    fixed = (level[:, None] == np.arange(count)).astype(float)
+    width = 0 if group is None else int(group.max()) + 1
+    random = np.zeros((len(y), 0)) if group is None else (group[:, None] == np.arange(width)).astype(float)
+    design = np.hstack([fixed, random])
+    blocks = np.bincount(block).astype(float)
+    sums = np.zeros((len(blocks), design.shape[1]))
+    np.add.at(sums, block, design)
+    middle, scale = float(y.mean()), float(y.std()) or 1.0
+    z = (y - middle) / scale
+    problem = _Problem(
+        design.T @ design,
+        design.T @ z,
+        sums,
+        np.bincount(block, z).astype(float),
+        blocks,
+        float(z @ z),
+        len(y),
+        count,
+    )
+
+    def of_blocks(block_log: float) -> float:
+        return problem.solve(0.0, block_log).criterion
+
+    def of_both(logs: Array) -> float:
+        return problem.solve(float(logs[0]), float(logs[1])).criterion
+
+    if group is None:
+        one = optimize.minimize_scalar(of_blocks, bounds=(_LEAST, _MOST), method="bounded")
+        group_log, block_log, converged = 0.0, float(one.x), bool(one.success)
+    else:
+        both = optimize.minimize(
+            of_both,
+            np.array([2.0, 2.0]),
+            method="Nelder-Mead",
+            bounds=[(_LEAST, _MOST)] * 2,
+            options={"xatol": 1e-5, "fatol": 1e-8, "maxiter": 2000},
+        )
+        group_log, block_log, converged = float(both.x[0]), float(both.x[1]), bool(both.success)
+    best = problem.solve(group_log, block_log)
+    variance = best.variance * scale**2
+    return Reml(
+        best.effects * scale + middle,
+        best.inverse * variance,
+        variance,
+        variance * exp(-block_log),
+        variance * exp(-group_log) if width else 0.0,
+        converged,
+    )
+
+
+class _Solution(NamedTuple):
+    criterion: float
+    """-2 log of the restricted likelihood, but for a constant."""
+    effects: Array
+    inverse: Array
+    variance: float
+
+
+class _Problem(NamedTuple):
+    """Sums that Henderson's equations are made of."""
+
+    product: Array
+    right: Array
+    block_sums: Array
+    block_right: Array
+    blocks: Array
+    square: float
+    n: int
+    levels: int
+
+    def solve(self, group_log: float, block_log: float) -> _Solution:
+        """Solve with log variance ratios of groups and blocks."""
+        width = len(self.product) - self.levels
+        diagonal = self.blocks + exp(block_log)
+        shared = self.block_sums / diagonal[:, None]
+        ridge = np.diag(np.r_[np.zeros(self.levels), np.full(width, exp(group_log))])
+        matrix = self.product + ridge - self.block_sums.T @ shared
+        right = self.right - shared.T @ self.block_right
+        try:
+            factor = linalg.cho_factor(matrix)
+        except linalg.LinAlgError:
+            nothing = np.zeros(self.levels)
+            return _Solution(inf, nothing, np.zeros((self.levels, self.levels)), 0.0)
+        solved = linalg.cho_solve(factor, right)
+        rest = self.square - float(self.block_right @ (self.block_right / diagonal)) - float(right @ solved)
+        freedom = self.n - self.levels
+        variance = max(rest, 1e-300) / freedom
+        logs = 2 * float(np.log(np.diag(factor[0])).sum()) + float(np.log(diagonal).sum())
+        criterion = freedom * log(variance) + logs - width * group_log - len(self.blocks) * block_log
+        inverse = linalg.cho_solve(factor, np.eye(len(matrix)))[: self.levels, : self.levels]
+        return _Solution(criterion, solved[: self.levels], inverse, variance)

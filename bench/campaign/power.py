@@ -46,7 +46,7 @@ def power_of_equivalence(
     if freedom <= 0 or margin <= 0:
         return 0.0
     error = deviation * sqrt(2 / blocks)
-    steps = (np.arange(2000) + 0.5) / 2000
+    steps = (np.arange(500) + 0.5) / 500
     seen = np.sqrt(stats.chi2.ppf(steps, freedom) / freedom)
     half = margin - stats.t.ppf(1 - alpha, freedom) * error * seen
     inside = stats.norm.cdf((half - difference) / error) - stats.norm.cdf((-half - difference) / error)

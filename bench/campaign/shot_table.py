@@ -44,7 +44,7 @@ def read_shot_table(path: Path) -> list[Shot]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             table = csv.DictReader(stream, strict=True)
-            missing = [column.name for column in COLUMNS if column.name not in (table.fieldnames or ())]
+            missing = [name for name in _REQUIRED if name not in (table.fieldnames or ())]
             if missing:
                 raise BenchError(
                     str(path), f"no column {missing[0]}", "a shot table with its header", "export it anew"
@@ -69,6 +69,8 @@ def _to_shot(path: Path, line: int, row: dict[str, str | None]) -> Shot:
     """Return the shot in one row."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
+        if column.name not in row:
+            continue  # a table of before there was this column
         cell = row[column.name]
         try:
             values[column.name] = _to_value(column, cell)
@@ -99,6 +101,9 @@ def _to_value(column: Column, cell: str | None) -> object:
         return datetime.fromisoformat(cell)
     return column.kind(cell)
 
+
+_REQUIRED = [column.name for column in COLUMNS][: 1 + [c.name for c in COLUMNS].index("time_utc")]
+"""Columns that every table has; those behind them came later and have defaults."""
 
 _EXPECTED: dict[type, str] = {
     int: "a whole number",

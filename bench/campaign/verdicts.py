@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from bench.campaign.analysis import Pair, SectionAnalysis
+from bench.campaign.analysis import Comparison, Pair, SectionAnalysis, shots_still_needed
 from bench.campaign.comparison import Verdict
 from bench.campaign.plan import Plan, levels
 from bench.campaign.preview import UNITS
@@ -43,7 +43,7 @@ def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ..
         text = "Each needs valid shots in at least two blocks that it shares with another."
         return (Verdict(False, f"Too few valid shots to compare {plan.design.compare}s.", text),)
     if len(comparison.pairs) == 1:
-        return (_pair(plan, comparison.pairs[0], comparison.deviation),)
+        return (_pair(plan, comparison, comparison.pairs[0]),)
     count = Counter(pair.verdict for pair in comparison.pairs)
     different = count["different"] + count["both"]
     headline = f"{different} of {len(comparison.pairs)} pairs differ in {name}"
@@ -54,7 +54,7 @@ def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ..
         headline += f", for {open_} there are not enough shots"
     best = max(analysis.levels, key=lambda level: level.spread.mean if level.spread.n else float("-inf"))
     detail = f"Highest mean: {best.name}. All pairs together at {100 * plan.analysis.confidence:g} % (Holm)"
-    needed = comparison.pairs[0].needed
+    needed, _ = shots_still_needed(plan, comparison)
     if open_ and needed:
         detail += (
             f"; a difference of {plan.analysis.difference:g} {UNITS[plan.analysis.quantity]} would need "
@@ -63,12 +63,13 @@ def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ..
     return (Verdict(not open_, f"{headline}.", f"{detail}. Every pair is in the table below."),)
 
 
-def _pair(plan: Plan, pair: Pair, deviation: float) -> Verdict:
+def _pair(plan: Plan, comparison: Comparison, pair: Pair) -> Verdict:
     a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     seen = (
         f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
         f"{100 * a.confidence:g} % interval {_signed(pair.low)} to {_signed(pair.high)} {unit}; "
-        f"at least {pair.shots} valid shots of each, one shot scatters by {deviation:.2f} {unit} (SD)."
+        f"at least {pair.shots} valid shots of each, one shot scatters by {comparison.deviation:.2f} {unit} "
+        "(SD)."
     )
     match pair.verdict:
         case "different" | "both":
@@ -88,12 +89,13 @@ def _pair(plan: Plan, pair: Pair, deviation: float) -> Verdict:
             )
         case _:
             outlook = []
-            if pair.needed:
+            different, same = shots_still_needed(plan, comparison)
+            if different:
                 outlook.append(
-                    f"about {pair.needed} valid shots of each to find a difference of {a.difference:g} {unit}"
+                    f"about {different} valid shots of each to find a difference of {a.difference:g} {unit}"
                 )
-            if pair.needed_same:
-                outlook.append(f"about {pair.needed_same} to call them the same within {_margin(plan)}")
+            if same:
+                outlook.append(f"about {same} to call them the same within {_margin(plan)}")
             wanted = " and ".join(outlook)
             return Verdict(
                 False,

@@ -17,7 +17,8 @@ HEADER = (
     "shot,block,position,club,ball,status,reason,club_speed_mps,attack_angle_deg,club_path_deg,"
     "face_angle_deg,dynamic_loft_deg,strike_x_mm,strike_y_mm,ball_speed_mps,launch_angle_deg,direction_deg,"
     "spin_rpm,spin_axis_deg,carry_m,total_m,apex_m,landing_angle_deg,delivery_source,launch_source,"
-    "carry_source,time_utc"
+    "carry_source,time_utc,carry_side_m,swing,role,section,attempt,sample,air_temperature_k,air_pressure_pa,"
+    "relative_humidity"
 )
 SHOT = Shot(1, 1, 1, "driver", "A", Status.VALID, time_utc=datetime(2026, 11, 1, 9, 30, tzinfo=UTC))
 
@@ -70,7 +71,7 @@ def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Pa
 def test_times_are_written_in_utc(tmp_path: Path) -> None:
     late = datetime(2026, 11, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
     write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", Status.VALID, time_utc=late)])
-    assert (tmp_path / "shots.csv").read_text().strip().endswith("2026-10-31T23:30:00.000000Z")
+    assert ",2026-10-31T23:30:00.000000Z,," in (tmp_path / "shots.csv").read_text()
 
 
 @pytest.mark.parametrize(
@@ -110,6 +111,15 @@ def test_a_bad_cell_is_named(tmp_path: Path, column: str, cell: str, match: str)
         csv.writer(stream).writerows(rows)
     with pytest.raises(BenchError, match=match):
         read_shot_table(path)
+
+
+def test_a_table_without_the_later_columns_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "shots.csv"
+    write_shot_table(path, [SHOT])
+    head, row = path.read_text().split()
+    place = head.split(",").index("time_utc") + 1
+    path.write_text("\n".join(",".join(line.split(",")[:place]) for line in (head, row)))
+    assert read_shot_table(path) == [SHOT]
 
 
 def test_broken_tables_are_refused(tmp_path: Path) -> None:

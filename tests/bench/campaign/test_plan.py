@@ -1,0 +1,227 @@
+"""Plans hold or say what does not; the order is the seed's; the power is the textbook's."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from bench.campaign.plan import EXAMPLES, Plan, campaign_names, find_plan, load_plan, plan_from_record
+from bench.campaign.power import (
+    block_freedom,
+    power_of_difference,
+    power_of_equivalence,
+    resolution,
+    shots_for_equivalence,
+    shots_needed,
+)
+from bench.campaign.preview import outlook, outlook_words, preview_record
+from bench.campaign.rules import control_ball_speed, rule_sets
+from bench.campaign.sequence import Role, all_trials, block_trials, hits_needed, sections
+from bench.campaign.swings import require_swings
+from bench.cli import app
+from bench.config import Configuration, load_configuration
+from bench.errors import BenchError
+
+TWO = """
+[campaign]
+name = "two"
+[design]
+balls = ["tour", "range"]
+blocks = 4
+[control]
+ball = "tour"
+"""
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(Path("shipped"))
+
+
+def _plan(folder: Path, configuration: Configuration, text: str) -> Plan:
+    file = folder / "plan.toml"
+    file.write_text(text)
+    return load_plan(file, configuration)
+
+
+def _faults(folder: Path, configuration: Configuration, text: str) -> dict[str, BenchError]:
+    with pytest.raises(ExceptionGroup) as caught:
+        _plan(folder, configuration, text)
+    faults = [fault for fault in caught.value.exceptions if isinstance(fault, BenchError)]
+    return {fault.place.rsplit(": ", 1)[-1]: fault for fault in faults}
+
+
+@pytest.mark.parametrize("name", campaign_names())
+def test_every_shipped_campaign_holds_and_its_swings_fit(name: str, configuration: Configuration) -> None:
+    plan = load_plan(Path(name), configuration)
+    assert plan.campaign.name == name
+    assert plan.campaign.title
+    require_swings(plan, configuration)
+
+
+def test_the_six_examples_are_there() -> None:
+    assert set(campaign_names()) == {
+        "two-balls", "ten-balls", "clubs", "distance", "symmetry", "repeatability",
+    }  # fmt: skip
+    assert find_plan(Path("two-balls")) == EXAMPLES / "two-balls.toml"
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "found"),
+    [
+        (('"range"]', '"rnage"]'), "design.balls", "rnage"),
+        (("blocks = 4", "blocks = 0"), "design.blocks", "0"),
+        (("blocks = 4", "blocks = 4\nseeed = 1"), "design.seeed", "unknown"),
+        (('["tour", "range"]', '["tour", "tour"]'), "design.balls", "tour"),
+        (("blocks = 4", "blocks = 400"), "ball_handling.samples", "hits of"),
+        (('name = "two"', 'name = "../two"'), "campaign.name", "../two"),
+        (('ball = "tour"', 'ball = "tuor"'), "control.ball", "tuor"),
+        (('ball = "tour"', 'ball = "tour"\n[stop]\nrule = "width"'), "stop.width", "0"),
+        (('ball = "tour"', 'ball = "tour"\n[stop]\nrule = "equivalence"'), "analysis.margin", "0"),
+        (('ball = "tour"', 'ball = "tour"\n[gate]\nclub_speed = nan'), "gate.club_speed", "nan"),
+        (('ball = "tour"', 'ball = "tour"\n[warm_up]\nat_most = 0'), "gate.centre", "warm-up"),
+        (('ball = "tour"', 'ball = "tour"\n[rules]\napply = ["ods-1066"]'), "rules.apply", "ods-1066"),
+        (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "y"'), "balls.x.like", "y"),
+        (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "tour"\nmass = 3'), "balls.x.mass", "3"),
+    ],
+)
+def test_a_mistake_is_told_with_its_place(
+    tmp_path: Path, configuration: Configuration, change: tuple[str, str], place: str, found: str
+) -> None:
+    assert change[0] in TWO
+    faults = _faults(tmp_path, configuration, TWO.replace(*change))
+    assert found in faults[place].found
+
+
+def test_several_mistakes_are_told_at_once(tmp_path: Path, configuration: Configuration) -> None:
+    text = TWO.replace('"range"', '"rnage"').replace('name = "two"', 'name = "T W O"')
+    assert set(_faults(tmp_path, configuration, text)) == {"design.balls", "campaign.name"}
+
+
+def test_a_swing_for_another_club_is_refused(tmp_path: Path, configuration: Configuration) -> None:
+    plan = _plan(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["thesis"]'))
+    with pytest.raises(ExceptionGroup) as caught:
+        require_swings(plan, configuration)
+    assert "'thesis'" in str(caught.value.exceptions[0])
+
+
+def test_a_club_that_differs_in_its_loft_only_fits(tmp_path: Path, configuration: Configuration) -> None:
+    text = TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["flat"]')
+    plan = _plan(tmp_path, configuration, text + '[clubs.flat]\nlike = "driver"\nloft_deg = 8.0\n')
+    assert require_swings(plan, configuration).keys() == {"default"}
+
+
+def test_a_plan_survives_its_record(tmp_path: Path, configuration: Configuration) -> None:
+    for name in campaign_names():
+        plan = load_plan(Path(name), configuration)
+        again = plan_from_record(json.loads(json.dumps(plan.record())), "database")
+        assert again == plan
+        assert again.digest == plan.digest
+    other = _plan(tmp_path, configuration, TWO)
+    assert other.digest != _plan(tmp_path, configuration, TWO.replace("blocks = 4", "blocks = 5")).digest
+
+
+def test_blocks_are_complete_and_the_control_ball_stands_at_start_middle_and_end(
+    configuration: Configuration,
+) -> None:
+    plan = load_plan(Path("ten-balls"), configuration)
+    (section,) = sections(plan)
+    orders = set()
+    for number in range(1, plan.design.blocks + 1):
+        trials = block_trials(plan, section, number)
+        assert [trial.position for trial in trials] == list(range(1, len(trials) + 1))
+        assert [t.position for t in trials if t.role is Role.CONTROL] == [1, 7, 13]
+        tests = [t.arm.ball for t in trials if t.role is Role.TEST]
+        assert sorted(tests) == sorted(plan.design.balls)
+        orders.add(tuple(tests))
+    assert len(orders) > 15
+
+
+def test_the_order_is_the_seeds_and_places_are_evenly_taken(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    text = TWO.replace("blocks = 4", "blocks = 400\nseed = 3") + "[ball_handling]\nsamples = 1000\n"
+    plan = _plan(tmp_path, configuration, text)
+    again = _plan(tmp_path, configuration, text)
+    other = _plan(tmp_path, configuration, text.replace("seed = 3", "seed = 4"))
+    assert all_trials(plan) == all_trials(again)
+    assert all_trials(plan) != all_trials(other)
+    first = Counter(t.arm.ball for t in all_trials(plan) if t.position == 2)
+    assert abs(first["tour"] - 200) < 60  # three standard errors
+
+
+def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Configuration) -> None:
+    text = TWO.replace("blocks = 4", 'blocks = 2\ncompare = "club"\nclubs = ["driver", "flat"]')
+    text += '[clubs.flat]\nlike = "driver"\nloft_deg = 8.0\n[warm_up]\nwindow = 2\nat_most = 3\n'
+    plan = _plan(tmp_path, configuration, text)
+    assert [section.name for section in sections(plan)] == ["default, tour", "default, range"]
+    for trial in all_trials(plan):
+        assert trial.role is Role.CONTROL or trial.arm.ball == ("tour", "range")[trial.section - 1]
+    # Of the control ball, in each of two sections: two blocks of three, and a warm-up with each of two clubs.
+    # Each compared ball: two blocks with two clubs.
+    assert hits_needed(plan) == {"tour": 2 * (2 * 3 + 2 * 3) + 4, "range": 4}
+    assert {trial.block for trial in all_trials(plan)} == {1, 2, 3, 4}
+
+
+# Figures of the domain reference: n a ball for a standard deviation and a difference, normal approximation
+# (two-sided 0.05, power 0.8); small numbers need one or two more.
+@pytest.mark.parametrize(
+    ("deviation", "difference", "normal"),
+    [(1.5, 1, 36), (1.5, 2, 9), (2.5, 1, 99), (2.5, 2, 25), (4, 2, 63), (6, 3, 63), (6, 5, 23)],
+)
+def test_the_number_of_shots_is_the_known_one(deviation: float, difference: float, normal: int) -> None:
+    found = shots_needed(difference, deviation, 0.05, 0.8)
+    assert found is not None
+    assert normal <= found <= normal + 3
+
+
+def test_tost_needs_the_known_number() -> None:
+    for deviation, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
+        found = shots_for_equivalence(2.0, deviation, 0.05, 0.8)
+        assert found is not None
+        assert normal <= found <= normal + 3
+
+
+def test_power_and_resolution_are_each_others_inverse() -> None:
+    for blocks in (3, 10, 200):
+        freedom = block_freedom(2, blocks)
+        difference = resolution(2.0, blocks, freedom, 0.05, 0.8)
+        assert power_of_difference(difference, 2.0, blocks, freedom, 0.05) == pytest.approx(0.8, abs=1e-6)
+    assert power_of_difference(0.0, 1.0, 10, 9, 0.05) == pytest.approx(0.05)
+    assert power_of_difference(100.0, 1.0, 10, 9, 0.05) == pytest.approx(1.0)
+    assert power_of_equivalence(0.1, 2.0, 10, 9, 0.05) == 0.0
+    assert power_of_equivalence(2.0, 1.0, 100, 99, 0.05, 2.0) == pytest.approx(0.05, abs=0.002)
+
+
+def test_a_plan_too_small_says_so(tmp_path: Path, configuration: Configuration) -> None:
+    text = TWO + "[analysis]\ndeviation = 5.0\ndifference = 1.0\n"
+    words = " ".join(outlook_words(_plan(tmp_path, configuration, text)))
+    assert "Not enough shots" in words
+    assert str(outlook(_plan(tmp_path, configuration, text)).needed) in words
+
+
+def test_rule_sets_are_dated_and_sourced() -> None:
+    for rule in rule_sets().values():
+        assert rule.begins < rule.ends
+        assert rule.source
+        assert rule.confidence in {"A", "B", "C"}
+    assert rule_sets()["ods-2004"].at_most == pytest.approx(320 * 0.9144)
+    # At e = 0.77 and 450 us, by hand: 180.13 + 95.258 - 19.391 = 255.998 ft/s.
+    assert control_ball_speed(0.77, 450e-6) == pytest.approx(255.998 * 0.3048, rel=1e-5)
+
+
+def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
+    runner = CliRunner()
+    shown = runner.invoke(app, ["--config", "shipped", "campaign", "check", "two-balls"])
+    assert shown.exit_code == 0
+    assert "order from seed 20261121" in shown.stdout
+    result = runner.invoke(app, ["--config", "shipped", "campaign", "check", "ten-balls", "--json"])
+    record = json.loads(result.stdout)
+    assert record["shots"] == len(record["sequence"]) == 20 * 13
+    assert record == json.loads(
+        json.dumps(preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped")))))
+    )

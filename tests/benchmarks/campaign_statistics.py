@@ -1,0 +1,179 @@
+"""Ten thousand campaigns with known truth: coverage, false positives, and power as the plan foretold.
+
+Statistics only: shots are drawn from the model of a campaign, not swung. Seeds are fixed beforehand: SEED and
+the number of the campaign. Options: `--campaigns N` a case.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from itertools import combinations
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+
+from bench.campaign.analysis import analyse
+from bench.campaign.plan import Plan, levels, load_plan
+from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
+from bench.campaign.sequence import Role, block_trials, sections
+from bench.campaign.shot import Shot, Status
+from bench.config import load_configuration
+from tests.benchmarks.row import Row
+
+SEED = 20261121
+CAMPAIGNS = 10_000
+BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
+FIRST = 180.0
+"""m, carry of the first level."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true of a campaign, in metres of carry."""
+
+    deviation: float = 2.0
+    difference: float = 0.0
+    """Between the first level and all others."""
+    block: float = 1.5
+    """Standard deviation between blocks."""
+    drift: float = 0.02
+    """A shot."""
+    ball: float = 0.0
+    """Standard deviation between balls of one model."""
+
+
+def campaign_shots(plan: Plan, truth: Truth, seed: int) -> list[Shot]:
+    """Return the shots of a campaign by `plan` in its own order, all valid."""
+    random = np.random.default_rng((SEED, seed))
+    plan = replace(plan, design=replace(plan.design, seed=int(random.integers(2**31))))
+    shots: list[Shot] = []
+    names = levels(plan)
+    own = random.normal(size=(len(names) + 1, plan.ball_handling.samples)) * truth.ball
+    hits: dict[str, int] = {}
+    for section in sections(plan):
+        for number in range(1, plan.design.blocks + 1):
+            effect = truth.block * random.normal()
+            for trial in block_trials(plan, section, number):
+                level = getattr(trial.arm, plan.design.compare)
+                control = trial.role is Role.CONTROL
+                code = len(names) if control else names.index(level)
+                hits[level] = hits.get(level, -1) + 1
+                sample = hits[level] % plan.ball_handling.samples
+                carry = FIRST + effect + own[code, sample] + truth.drift * len(shots)
+                carry += truth.deviation * random.normal() - (truth.difference if code else 0.0)
+                shots.append(
+                    Shot(
+                        len(shots) + 1, trial.block, trial.position, trial.arm.club, trial.arm.ball,
+                        Status.VALID, carry_m=float(carry), swing=trial.arm.swing, role=str(trial.role),
+                        section=trial.section, sample=sample + 1,
+                        time_utc=BEGIN + timedelta(seconds=48 * len(shots)),
+                    )
+                )  # fmt: skip
+    return shots
+
+
+@dataclass
+class Tally:
+    """How often what happened."""
+
+    covered: int = 0
+    found: int = 0
+    any_found: int = 0
+    same: int = 0
+    pairs: int = 0
+    campaigns: int = 0
+
+
+def _tally(plan: Plan, truth: Truth, campaigns: int, first_seed: int) -> Tally:
+    tally = Tally()
+    names = levels(plan)
+    true = {(one, two): truth.difference * (one == names[0]) for one, two in combinations(names, 2)}
+    for number in range(campaigns):
+        result = analyse(plan, campaign_shots(plan, truth, first_seed + number), 1, "").confirmatory
+        if result is None:
+            raise RuntimeError("a complete campaign without an answer")
+        verdicts = [pair.verdict in {"different", "both"} for pair in result.pairs]
+        null = [
+            v for pair, v in zip(result.pairs, verdicts, strict=True) if not true[pair.first, pair.second]
+        ]
+        tally.covered += sum(pair.low <= true[pair.first, pair.second] <= pair.high for pair in result.pairs)
+        tally.found += verdicts[0]
+        tally.any_found += any(null)
+        tally.same += result.pairs[0].verdict in {"same", "both"}
+        tally.pairs += len(result.pairs)
+        tally.campaigns += 1
+    return tally
+
+
+def plans() -> tuple[Plan, Plan]:
+    """Return a plan of two balls with a control ball, and one of four without."""
+    configuration = load_configuration(Path("shipped"))
+    two = load_plan(Path("symmetry"), configuration)
+    two = replace(
+        two,
+        design=replace(two.design, blocks=12),
+        stop=replace(two.stop, rule="fixed"),
+        analysis=replace(two.analysis, deviation=2.0, difference=2.5, margin=2.5, power=0.8),
+    )
+    ten = load_plan(Path("ten-balls"), configuration)
+    four = replace(
+        ten,
+        design=replace(ten.design, balls=("a", "b", "c", "d"), blocks=10),
+        control=replace(ten.control, ball=""),
+        analysis=replace(ten.analysis, deviation=2.0, difference=3.0, margin=0.0),
+    )
+    return two, four
+
+
+def survey(campaigns: int) -> list[Row]:
+    """Return what `campaigns` campaigns a case give; three standard errors, or 5 points for power."""
+    two, four = plans()
+    rows: list[Row] = []
+    drifting = Truth(drift=0.05)
+
+    def rate(name: str, count: int, of: int, nominal: float, *, errors: int | None = None) -> None:
+        half = 3 * sqrt(nominal * (1 - nominal) / (errors or of))
+        note = f"of {of}, nominal {nominal:.4f}"
+        rows.append(Row("campaign statistics", name, count / of, "", note, nominal - half, nominal + half))
+
+    def foretold(name: str, count: int, of: int, power: float) -> None:
+        half = max(0.05, 3 * sqrt(power * (1 - power) / of))
+        note = f"of {of}, foretold {power:.4f}"
+        rows.append(Row("campaign statistics", name, count / of, "", note, power - half, power + half))
+
+    null = _tally(two, drifting, campaigns, 0)
+    rate("two balls, equal: interval covers the truth", null.covered, null.pairs, 0.95)
+    rate("two balls, equal: called different", null.found, null.campaigns, 0.05)
+    a = two.analysis
+    freedom = block_freedom(2, 12, 3, True)
+    same = power_of_equivalence(a.margin, 2.0, 12, freedom, 0.05)
+    foretold("two balls, equal: called the same (TOST)", null.same, null.campaigns, same)
+    real = _tally(two, replace(drifting, difference=a.difference), campaigns, campaigns)
+    rate("two balls, different: interval covers the truth", real.covered, real.pairs, 0.95)
+    power = power_of_difference(a.difference, 2.0, 12, freedom, 0.05)
+    foretold("two balls, different: found", real.found, real.campaigns, power)
+    rate("two balls, at the margin: called the same", real.same, real.campaigns, 0.05)
+    raw = replace(two, analysis=replace(two.analysis, drift="none"))
+    plain = _tally(raw, Truth(drift=0.0), campaigns, 2 * campaigns)
+    rate("two balls, raw: interval covers the truth", plain.covered, plain.pairs, 0.95)
+    many = _tally(four, Truth(), campaigns, 3 * campaigns)
+    # Pairs of one campaign share its shots: their errors are counted by campaigns, not by pairs.
+    rate("four balls, equal: interval covers the truth", many.covered, many.pairs, 0.95, errors=campaigns)
+    error = Row(
+        "campaign statistics", "four balls, equal: any pair called different (Holm)",
+        many.any_found / many.campaigns, "", f"of {many.campaigns}, at most 0.05",
+        None, 0.05 + 3 * sqrt(0.05 * 0.95 / campaigns),
+    )  # fmt: skip
+    rows.append(error)
+    return rows
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Run all cases; takes some minutes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="a case")
+    return survey(parser.parse_args(arguments).campaigns)
