@@ -38,17 +38,20 @@ class Child:
 
     @classmethod
     def start(cls, name: str, module: str, plan: object, pass_fds: tuple[int, ...] = ()) -> Child:
-        """Start `python -m module` with `plan` pickled on its stdin."""
+        """Start `python -m module` with `plan` pickled on its stdin; never waits for it.
+
+        The plan lies in memory: into a pipe a large one would go only as the child, still importing, reads.
+        """
         # What this process can import, its child can; more BLAS threads only disturb.
         path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[1])]))
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module],
-            bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=pass_fds,
-            env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
-        )  # fmt: skip
-        if process.stdin is not None:
-            with suppress(BrokenPipeError), process.stdin:  # should it be dead already, its exit code tells
-                process.stdin.write(pickle.dumps(plan))
+        with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
+            stdin.write(pickle.dumps(plan))
+            stdin.seek(0)
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module],
+                bufsize=0, stdin=stdin, stdout=subprocess.PIPE, pass_fds=pass_fds,
+                env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
+            )  # fmt: skip
         return cls(name, process)
 
     @property

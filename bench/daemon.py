@@ -344,13 +344,14 @@ class Daemon:
                 _log.info(
                     "%s, phase %s, reaction %s, cause %s", state.name, phase.name, reaction.name, cause.name
                 )
+            self._marker.note_state(state.name, phase.name)
             tick = {"tick": int(cycles["tick"][k]), "loop_time": float(cycles["time"][k])}
             self._publish(
                 "change",
                 {"state": state.name, "phase": phase.name, "reaction": reaction.name, "cause": cause.name}
                 | tick,
             )
-            if state in _LATCHED and cause and cause is not old[3]:
+            if state in _LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
                 self._marker.note_stop(self._stop_entry(cause.name, CAUSE_TEXT[cause], old[0], old[1]))
 
     def _stop_entry(self, cause: str, text: str, state: State, phase: Phase) -> dict[str, Any]:

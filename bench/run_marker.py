@@ -47,6 +47,8 @@ class RunMarker:
             self.last_stop = {
                 "cause": "RESTART",
                 "text": "the supervisor was killed, or the machine lost power",
+                "state": before.get("state", ""),
+                "phase": before.get("phase", ""),
                 "run_started_utc": before.get("started_utc"),
             }
         self._content: dict[str, Any] = {}
@@ -61,6 +63,10 @@ class RunMarker:
     def begin(self, pid: int, started_utc: str) -> None:
         """Note that this run has begun; until `end` it counts as killed."""
         self._put({"version": 1, "running": True, "pid": pid, "started_utc": started_utc})
+
+    def note_state(self, state: str, phase: str) -> None:
+        """Keep where the bench is, for the case that nobody can tell any more."""
+        self._put({**self._content, "state": state, "phase": phase})
 
     def note_stop(self, stop: dict[str, Any], *, fatal: bool = False) -> None:
         """Keep `stop`; `fatal`: the run ends with it, and the next one is to know that."""

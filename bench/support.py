@@ -15,8 +15,11 @@ from sim.shared_record import SharedRecord
 
 _log = logging.getLogger("golfbench")
 
-_SILENCE = 2.0
-"""s without a heartbeat after which a process cannot be relied on."""
+_SILENCE = 5.0
+"""s without a heartbeat after which a process cannot be relied on; storing a swing may take some on a busy
+machine, and the ring keeps 16."""
+_FROZEN = 12.0
+"""s without a heartbeat after which it is killed, and started anew."""
 _PAUSE = 1.0
 """s after which a dead one is started anew."""
 _PATIENCE = 12.0
@@ -75,6 +78,8 @@ class Supporter:
         elif count != self._heart.beats:
             self._heart = Heart(condition, count, now)
         self.note = self._trouble(now)
+        if self._heart.condition is not Condition.STARTING and now - self._heart.heard > _FROZEN:
+            self.child.kill()  # seen as dead in the next turn
         for event in self.child.take_events():
             if event["event"] in {"trouble", "dropped", "failed", "relieved"}:
                 _log.warning("%s: %s", self.name, event)

@@ -142,7 +142,7 @@ def _is_foreign(name: str) -> bool:
         try:
             if path in (folder / "maps").read_text():
                 return True
-            if any(os.readlink(handle) == path for handle in (folder / "fd").iterdir()):
+            if any(os.readlink(handle).startswith(path) for handle in (folder / "fd").iterdir()):
                 return True
         except OSError:
             continue

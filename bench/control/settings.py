@@ -117,7 +117,7 @@ class LifecycleSettings:
     """How long a press of it counts, s."""
     series: bool = False
     """After a swing hold the address for the next one instead of venting."""
-    supervisor_time: Positive = 0.25
+    supervisor_time: Positive = 0.5
     """Silence of the supervisor that counts as its death, s."""
 
 

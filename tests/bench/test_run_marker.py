@@ -14,6 +14,7 @@ def run(
 ) -> RunMarker:
     marker = RunMarker(folder, "b1")
     marker.begin(1234, "2026-01-02T03:04:05+00:00")
+    marker.note_state("SWINGING", "TOP")
     if stop is not None:
         marker.note_stop(stop, fatal=fatal)
     marker.end(in_order=in_order)
@@ -44,6 +45,7 @@ def test_a_killed_supervisor_is_remembered(tmp_path: Path) -> None:
     assert after.last_stop is not None
     assert after.last_stop["cause"] == "RESTART"
     assert "supervisor was killed" in after.last_stop["text"]
+    assert (after.last_stop["state"], after.last_stop["phase"]) == ("SWINGING", "TOP")
 
 
 def test_what_killed_a_run_is_remembered_also_by_the_run_after_next(tmp_path: Path) -> None:

@@ -1,0 +1,152 @@
+"""The whole bench with the simulated robot in step with the loop, as its users run it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bench.client import CommandRefused
+from bench.errors import ExitCode, Refused
+from bench.lifecycle import Cause, Phase, State
+from bench.replay import replay_record
+from bench.telemetry.recorder import read_swing
+from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+pytestmark = pytest.mark.timeout(400)  # the first start compiles
+
+
+def wait_for_records(bench: BenchProcess, count: int) -> list[Path]:
+    deadline = time.monotonic() + 20.0
+    while len(bench.records) < count and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return bench.records
+
+
+def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "whole")
+    with running_bench(file) as bench:
+        status = bench.client.status()
+        assert (status["state"], bench.cause) == ("ESTOP", "POWER_UP")
+        with pytest.raises(Refused, match="lease"):
+            bench.client.reset()
+        # A second daemon meets the first one's lock.
+        second = subprocess.run(
+            [sys.executable, "-m", "bench", "--config", str(file), "run"],
+            capture_output=True, check=False, text=True, timeout=120,
+        )  # fmt: skip
+        assert second.returncode == 1
+        assert str(bench.process.pid) in second.stderr
+        with bench.client.lease("test"):
+            assert bench.make_ready()["homed"]
+            with pytest.raises(CommandRefused):
+                bench.client.swing()  # not armed
+            bench.take_address()
+            bench.client.swing()
+            bench.wait_phase(Phase.FOLLOW_THROUGH)
+            assert bench.client.wait_for("READY")["swings"] == 1
+        (record,) = wait_for_records(bench, 1)
+        cycles, metadata = read_swing(record)
+        assert metadata["complete"] is True
+        assert cycles["plant_head_speed"].max() > 40.0
+        assert all(not difference.ticks for difference in replay_record(record).differences())
+        folder = bench.folder
+        assert bench.end() == 0
+        assert not folder.exists()
+        assert bench.records == [record]
+
+
+def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) -> None:
+    with running_bench(write_configuration(tmp_path, "stops")) as bench:
+        with bench.client.lease("test"):
+            bench.make_ready()
+            bench.take_address()
+        bench.client.wait_for("READY")  # given back: disarmed
+        with bench.client.lease("test"):
+            bench.take_address()
+            bench.client.swing()
+            bench.wait_phase(Phase.BACKSWING)
+        bench.client.stop()
+        stopped = bench.wait_until(lambda record: record["state"] == State.FAULT)
+        assert stopped["trip"] == Cause.OPERATOR_STOP
+        with bench.client.lease("test"):
+            bench.make_ready()
+            bench.take_address()
+            bench.client.emergency_stop()
+        stopped = bench.wait_until(lambda record: record["state"] == State.ESTOP)
+        assert stopped["trip"] == Cause.NETWORK_STOP
+
+
+@pytest.mark.parametrize(("name", "number"), [("recorder", signal.SIGKILL), ("publisher", signal.SIGSTOP)])
+def test_a_swing_completes_without_its_support_and_nothing_is_armed_after(
+    tmp_path: Path, name: str, number: signal.Signals
+) -> None:
+    with running_bench(write_configuration(tmp_path, name)) as bench, bench.client.lease("test"):
+        bench.make_ready()
+        bench.take_address()
+        struck = psutil.Process(bench.pid(name))
+        bench.client.swing()
+        bench.wait_phase(Phase.BACKSWING)
+        struck.send_signal(number)
+        if number is signal.SIGKILL:  # seen at once, and mended within seconds
+            bench.wait_until(lambda record: not record["support_ready"])
+        bench.wait_phase(Phase.FOLLOW_THROUGH)
+        bench.wait_until(lambda record: record["state"] == State.READY)
+        if number is signal.SIGSTOP:
+            bench.wait_until(lambda record: not record["support_ready"])
+            with pytest.raises(CommandRefused, match="record"):
+                bench.client.arm()
+            struck.send_signal(signal.SIGCONT)
+        bench.wait_until(lambda record: bool(record["support_ready"]))
+        bench.take_address()  # it is back
+
+
+@pytest.mark.parametrize("name", ["loop", "supervisor"])
+def test_who_was_killed_comes_back_in_estop_and_says_so(tmp_path: Path, name: str) -> None:
+    file = write_configuration(tmp_path, "killed")
+    with running_bench(file) as bench:
+        with bench.client.lease("test"):
+            bench.make_ready()
+            bench.take_address()
+            bench.client.swing()
+            bench.wait_phase(Phase.BACKSWING)
+            time.sleep(0.1)  # where it was is on the disk by then
+            children = [psutil.Process(bench.pid(child)) for child in ("loop", "recorder", "publisher")]
+            os.kill(bench.pid(name), signal.SIGKILL)
+            code = bench.process.wait(30.0)
+        assert code == (-signal.SIGKILL if name == "supervisor" else ExitCode.DEVICE)
+        _, alive = psutil.wait_procs(children, timeout=20.0)
+        assert alive == []
+    with running_bench(file) as bench:
+        status = bench.client.status()
+        assert (status["state"], bench.cause) == ("ESTOP", "RESTART")
+        assert status["last_stop"] is not None
+        assert "BACKSWING" in json.dumps(status["last_stop"])
+        assert bench.end() == 0
+
+
+def test_a_silent_supervisor_stops_the_swing(tmp_path: Path) -> None:
+    with running_bench(write_configuration(tmp_path, "frozen")) as bench, bench.client.lease("test"):
+        bench.make_ready()
+        bench.take_address()
+        bench.process.send_signal(signal.SIGSTOP)
+        try:
+            stopped = bench.wait_until(lambda record: record["state"] == State.FAULT)
+        finally:
+            bench.process.send_signal(signal.SIGCONT)
+        assert stopped["trip"] == Cause.SUPERVISOR
+
+
+def test_an_observing_bench_moves_nothing(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "read")
+    with running_bench(file, "--read-only") as bench, bench.client.lease("test"):
+        with pytest.raises(CommandRefused, match="observe only"):
+            bench.client.reset()
+        assert bench.client.status()["read_only"]
