@@ -105,6 +105,7 @@ class CanopenDevice:
         self._values: dict[tuple[int, int], bytes] = {}
         self._sdo = SdoServer(0x600 + number, 0x580 + number, self)
         self._sdo.network = _Wire(send)
+        self._sdo._index = self._sdo._subindex = 0  # noqa: SLF001 - else its first abort fails
         self._tpdos: list[Pdo] = []
         self._rpdos: dict[int, Pdo] = {}
         self._heartbeat, self._heartbeat_due = math.inf, math.inf
@@ -217,6 +218,10 @@ class CanopenDevice:
         """Return the value of a whole-number object."""
         signed = self._find(index, subindex).data_type in SIGNED_TYPES
         return int.from_bytes(self.get_data(index, subindex), "little", signed=signed)
+
+    def factor_of(self, index: int, subindex: int) -> float:
+        """Return what a count of an object is in its unit."""
+        return float(self._find(index, subindex).factor)
 
     def put(self, index: int, subindex: int, value: int) -> None:
         """Set an object from inside the device."""

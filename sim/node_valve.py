@@ -27,7 +27,7 @@ class ValveNode401(CanopenDevice):
     def __init__(self, number: int, eds: Path, send: Send, obey: Callable[[Command], None]) -> None:
         super().__init__(number, eds, send)
         self._obey_outputs = obey
-        self._volts = float(self.object_dictionary[_VOLTAGE_OUT][1].factor)
+        self._volts = self.factor_of(_VOLTAGE_OUT, 1)
         """V per count."""
 
     def written(self, index: int) -> None:

@@ -117,6 +117,7 @@ class BenchNodes:
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
         """Stand vented and without power; ValueError when the plan does not hold."""
         self.plant = WallPlant(plan.plant_plan)
+        self._latency = plan.plant.encoders.latency
         self._tick, resolution = plan.plant.tick, plan.plant.encoders.counts_per_revolution
         self._now = self._instant = 0.0
         self._frozen = False
@@ -181,7 +182,7 @@ class BenchNodes:
         count = self.readings.encoder_count[joint]
         if not self.readings.encoder_valid[joint]:
             return count
-        ahead = max(0.0, min(self._now - self._instant, _LONGEST_EXTRAPOLATION))
+        ahead = max(0.0, min(self._now - self._instant, _LONGEST_EXTRAPOLATION)) + self._latency
         speed, before = self._speed[joint], self._speed_before[joint]
         turned = ahead * (speed + 0.5 * ahead * (speed - before) / self._tick)
         return count + round(turned * self._scale[joint])

@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.base import PASSIVE, READINGS, Readings, pack_readings
+from drivers.base import PASSIVE, READINGS, pack_readings
 from drivers.can_bus import FRAME
 from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
@@ -123,8 +123,8 @@ def fuzz(frames: int, seed: int, *, listening: bool = True) -> Result:
         try:
             readings = driver.read(now)
             pack_readings(readings, record)
-            if not isinstance(readings, Readings) or driver.write(PASSIVE) != PASSIVE:
-                raise TypeError("not what the contract says")
+            if driver.write(PASSIVE) != PASSIVE:
+                raise ValueError("it applied more than the passive command")
         except Exception as error:  # what this is about
             result.escaped.append(repr(error))
     result.duration = time.perf_counter() - start

@@ -49,7 +49,7 @@ class NaiveTick:
             if message is None:
                 break
             kind = self._database.get_message_by_frame_id(message.arbitration_id)
-            decoded = kind.decode(message.data)
+            decoded = kind.decode(bytes(message.data))
             assert isinstance(decoded, dict)
             self.values |= {f"{kind.name}.{name}": value for name, value in decoded.items()}
             missing.discard(kind.name)
