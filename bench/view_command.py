@@ -15,9 +15,9 @@ from bench.session import Session
 
 if TYPE_CHECKING:
     import rerun as rr
-    import rerun.blueprint as rrb
 
     from bench.campaign.shot_record import ShotRecord
+    from bench.telemetry.rerun_recording import Layout
     from bench.telemetry.viewer_window import RerunWindow
     from sim.plant import PlantParameters
 
@@ -95,7 +95,7 @@ def _view_records(
     connect: str | None, port: int | None, memory_limit: str,
 ) -> None:  # fmt: skip
     from bench.progress import progress_bar
-    from bench.telemetry.rerun_recording import blueprint_for, log_shots, write_recording
+    from bench.telemetry.rerun_recording import layout_for, log_shots, write_recording
 
     with progress_bar() as progress:
         records, plant, name = _read(shot, campaign, progress)
@@ -105,7 +105,7 @@ def _view_records(
             if not web and connect is None:
                 return
         window = _window(stack, web, connect, port, memory_limit)
-        recording = _recording(stack, name, [_sink(window, connect)], blueprint_for(records))
+        recording = _recording(stack, name, [_sink(window, connect)], layout_for(records))
         task = progress.add_task("showing", total=len(records))
         log_shots(recording, records, plant, lambda: progress.advance(task))
         recording.flush(timeout_sec=60.0)
@@ -145,7 +145,7 @@ def _view_bench(
     import rerun as rr
 
     from bench.telemetry.recorded_shot import Surroundings
-    from bench.telemetry.rerun_blueprint import live_blueprint
+    from bench.telemetry.rerun_recording import live_layout
     from bench.telemetry.viewer import FILE_PERIOD, PERIOD, LiveView
     from bench.telemetry.viewer_feed import Feed
 
@@ -157,7 +157,7 @@ def _view_bench(
     if save is not None:
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
         sinks.append(rr.FileSink(_writable(save), write_footer=False))
-    recording = _recording(stack, f"bench {c.bench.id}", sinks, live_blueprint())
+    recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
     live = LiveView(recording, feed, c.bench.id, c.plant, Surroundings(c.air, c.wind, c.turf))
     _say_where(window)
     typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
@@ -222,16 +222,12 @@ def _sink(window: RerunWindow | None, connect: str | None) -> Any:
         ) from None
 
 
-def _recording(
-    stack: ExitStack, name: str, sinks: Sequence[Any], blueprint: rrb.Blueprint
-) -> rr.RecordingStream:
+def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:
     import rerun as rr
 
-    from bench.telemetry.rerun_recording import APPLICATION
-
-    recording = rr.RecordingStream(APPLICATION)
+    recording = rr.RecordingStream(layout.application)
     stack.callback(recording.disconnect)
-    recording.set_sinks(*sinks, default_blueprint=blueprint)
+    recording.set_sinks(*sinks, default_blueprint=layout.blueprint)
     recording.send_recording_name(name)
     return recording
 

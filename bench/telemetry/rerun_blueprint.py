@@ -94,7 +94,7 @@ def live_blueprint() -> rrb.Blueprint:
                         rrb.Tabs(_figures(), _table(), _dispersion(), _flight(), active_tab=0),
                         column_shares=[1, 1],
                     ),
-                    row_shares=[1.35, 1],
+                    row_shares=[1.3, 1],
                 ),
                 signals,
                 column_shares=[1.3, 1],

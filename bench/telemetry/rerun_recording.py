@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -18,7 +19,7 @@ from rerun.chunk import RrdReader
 
 from bench.campaign.head_path import path_to_ball
 from bench.campaign.shot_record import ShotRecord
-from bench.telemetry.rerun_blueprint import campaign_blueprint, shot_blueprint
+from bench.telemetry.rerun_blueprint import campaign_blueprint, live_blueprint, shot_blueprint
 from bench.telemetry.rerun_motion import log_ball, log_motion, quick_and_every
 from bench.telemetry.rerun_scene import ball_at_rest, log_static_scene
 from bench.telemetry.rerun_shots import ShotSeries
@@ -26,16 +27,29 @@ from bench.telemetry.rerun_signals import bench_time, log_codes, log_limits, log
 from bench.telemetry.whole_file import NotStored, whole_path
 from sim.plant import PlantParameters
 
-APPLICATION = "golfbench"
 PAUSE = 0.6
 """Seconds between the end of a flight or swing and the next swing."""
 _EVERY = 5
 """Cycles between two poses where the robot is slow."""
 
 
-def blueprint_for(records: Sequence[ShotRecord]) -> rrb.Blueprint:
+class Layout(NamedTuple):
+    """What Rerun tells recordings apart by, and how it shows them. A viewer keeps a layout an application."""
+
+    application: str
+    blueprint: rrb.Blueprint
+
+
+def layout_for(records: Sequence[ShotRecord]) -> Layout:
     """Return the layout for one shot or for several."""
-    return shot_blueprint() if len(records) == 1 else campaign_blueprint()
+    if len(records) == 1:
+        return Layout("golfbench_shot", shot_blueprint())
+    return Layout("golfbench_campaign", campaign_blueprint())
+
+
+def live_layout() -> Layout:
+    """Return the layout for a running bench."""
+    return Layout("golfbench_live", live_blueprint())
 
 
 def write_recording(
@@ -57,8 +71,9 @@ def writing_recording(
 ) -> Iterator[rr.RecordingStream]:
     """Yield a recording for `records` whose file appears at `path` whole or not at all. Raises NotStored."""
     with whole_path(path) as partial:
-        recording = rr.RecordingStream(APPLICATION)
-        recording.save(partial, default_blueprint=blueprint_for(records), write_footer=True)
+        layout = layout_for(records)
+        recording = rr.RecordingStream(layout.application)
+        recording.save(partial, default_blueprint=layout.blueprint, write_footer=True)
         if name:
             recording.send_recording_name(name)
         try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import ceil, floor
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -44,37 +45,41 @@ class ShotSeries:
         record: ShotRecord,
         start: float,
         struck: float | None,
+        latest: float = np.inf,
     ) -> float:
-        """Log a shot begun at `start` whose ball flew at `struck` (s; None: none did); return its end."""
+        """Log a shot begun at `start` whose ball flew at `struck` (s; None: none did); return its end.
+
+        Nothing is logged later than `latest`: a live view knows all of a flight before the ball is down.
+        """
         self.records.append(record)
-        shown = start if struck is None else struck
-        end = start
+        shown = end = start
         if struck is not None and record.flight is not None:
-            end = self._log_flight(recording, times, record, struck)
-            shown = struck + record.flight.time
-            self._log_dispersion(recording, times, struck + record.flight.time)
+            end = struck + float(record.flight.path[-1, 0])
+            shown = min(struck + record.flight.time, latest)
+            self._log_flight(recording, times, record, struck, shown)
+            flown = moving_ball(record, struck)
+            log_moving_ball(recording, times, flown.upto(latest))
+            if end <= latest:
+                log_gap(recording, times, end)
+            self._log_dispersion(recording, times, shown)
         self._log_text(recording, times, record.shot, start, struck)
-        document(recording, "shots", times(np.array([shown])), shot_table(self.records))
+        document(recording, "shots", times(np.array([min(shown, latest)])), shot_table(self.records))
         return end
 
     def _log_flight(
-        self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float
-    ) -> float:
-        """Log the path, the moving ball with its speed, and where it landed."""
+        self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float, landed: float
+    ) -> None:
+        """Log the ball's path, and where it landed."""
         flight = record.flight
         if flight is None:
-            return struck
+            return
         path, colour = flight.path, self.colour(record.shot.ball)
-        time = struck + path[:, 0]
         shot = f"range/shots/{record.shot.shot:03d}"
         number = [rr.TimeColumn("shot", sequence=[record.shot.shot])]
-        speed = np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1)
-        gap = np.append(time, time[-1] + 1e-3)  # not a number: no line from this flight to the next
-        send_scalars(recording, "signals/ball_speed_mps", times(gap), np.append(speed, np.nan)[:, None])
         sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
         recording.send_columns(
             f"{shot}/path",
-            times(time[:1]) + number,
+            times(np.array([struck])) + number,
             rr.LineStrips3D.columns(strips=[path[sparse, 1:]]),
         )
         recording.log(
@@ -82,19 +87,17 @@ class ShotSeries:
             rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5)),
             static=True,
         )
-        recording.send_columns("range/ball", times(time), rr.Points3D.columns(positions=path[:, 1:]))
-        landed = min(int(np.searchsorted(path[:, 0], flight.time)), len(path) - 1)
+        down = min(int(np.searchsorted(path[:, 0], flight.time)), len(path) - 1)
         recording.send_columns(
             f"{shot}/landing",
-            times(time[:1] + flight.time) + number,
-            rr.Points3D.columns(positions=path[landed, 1:][None]),
+            times(np.array([landed])) + number,
+            rr.Points3D.columns(positions=path[down, 1:][None]),
         )
         recording.log(
             f"{shot}/landing",
             rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(4.0)),
             static=True,
         )
-        return float(time[-1])
 
     def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
         """Log where all valid shots so far landed, with two standard deviations of each ball."""
@@ -137,6 +140,49 @@ class ShotSeries:
             [*times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
             rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
         )
+
+
+class MovingBall(NamedTuple):
+    """A ball on its way."""
+
+    time: Array
+    """(n,) s of the recording."""
+    position: Array
+    """(n, 3) m, from the place where it was struck."""
+    speed: Array
+    """(n,) m/s."""
+
+    def upto(self, latest: float) -> MovingBall:
+        """Return its way until `latest`."""
+        count = int(np.searchsorted(self.time, latest, side="right"))
+        return MovingBall(*(part[:count] for part in self))
+
+    def after(self, time: float) -> MovingBall:
+        """Return its way after `time`."""
+        count = int(np.searchsorted(self.time, time, side="right"))
+        return MovingBall(*(part[count:] for part in self))
+
+
+def moving_ball(record: ShotRecord, struck: float) -> MovingBall:
+    """Return the way of a ball struck at `struck`; of none where there is no flight."""
+    path = np.zeros((0, 4)) if record.flight is None else record.flight.path
+    speed = (
+        np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1) if len(path) > 1 else path[:, 0]
+    )
+    return MovingBall(struck + path[:, 0], path[:, 1:], speed)
+
+
+def log_moving_ball(recording: rr.RecordingStream, times: Times, ball: MovingBall) -> None:
+    """Log where the ball is on the range, and how fast."""
+    if len(ball.time):
+        columns = times(ball.time)
+        send_scalars(recording, "signals/ball_speed_mps", columns, ball.speed[:, None])
+        recording.send_columns("range/ball", columns, rr.Points3D.columns(positions=ball.position))
+
+
+def log_gap(recording: rr.RecordingStream, times: Times, end: float) -> None:
+    """End the line of a ball's speed: none leads from this flight to the next."""
+    send_scalars(recording, "signals/ball_speed_mps", times(np.array([end + 1e-3])), np.array([[np.nan]]))
 
 
 def document(recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], text: str) -> None:
@@ -207,8 +253,8 @@ def _figures(title: str, shot: Shot) -> str:
         for name, value, scale, unit, digits in rows
         if value is not None
     ]
-    pairs = [" | ".join(cells[n : n + 2]) for n in range(0, len(cells), 2)]
-    table = "\n".join(["| | | | |", "|:--|--:|:--|--:|", *(f"| {pair} |" for pair in pairs)]) if cells else ""
+    pairs = [f"| {' | '.join(cells[n : n + 2])} |" for n in range(0, len(cells), 2)]
+    table = "\n".join([*pairs[:1], "|:--|--:|:--|--:|", *pairs[1:]]) if cells else ""
     sources = sorted({s for s in (shot.delivery_source, shot.launch_source, shot.carry_source) if s})
     told = f"{shot.status}{': ' + shot.reason if shot.reason else ''}"
     return f"{title}\n{table}\n\n{told}{'; ' if sources else ''}{', '.join(sources)}"

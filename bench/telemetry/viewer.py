@@ -22,7 +22,14 @@ from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.recorded_shot import Surroundings, flight_of, shot_from_json, shot_of_cycles
 from bench.telemetry.rerun_motion import log_ball, log_motion, quick_and_every
 from bench.telemetry.rerun_scene import ball_at_rest, log_static_scene
-from bench.telemetry.rerun_shots import ShotSeries, document
+from bench.telemetry.rerun_shots import (
+    MovingBall,
+    ShotSeries,
+    document,
+    log_gap,
+    log_moving_ball,
+    moving_ball,
+)
 from bench.telemetry.rerun_signals import (
     TIMELINE,
     Array,
@@ -110,6 +117,7 @@ class LiveView:
         self._swing: list[Cycles] = []
         self._swing_start = 0.0
         self._told_shots = False
+        self._flying: MovingBall | None = None
         self._heard = -np.inf
         self._shown = self._counted = self._limited = -np.inf
         log_static_scene(recording, plant.robot, plant.site, plant.ball.radius)
@@ -122,6 +130,7 @@ class LiveView:
         cycles = self._show_batches(news.batches)
         for topic, message in news.messages:
             self._show_message(topic, message)
+        self._show_flight()
         if now - self._shown >= _SHOWN and (cycles or np.isfinite(self._heard)):
             self._shown = now
             document(self._recording, "bench", self._times(self._at(now)), self._text(now))
@@ -221,13 +230,27 @@ class LiveView:
         return self.axis.of_loop(float(cycles["time"][gone[0]])) if len(gone) else None
 
     def _show_shot(self, record: ShotRecord, struck: float | None) -> None:
-        start = self._swing_start or self.axis.now
-        struck = (struck or self.axis.now) if record.flight is not None else None
-        self.shots.log_shot(self._recording, self._times, record, start, struck)
+        """Show a shot whose ball flew at `struck` (None: now). The ball's way is shown as it goes."""
+        now = self.axis.now
+        start = min(self._swing_start or now, now)
+        struck = None if record.flight is None else now if struck is None else min(struck, now)
+        self.shots.log_shot(self._recording, self._times, record, start, struck, latest=now)
         if struck is not None and record.flight is not None:
-            near = record.flight.path[record.flight.path[:, 0] <= 1.0]
-            place = self._ball + near[:, 1:] - near[0, 1:]
-            log_ball(self._recording, self._times, struck + near[:, 0], place)
+            flown = moving_ball(record, struck)
+            near = flown.upto(min(now, struck + 1.0))
+            log_ball(self._recording, self._times, near.time, self._ball + near.position - near.position[0])
+            self._flying = flown.after(now)
+
+    def _show_flight(self) -> None:
+        """Show the ball's way since the last turn."""
+        if self._flying is None:
+            return
+        now = self.axis.now
+        log_moving_ball(self._recording, self._times, self._flying.upto(now))
+        self._flying = self._flying.after(now)
+        if not len(self._flying.time):
+            log_gap(self._recording, self._times, now)
+            self._flying = None
 
     def _show_message(self, topic: str, message: dict[str, Any]) -> None:
         match topic:
@@ -304,8 +327,8 @@ class LiveView:
             rows.append(("not understood", f"{a.not_understood}, last: {self._feed.trouble[:80]}"))
         if a.restarts:
             rows.append(("starts heard", str(a.restarts)))
-        cells = "\n".join(f"| {name} | {text.replace('|', '/')} |" for name, text in rows)
-        return f"{head}\n\n| | |\n|:--|:--|\n{cells}\n"
+        cells = [f"| {name} | {text.replace('|', '/')} |" for name, text in rows]
+        return "\n".join([head, "", cells[0], "|:--|:--|", *cells[1:], ""])
 
 
 def event_words(message: Mapping[str, Any]) -> str:

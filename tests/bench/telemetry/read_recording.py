@@ -29,3 +29,12 @@ class Recording:
                 times.append(batch.column("bench_time").cast("int64").to_numpy() * 1e-9)
                 rows += batch.column(component).to_pylist()
         return np.concatenate(times), rows
+
+    def last(self, entity: str) -> float:
+        """Return the latest time at which `entity` has something, s; −inf when it is timeless."""
+        times = [
+            chunk.to_record_batch().column("bench_time").cast("int64").to_numpy()[-1] * 1e-9
+            for chunk in self.chunks
+            if str(chunk.entity_path) == entity and "bench_time" in chunk.to_record_batch().schema.names
+        ]
+        return max(times, default=-np.inf)

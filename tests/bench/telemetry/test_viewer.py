@@ -115,6 +115,28 @@ def test_the_swing_is_followed_by_its_figures_and_its_flight(
     flown, _ = recording.read("/range/ball", "Points3D:positions")
     assert flown[0] == pytest.approx(1.186, abs=0.01)
     assert "/scene/trace" in recording.entities
+    # Rerun follows the newest time there is: nothing may lie in the future.
+    assert max(recording.last(entity) for entity in recording.entities - recording.static) < 2.11
+
+
+def test_the_ball_is_shown_on_its_way_as_time_goes(
+    watched: Watched, make_swing: Callable[[int], Cycles]
+) -> None:
+    cycles = make_swing(1)
+    watched.send(cycles)
+    rest = np.tile(cycles[-1:], 12_000)
+    rest["tick"] += np.arange(1, 12_001)
+    rest["time"] += np.arange(1, 12_001) * 1e-3
+    for part in np.split(rest, 12):
+        watched.send(part)
+    recording = watched.recording()
+    flown, places = recording.read("/range/ball", "Points3D:positions")
+    (record,) = watched.view.shots.records
+    assert record.flight is not None
+    assert np.allclose(np.array(places)[:, 0], record.flight.path[:, 1:], atol=1e-4)
+    assert np.all(np.diff(flown) > 0)
+    _, speeds = recording.read("/signals/ball_speed_mps", "Scalars:scalars")
+    assert np.isnan(speeds[-1][0])
 
 
 def test_age_is_measured_to_the_subscriber_and_to_rerun(
