@@ -1,0 +1,179 @@
+"""Campaigns in the database: batches are whole or not there, hits are counted once, old databases stay."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import subprocess
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import select
+
+from bench.campaign.shot import COLUMNS, Shot, Status
+from bench.errors import BenchError, Refused
+from bench.store.campaigns import (
+    CampaignEntry,
+    CampaignState,
+    CampaignStore,
+    Event,
+    Hit,
+    StoredShot,
+)
+from bench.store.database import SCHEMA_VERSION, database_url, open_database
+from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+STORED = Path(__file__).with_name("stored")
+ENTRY = CampaignEntry(
+    id="two-20261121T120000", bench="bench1", name="two", title="Two", date=NOW, simulated=True, seed=7,
+    plan={"design": {"blocks": 3}}, digest="0123456789abcdef", configuration={"loop": {"rate": 1000.0}},
+    versions={"golfbench": "0.1.0"}, real_time={}, calibrations={},
+)  # fmt: skip
+SHOT = Shot(
+    1, 1, 1, "driver", "tour", Status.VALID, club_speed_mps=42.1, carry_m=181.25, delivery_source="simulated",
+    time_utc=NOW, swing="default", sample=3, air_temperature_k=298.15,
+)  # fmt: skip
+
+
+def _shots(first: int, count: int) -> list[StoredShot]:
+    return [StoredShot(replace(SHOT, shot=n), f"swings/{n}", 10 * n) for n in range(first, first + count)]
+
+
+@contextmanager
+def _store(url: Any) -> Iterator[CampaignStore]:
+    with open_database(url, NOW) as engine:
+        yield CampaignStore(engine)
+
+
+def _round_trip(url: Any) -> None:
+    with _store(url) as store:
+        store.begin(ENTRY)
+        assert store.entry(ENTRY.id) == ENTRY
+        event = Event(NOW, 2, "guard", "guard opened")
+        store.add(ENTRY, _shots(1, 2), [event], {Hit("ball", "tour", 3): 2, Hit("club", "driver"): 2})
+        store.add(ENTRY, _shots(3, 1), hits={Hit("ball", "tour", 3): 1})
+        assert store.shots(ENTRY.id) == _shots(1, 3)
+        assert store.events(ENTRY.id) == [event]
+        assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 3, Hit("club", "driver"): 2}
+        store.change(ENTRY.id, state=CampaignState.PAUSED, reason="lunch", requested="pause")
+        assert store.standing(ENTRY.id) == (CampaignState.PAUSED, "lunch", "pause", 0)
+        ((entry, standing, counts),) = store.entries()
+        assert (entry, standing.reason, counts) == (ENTRY, "lunch", Counter(valid=3))
+
+
+def test_everything_comes_back_from_sqlite(tmp_path: Path) -> None:
+    _round_trip(database_url("", tmp_path))
+
+
+@pytest.mark.requires("postgres")
+def test_everything_comes_back_from_postgresql(postgres: str, tmp_path: Path) -> None:
+    _round_trip(database_url(postgres, tmp_path))
+
+
+@pytest.mark.requires("postgres")
+def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_path: Path) -> None:
+    url = database_url(postgres, tmp_path)
+    with open_database(url, NOW) as engine, engine.begin() as connection:
+        for table in ("campaign_events", "shots", "campaigns", "hit_counts"):
+            connection.exec_driver_sql(f"DROP TABLE {table}")
+        connection.execute(SchemaVersionRow.__table__.update().values(version=1))  # type: ignore[attr-defined]
+    _round_trip(url)
+
+
+@pytest.fixture
+def postgres(tool: Callable[[str], str], tmp_path: Path) -> Iterator[str]:
+    """The URL of an empty database of a server that lives as long as the test."""
+    programs = Path(tool("postgres")).resolve().parent
+    data, user = tmp_path / "server", "nobody"
+    data.mkdir()
+    as_root = shutil.which("setpriv") if Path("/proc/self").stat().st_uid == 0 else None
+    prefix: list[str] = []
+    if as_root:  # the server refuses to run as root
+        for folder in (tmp_path, *tmp_path.parents):
+            if folder.is_relative_to("/tmp/pytest-of-root"):  # noqa: S108 - pytest's own
+                folder.chmod(0o755)
+        shutil.chown(data, user)
+        prefix = [as_root, "--reuid", user, "--clear-groups"]
+    options = "-c listen_addresses='' -c unix_socket_directories=" + str(data) + " -c fsync=off"
+
+    def call(*arguments: str) -> None:
+        done = subprocess.run(
+            [*prefix, *arguments], capture_output=True, text=True, cwd=data, timeout=60, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    call(str(programs / "initdb"), "-D", str(data / "db"), "-U", "test", "-A", "trust", "--no-sync")
+    control = (str(programs / "pg_ctl"), "-D", str(data / "db"), "-w")
+    call(*control, "-l", str(data / "log"), "-o", options, "start")
+    try:
+        yield f"postgresql+psycopg://test@/postgres?host={data}"
+    finally:
+        call(*control, "-m", "immediate", "stop")
+
+
+def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+        store.add(ENTRY, _shots(1, 3), hits={Hit("club", "driver"): 3})
+        with pytest.raises(Refused, match="one runner"):
+            store.add(ENTRY, [*_shots(4, 2), *_shots(3, 1)], hits={Hit("club", "driver"): 3})
+        assert len(store.shots(ENTRY.id)) == 3
+        assert store.hits(ENTRY.id)[Hit("club", "driver")] == 3
+
+
+def test_an_id_is_given_once(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+        with pytest.raises(Refused, match="one of that id"):
+            store.begin(ENTRY)
+        with pytest.raises(BenchError, match="no such campaign"):
+            store.entry("other")
+
+
+def test_a_real_benchs_hits_add_up_over_its_campaigns(tmp_path: Path) -> None:
+    real = replace(ENTRY, simulated=False)
+    with _store(database_url("", tmp_path)) as store:
+        for number in (1, 2):
+            entry = replace(real, id=f"c{number}")
+            store.begin(entry)
+            store.add(entry, _shots(1, 1), hits={Hit("ball", "tour", 3): 5})
+        assert store.hits("bench1") == {Hit("ball", "tour", 3): 10}
+
+
+def test_the_table_of_shots_has_every_column_of_the_export() -> None:
+    columns = set(ShotRow.__table__.columns.keys())
+    assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes"}
+
+
+def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
+        plain.executescript((STORED / "version_1.sql").read_text())
+    with open_database(database_url("", tmp_path), NOW) as engine:
+        with engine.connect() as connection:
+            assert connection.scalars(select(CalibrationRow.kind)).all() == ["encoders"]
+            versions = connection.scalars(select(SchemaVersionRow.version)).all()
+            assert sorted(versions) == [1, SCHEMA_VERSION]
+        store = CampaignStore(engine)
+        store.begin(ENTRY)
+        store.add(ENTRY, _shots(1, 1))
+        assert store.shots(ENTRY.id) == _shots(1, 1)
+
+
+def test_a_database_of_this_version_stays_readable(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
+        plain.executescript((STORED / "version_2.sql").read_text())
+    with _store(database_url("", tmp_path)) as store:
+        ((entry, standing, counts),) = store.entries()
+        assert entry == ENTRY
+        assert standing.state is CampaignState.FINISHED
+        assert counts == {"valid": 2}
+        assert store.shots(ENTRY.id) == _shots(1, 2)
+        assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 2}
+        assert [event.text for event in store.events(ENTRY.id)] == ["guard opened"]
