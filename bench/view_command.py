@@ -137,7 +137,7 @@ def _read(
 
 
 def _view_bench(
-    stack: ExitStack, session: Session, save: Path | None, web: bool, connect: str | None, port: int | None,
+    stack: ExitStack, options: Session, save: Path | None, web: bool, connect: str | None, port: int | None,
     memory_limit: str,
 ) -> None:  # fmt: skip
     import time
@@ -146,11 +146,16 @@ def _view_bench(
 
     from bench.telemetry.recorded_shot import Surroundings
     from bench.telemetry.rerun_recording import live_layout
-    from bench.telemetry.viewer import FILE_PERIOD, PERIOD, LiveView
+    from bench.telemetry.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
     from bench.telemetry.viewer_feed import Feed
+    from bench.zenoh_session import open_client
 
-    c = session.configuration()
-    feed = stack.enter_context(Feed.connect(c.network, c.bench.id, time.time))
+    c = options.configuration()
+    session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
+    stack.callback(session.close)
+    around = Surroundings(c.air, c.wind, c.turf)
+    warm_up(c.plant, around)
+    feed = stack.enter_context(Feed(session, c.bench.id, time.time))
     wish = stack.enter_context(_wish_to_end())
     window = _window(stack, web, connect, port, memory_limit) if web or connect or save is None else None
     sinks = [] if window is None and connect is None else [_sink(window, connect)]
@@ -158,7 +163,7 @@ def _view_bench(
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
         sinks.append(rr.FileSink(_writable(save), write_footer=False))
     recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
-    live = LiveView(recording, feed, c.bench.id, c.plant, Surroundings(c.air, c.wind, c.turf))
+    live = LiveView(recording, feed, c.bench.id, c.plant, around)
     _say_where(window)
     typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
     period = FILE_PERIOD if window is None and connect is None else PERIOD

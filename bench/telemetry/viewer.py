@@ -44,6 +44,8 @@ from bench.telemetry.rerun_signals import (
 )
 from bench.telemetry.viewer_clock import ViewClock
 from bench.telemetry.viewer_feed import Arrived, Feed
+from sim.flight import fly
+from sim.impact import delivery_from_angles, delivery_from_plane, strike
 from sim.plant import PlantParameters
 
 PERIOD = 0.05
@@ -88,6 +90,20 @@ class Ages:
         """Return median and 99th percentile for people."""
         p50, p99 = self.percentile(0.5), self.percentile(0.99)
         return "–" if p50 is None or p99 is None else f"p50 {1e3 * p50:.1f} ms, p99 {1e3 * p99:.1f} ms"
+
+
+def warm_up(plant: PlantParameters, around: Surroundings) -> None:
+    """Run once what is compiled: it would keep zenoh's threads from taking in what comes."""
+    cycles = np.zeros(10, CYCLE)
+    cycles["time"], cycles["angle"] = np.arange(10) * 1e-3, [0.571, 4.141, 2 * np.pi]
+    cycles["phase"] = Phase.DOWNSWING
+    recording = rr.RecordingStream("golfbench_warm_up")
+    log_signals(recording, bench_time, cycles["time"], cycles, plant)
+    log_motion(recording, bench_time, cycles["time"], cycles, plant, quick_and_every(cycles, _EVERY))
+    club = plant.robot.club
+    delivery = delivery_from_angles(40.0, 0.0, 0.0, 0.0, club.loft)
+    delivery_from_plane((0.0, -1.5, 1.5 * np.pi), (40.0, 0.0, 30.0), (0.0, -1.5), club, plant.robot.lie)
+    fly(strike(delivery, club, plant.ball), around.air, plant.ball, around.wind, around.turf)
 
 
 class LiveView:
