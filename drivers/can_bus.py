@@ -3,7 +3,8 @@
 Every participant listens on a Unix socket of its own in one folder and connects to those of all others; a
 frame goes to each of them as a Linux `struct can_frame` of 16 bytes. Nothing leaves the machine, and the
 folder belongs to one user alone. What a wire has and this has not: bit times, arbitration, acknowledgement.
-A participant that does not read loses frames (about 280 wait for it) and delays nobody, as on a wire.
+A participant that does not read loses frames (about 280 of each other one wait for it) and delays nobody. All
+get the frames in the order in which they were sent: behind each stands when that was (CLOCK_MONOTONIC, ns).
 
     can.Bus(interface="local_socket", channel="bench1")
 
@@ -24,6 +25,7 @@ import tempfile
 import time
 from collections import deque
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,10 @@ FRAME = struct.Struct("=IB3x8s")
 
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 """Flags of an identifier, as Linux has them."""
+
+_STAMP = 8
+_WIRE = FRAME.size + _STAMP
+"""Bytes of a frame and of its time behind it."""
 
 LONGEST_NAME = 100
 """Bytes of a socket's path: Linux takes 107."""
@@ -103,9 +109,10 @@ class LocalSocketBus(can.BusABC):
             self._look()
         if self._down:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        stamped = frame + time.monotonic_ns().to_bytes(_STAMP, "big")
         for name, peer in list(self._peers.items()):
             try:
-                peer.send(frame)
+                peer.send(stamped)
             except BlockingIOError:
                 self.overruns += 1
             except OSError:  # it has gone
@@ -121,28 +128,40 @@ class LocalSocketBus(can.BusABC):
             ready = select.select(self._readable, (), (), left)[0]
             if not ready:
                 return None
-            for each in ready:
-                if each is self._listener:
-                    self._admit()
-                else:
-                    self._take(each)
+            if self._listener in ready:
+                self._admit()
+                ready.remove(self._listener)
+            if len(ready) == 1:
+                if frame := self._take(ready[0]):
+                    waiting.append(frame[: FRAME.size])
+            elif ready:
+                self._merge(ready)
             if timeout:
                 left = max(0.0, timeout - (time.monotonic() - begin))
         return waiting.popleft()
 
-    def _take(self, peer: socket.socket) -> None:
-        """Take in the next frame of `peer`."""
+    def _take(self, peer: socket.socket) -> bytes | None:
+        """Return the next stamped frame of `peer`: None when there is none, empty when it is not wanted."""
         try:
-            frame = peer.recv(FRAME.size)
+            stamped = peer.recv(_WIRE)
         except BlockingIOError:
-            return
+            return None
         except OSError:
-            frame = b""
-        if not frame:  # it has gone
+            stamped = b""
+        if not stamped:  # it has gone
             self._readable.remove(peer)
             peer.close()
-        elif len(frame) == FRAME.size and self._passes(frame):
-            self._waiting.append(frame)
+            return None
+        return stamped if len(stamped) == _WIRE and self._passes(stamped) else b""
+
+    def _merge(self, peers: list[socket.socket]) -> None:
+        """Take in all that `peers` have sent, in the order of sending."""
+        taken: list[bytes] = []
+        for peer in peers:
+            while (stamped := self._take(peer)) is not None:
+                taken.append(stamped)
+        taken.sort(key=itemgetter(slice(FRAME.size, None)))
+        self._waiting += [stamped[: FRAME.size] for stamped in taken if stamped]
 
     def _passes(self, frame: bytes) -> bool:
         """Whether the filters let `frame` in; error frames always pass, as in the kernel."""

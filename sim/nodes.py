@@ -28,7 +28,7 @@ from typing import Any
 import can
 import numpy as np
 
-from drivers.base import unpack_readings
+from drivers.base import Command, unpack_readings
 from sim.compiled import new_record
 from sim.node_device import OPERATIONAL, CanopenDevice
 from sim.node_encoder import EncoderNode
@@ -159,7 +159,8 @@ class BenchNodes:
         """Show the devices what the plant has come to at `now` (s), and bring its report up to date."""
         node = self.plant.node
         node.operational = self.valve_node.state == OPERATIONAL
-        node.trips = self.valve_node.errors
+        if node.trips != self.valve_node.errors:
+            node.trips, node.passive_tick = self.valve_node.errors, self.plant.ticks
         self.plant.tell()
         self.readings = unpack_readings(self.plant.report["readings"])
         for encoder, valid in zip(self.encoders, self.readings.encoder_valid, strict=True):
@@ -172,8 +173,11 @@ class BenchNodes:
             if now >= device.next_due:
                 device.run_timers(now)
 
-    def _obey(self, command: Any) -> None:
-        self.plant.node.applied = command
+    def _obey(self, command: Command) -> None:
+        node = self.plant.node
+        node.applied = command
+        if self.valve_node.state == OPERATIONAL:
+            node.command_tick = self.plant.ticks
 
     def _count(self, joint: int) -> int | None:
         """Return the joint's count now: the last tick's, moved on with its speed and acceleration."""

@@ -81,6 +81,14 @@ def test_frames_of_one_sender_keep_their_order(join: Join) -> None:
     assert [got.arbitration_id for got in heard(second)] == list(range(200))
 
 
+def test_frames_of_several_senders_come_in_the_order_of_sending(join: Join) -> None:
+    reader, senders = join(), [join() for _ in range(3)]
+    for n in range(150):
+        senders[n * n % 3].send(message(n))
+    senders[1].shutdown()
+    assert [got.arbitration_id for got in heard(reader)] == list(range(150))
+
+
 def test_own_frames_come_back_when_asked_for(join: Join) -> None:
     bus = join(receive_own_messages=True)
     bus.send(message())

@@ -293,7 +293,7 @@ def test_trouble_is_latched_named_and_ends_with_opening_anew(
     bench.driver.close()
     bench.driver.open()
     bench.run(30)
-    assert bench.driver.operational
+    assert bench.driver.trouble == ""
     assert bench.wire.in_force == MOVING
 
 

@@ -1,0 +1,219 @@
+"""Driver and nodes as processes of their own on the local bus: deaths, hangs, a lost bus, and the valves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from bench.child import Child
+from drivers.base import PASSIVE, Command, DriverError, unpack_command
+from drivers.can_bus import switch
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.settings import CanopenSettings
+from sim.node_plan import NodesPlan
+from sim.plant import PlantParameters
+from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
+from sim.shared_record import SharedRecord
+from sim.surroundings import Surroundings
+
+MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True)
+LONGEST = 20.0
+"""s that a test waits for what takes milliseconds."""
+
+LOOP = """
+import sys, time
+from drivers.base import Command
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.settings import CanopenSettings
+driver = CanopenDriver(CanopenSettings("local_socket", sys.argv[1], service_time=2.0))
+driver.open()
+print("open", flush=True)
+while True:
+    driver.read(time.monotonic())
+    driver.write(Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True))
+    time.sleep(0.0005)
+"""
+
+
+class Nodes:
+    """The simulated nodes; they live as long as this module."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.settings = CanopenSettings(  # patient: the machine may be busy
+            "local_socket", str(folder / "can"), service_time=2.0, heartbeat=0.1, interlock_period=0.1
+        )
+        s = self.settings
+        plan = NodesPlan(
+            s.interface, s.channel, s.bitrate, s.encoders.nodes, s.valve_node.node, PlantParameters(), folder
+        )
+        self.child = Child.start("nodes", "sim.nodes", plan)
+        try:
+            self.child.wait_until_ready(100.0)
+        except BaseException:
+            self.child.kill()
+            raise
+        self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
+        self.report = np.zeros(1, PLANT_REPORT)
+
+    @property
+    def node(self) -> np.void:
+        self._shared.read(self.report)
+        found: np.void = self.report["node"][0]
+        return found
+
+    @property
+    def in_force(self) -> Command:
+        self._shared.read(self.report)
+        command = unpack_command(self.report["node"]["applied"])
+        a, b, c = (round(opening, 4) + 0.0 for opening in command.valve)
+        return command._replace(valve=(a, b, c))
+
+    def close(self) -> None:
+        self._shared.close()
+        self.child.end(5.0)
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    made = Nodes(tmp_path_factory.mktemp("nodes"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def driver(nodes: Nodes) -> Iterator[CanopenDriver]:
+    made = CanopenDriver(nodes.settings, watchdog=0.3)
+    made.open()
+    yield made
+    made.close()
+
+
+def run(driver: CanopenDriver, holds: Callable[[], bool], command: Command = MOVING) -> None:
+    """Run ticks until something holds."""
+    deadline = time.monotonic() + LONGEST
+    while not holds():
+        assert time.monotonic() < deadline, driver.trouble
+        driver.read(time.monotonic())
+        driver.write(command)
+        time.sleep(0.0005)
+
+
+def wait(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + LONGEST
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def test_commands_arrive_and_positions_come(driver: CanopenDriver, nodes: Nodes) -> None:
+    run(driver, lambda: nodes.in_force == MOVING)
+    run(driver, lambda: driver.counters.positions > 300 and driver.counters.pressures > 4)
+    assert driver.operational
+    assert nodes.node["operational"]
+
+
+def test_the_operators_hands_are_felt(driver: CanopenDriver, nodes: Nodes) -> None:
+    with Surroundings(nodes.folder) as around:
+        around.change(emergency_stop_clear=False, encoder_valid=(True, False, True))
+        run(driver, lambda: not driver.read(time.monotonic()).emergency_stop_clear, PASSIVE)
+        run(driver, lambda: not driver.read(time.monotonic()).encoder_valid[1], PASSIVE)
+        around.change(emergency_stop_clear=True, encoder_valid=(True, True, True))
+        run(driver, lambda: driver.read(time.monotonic()).emergency_stop_clear, PASSIVE)
+        around.change(frozen=True)
+        run(driver, lambda: driver.read(time.monotonic()).encoder_age[0] > 0.01, PASSIVE)
+        around.change(frozen=False)
+        run(driver, lambda: driver.read(time.monotonic()).encoder_age == (0.0, 0.0, 0.0), PASSIVE)
+    assert driver.operational
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_loop_that_dies_or_freezes_leaves_the_valves_centred_within_the_watchdogs_time(
+    nodes: Nodes, number: signal.Signals
+) -> None:
+    before = int(nodes.node["watchdog_trips"])
+    with subprocess.Popen(
+        [sys.executable, "-c", LOOP, nodes.settings.channel],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    ) as loop:
+        try:
+            assert loop.stdout is not None
+            assert loop.stdout.readline() == b"open\n"
+            wait(lambda: nodes.in_force == MOVING)
+            loop.send_signal(number)
+            wait(lambda: nodes.in_force == PASSIVE)
+        finally:
+            loop.kill()
+    wait(lambda: int(nodes.node["watchdog_trips"]) > before)
+    node = nodes.node
+    assert not node["operational"]
+    # The plant's own ticks: 20 ms, and what a busy machine adds by making up ticks in bursts.
+    assert 15 <= int(node["passive_tick"]) - int(node["command_tick"]) <= 40
+
+
+def test_nodes_that_freeze_end_in_the_latched_state_and_come_back(
+    driver: CanopenDriver, nodes: Nodes
+) -> None:
+    run(driver, lambda: nodes.in_force == MOVING)
+    nodes.child.process.send_signal(signal.SIGSTOP)
+    try:
+        run(driver, lambda: not driver.operational)
+        assert "no heartbeat" in driver.trouble or "interlocks" in driver.trouble
+    finally:
+        nodes.child.process.send_signal(signal.SIGCONT)
+    run(driver, lambda: nodes.in_force == PASSIVE)
+    driver.close()
+    driver.open()
+    run(driver, lambda: nodes.in_force == MOVING)
+
+
+def test_a_bus_switched_off_and_on(driver: CanopenDriver, nodes: Nodes) -> None:
+    run(driver, lambda: nodes.in_force == MOVING)
+    switch(nodes.settings.channel, on=False)
+    try:
+        run(driver, lambda: not driver.operational)
+        assert "Network is down" in driver.trouble
+        wait(lambda: nodes.in_force == PASSIVE)
+        driver.close()
+        with pytest.raises(DriverError, match="see whether the interface is up"):
+            driver.open()
+    finally:
+        switch(nodes.settings.channel, on=True)
+    driver.open()
+    run(driver, lambda: nodes.in_force == MOVING)
+
+
+def test_somebody_else_on_the_bus(driver: CanopenDriver, nodes: Nodes) -> None:
+    run(driver, lambda: nodes.in_force == MOVING)
+    with can.Bus(interface="local_socket", channel=nodes.settings.channel) as other:
+        before = driver.counters.positions
+        for n in range(500):
+            other.send(can.Message(arbitration_id=0x283, is_extended_id=False, data=[n & 0xFF]))
+            other.send(can.Message(arbitration_id=0x555, is_extended_id=False, data=bytes(8)))
+        run(driver, lambda: driver.counters.positions > before + 30)
+        assert driver.counters.wrong_length > 0
+        assert driver.operational
+        other.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8)))
+        run(driver, lambda: driver.counters.bus_off == 1)
+        assert "bus-off" in driver.trouble
+        run(driver, lambda: nodes.in_force == PASSIVE)
+
+
+def test_nodes_without_a_bus_tell_why_they_failed(tmp_path: Path) -> None:
+    plan = NodesPlan("no_such", "x", 125_000, (1, 2, 3), 10, PlantParameters(), tmp_path)
+    child = Child.start("nodes", "sim.nodes", plan)
+    try:
+        with pytest.raises(Exception, match="no_such"):
+            child.wait_until_ready(100.0)
+    finally:
+        child.end(5.0)
