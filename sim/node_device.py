@@ -34,6 +34,7 @@ RPDO_TIMEOUT, HEARTBEAT_LOST, PDO_TOO_SHORT, NO_ERROR = 0x8250, 0x8130, 0x8210, 
 
 _ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
 _CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT, _ERROR_BEHAVIOUR = 0x1016, 0x1017, 0x1029
+_STORE, _SAVE = 0x1010, int.from_bytes(b"save", "little")
 _INVALID = 0x80000000
 _EVENT = 254
 """Transmission type from which on a PDO goes by events instead of SYNC."""
@@ -41,6 +42,7 @@ _EVENT = 254
 _NOT_READABLE, _NOT_WRITABLE, _NO_OBJECT, _NO_SUB_INDEX = 0x06010001, 0x06010002, 0x06020000, 0x06090011
 _NOT_MAPPABLE, _PDO_TOO_LONG, _WRONG_LENGTH, _NO_VALUE = 0x06040041, 0x06040042, 0x06070010, 0x060A0023
 _TOO_HIGH, _TOO_LOW, _BAD_VALUE, _NOT_NOW = 0x06090031, 0x06090032, 0x06090030, 0x08000022
+_NOT_STORED = 0x08000020
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,7 @@ class CanopenDevice:
         self.errors = 0
         """Emergency messages sent that told of an error."""
         self._values: dict[tuple[int, int], bytes] = {}
+        self._stored: dict[tuple[int, int], bytes] = {}
         self._sdo = SdoServer(0x600 + number, 0x580 + number, self)
         self._sdo.network = _Wire(send)
         self._sdo._index = self._sdo._subindex = 0  # noqa: SLF001 - else its first abort fails
@@ -130,9 +133,9 @@ class CanopenDevice:
     # Life ----------------------------------------------------------------------------------------
 
     def boot(self, now: float) -> None:
-        """Come up with the values of the EDS at `now` (s): boot-up message, then pre-operational."""
+        """Come up at `now` (s) with what was stored, else the EDS's values: boot-up, then pre-operational."""
         self._now = now
-        self._values.clear()
+        self._values = self._stored.copy()
         self._watched.clear()
         self._heartbeat = self._heartbeat_due = math.inf
         self._trouble = False
@@ -262,10 +265,22 @@ class CanopenDevice:
                 raise SdoAbortedError(_TOO_LOW)
             if 0x1400 <= index < 0x1C00:
                 self._check_pdo(index, subindex, value)
+            if index == _STORE:
+                self._store(value)
+                return
         self._values[index, subindex] = bytes(data)
         if index < 0x2000:
             self._read_settings()
         self.written(index)
+
+    def _store(self, value: int) -> None:
+        """Keep all settings over a loss of power."""
+        if value != _SAVE:
+            raise SdoAbortedError(_NOT_STORED)
+        self._stored = {
+            key: kept for key, kept in self._values.items()
+            if self._objects[key].writable and not self._objects[key].pdo_mappable
+        }  # fmt: skip
 
     def _find(self, index: int, subindex: int) -> ODVariable:
         found = self._objects.get((index, subindex))

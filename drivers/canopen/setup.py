@@ -79,23 +79,56 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
 def set_fallback(node: Node, chosen: ValveNodeSettings) -> None:
     """Set what the outputs do without commands: valves at their centre, switches without energy.
 
+    A node that can is let store it (1010h) when it was another one: after a loss of power in the middle of a
+    swing it comes up with centred spools, not at 0 V.
+
     Raises:
         DriverError: the node refuses, and no external relay is named that does it in its stead.
     """
+    new = False
     try:
         for channel, centre, actuator in zip(chosen.valves, chosen.centre, ACTUATORS, strict=True):
             count = valve_counts(centre, chosen)
-            node.set(0x6443, channel, 1, 1, f"error mode of the valve of the {actuator}")
             value = count << chosen.error_value_shift
-            node.set(0x6444, channel, value, 4, f"error value of the valve of the {actuator}")
+            new |= _renew(node, 0x6443, channel, 1, 1, f"error mode of the valve of the {actuator}")
+            new |= _renew(node, 0x6444, channel, value, 4, f"error value of the valve of the {actuator}")
             node.set(0x6411, channel, count, 2, f"valve of the {actuator}")
-        node.set(0x6206, 1, 0xFF, 1, "error mode of the outputs")
-        node.set(0x6207, 1, 0, 1, "error value of the outputs")
+        new |= _renew(node, 0x6206, 1, 0xFF, 1, "error mode of the outputs")
+        new |= _renew(node, 0x6207, 1, 0, 1, "error value of the outputs")
         node.set(0x6200, 1, 0, 1, "outputs")
-        node.set(0x1029, 1, 0, 1, "error behaviour")
+        new |= _set_error_behaviour(node)
     except ServiceError as error:
         if error.code not in _MISSING or not chosen.watchdog_relay:
             raise _without_fallback(error) if error.code in _MISSING else error from None
+    if new:
+        _store(node)
+
+
+def _renew(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
+    """Set a value where it is another one, and return whether it was; it is read back in any case."""
+    if node.read(index, subindex, name) == value:
+        return False
+    node.set(index, subindex, value, size, name)
+    return True
+
+
+def _set_error_behaviour(node: Node) -> bool:
+    """Let the node leave its operational state on an error, as one without 1029h does; tell if it is new."""
+    try:
+        return _renew(node, 0x1029, 1, 0, 1, "error behaviour")
+    except ServiceError as error:
+        if error.code not in _MISSING:
+            raise
+        return False
+
+
+def _store(node: Node) -> None:
+    """Let the node keep its settings over a loss of power, if it can."""
+    try:
+        node.write(0x1010, 1, int.from_bytes(b"save", "little"), 4, "store parameters")
+    except ServiceError as error:
+        if error.code not in _MISSING:
+            raise
 
 
 def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:

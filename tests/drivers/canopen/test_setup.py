@@ -201,6 +201,41 @@ def test_what_is_set_up() -> None:
     assert {device.state for device in wire.nodes.devices} == {5}
 
 
+def test_a_node_that_loses_its_power_comes_up_with_centred_spools() -> None:
+    driver, wire = make()
+    driver.open()
+    driver.read(0.0)
+    driver.write(PASSIVE._replace(valve=(1.0, 0.5, -1.0), supply_enable=True))
+    wire.nodes.valve_node.boot(wire.now)
+    assert wire.in_force == PASSIVE
+    driver.read(0.001)
+    assert "node 10 (valves and interlocks) has restarted" in driver.trouble
+    assert driver.write(PASSIVE._replace(supply_enable=True)) == PASSIVE
+
+
+def test_settings_are_stored_only_when_they_are_new() -> None:
+    driver, wire = make()
+    stores: list[int] = []
+    keep = wire.nodes.valve_node._store
+
+    def store(value: int) -> None:
+        stores.append(value)
+        keep(value)
+
+    wire.nodes.valve_node._store = store  # type: ignore[method-assign]
+    for _ in range(2):
+        driver.open()
+        driver.close()
+    assert stores == [0x65766173]
+
+
+def test_a_node_that_cannot_store_nor_choose_its_error_behaviour_is_taken_as_well() -> None:
+    driver, wire = make()
+    without(valve_node, (0x1010, 0), (0x1010, 1), (0x1029, 0), (0x1029, 1))(wire)
+    driver.open()
+    assert driver.operational
+
+
 def test_a_centre_off_five_volts_is_what_the_node_falls_back_to() -> None:
     driver, wire = make(
         replace(SETTINGS, valve_node=replace(SETTINGS.valve_node, centre=(4.9, 5.0, 5.1), span=4.8))
