@@ -62,6 +62,17 @@ class SimulatedShots:
         """Return when shot `number` is."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
 
+    def arm_all(self) -> None:
+        """Arm with every swing and club, which otherwise happens at the first shot of each.
+
+        Raises:
+            Refused: the robot does not reach an address.
+            KeyboardInterrupt: somebody asked to stop.
+        """
+        for swing in self._plan.design.swings:
+            for club in self._plan.design.clubs:
+                self._bench(swing, club)
+
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm

@@ -21,7 +21,16 @@ from rich.table import Table
 from tests.benchmarks.row import Row
 
 BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep", "shared_memory", "canopen_driver")
-LONG = ("loop_timing", "command_fuzz", "frame_fuzz", "campaign_statistics", "reactions", "kills", "soak")
+LONG = (
+    "loop_timing",
+    "command_fuzz",
+    "frame_fuzz",
+    "campaign_statistics",
+    "reactions",
+    "kills",
+    "soak",
+    "campaign_kills",
+)
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")
 

@@ -1,0 +1,375 @@
+"""The runner obeys, stores batches, judges deliveries, and goes on where it was cut off."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.campaign.course import Step
+from bench.campaign.gate import Centre
+from bench.campaign.operate import (
+    ask,
+    course_of,
+    is_running,
+    new_entry,
+    require_balls,
+    require_resumable,
+    runner_lock,
+)
+from bench.campaign.plan import Plan, load_plan
+from bench.campaign.runner import Outcome, Runner, Watcher, sample_for
+from bench.campaign.shot import Shot, Status
+from bench.campaign.simulated import Taken
+from bench.campaign.swings import require_swings
+from bench.config import Configuration, load_configuration
+from bench.errors import BenchError, Refused
+from bench.simulate import never
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
+from bench.store.database import database_url, open_database
+from bench.telemetry.recorder import read_swing, write_swing
+from bench.telemetry.whole_file import NotStored
+from drivers.base import ACTUATORS
+from sim.compiled import new_record
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+
+
+class Scripted:
+    """Shots without a robot; `script` gives columns of single shots by number, or raises."""
+
+    simulated = True
+
+    def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
+        self.script = script
+        self.taken: list[tuple[int, Step, int]] = []
+
+    def time_of(self, number: int) -> datetime:
+        return NOW + timedelta(seconds=48 * number)
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        self.taken.append((number, step, sample))
+        arm, trial = step.trial.arm, step.trial
+        values: dict[str, Any] = {
+            "club_speed_mps": 42.9, "attack_angle_deg": 0.5, "dynamic_loft_deg": 11.1, "strike_x_mm": 0.0,
+            "strike_y_mm": 0.0, "carry_m": 180.0 + 0.1 * (number * 7 % 11), "ball_speed_mps": 62.0,
+            "delivery_source": "simulated", "status": Status.VALID, "reason": "",
+        } | self.script(number)  # fmt: skip
+        shot = Shot(
+            number, trial.block, trial.position, arm.club, arm.ball, time_utc=self.time_of(number),
+            swing=arm.swing, role=str(trial.role), section=trial.section, attempt=step.attempt, sample=sample,
+            **values,
+        )  # fmt: skip
+        from bench.telemetry.cycle_record import CYCLE
+
+        cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
+        return Taken(shot, cycles, {"seed": 1}, shot.ball_speed_mps is not None)
+
+
+class Bench:
+    """A plan, a database and a runner a call."""
+
+    def __init__(self, folder: Path, engine: Any, plan: Plan, configuration: Configuration) -> None:
+        self.folder, self.plan, self.configuration = folder, plan, configuration
+        self.store = CampaignStore(engine)
+        self.entry: CampaignEntry = new_entry(plan, configuration, NOW, simulated=True)
+        self.store.begin(self.entry)
+        self.watcher = Watcher()
+
+    def run(self, source: Scripted, interrupted: Callable[[], bool] = never, batch: int = 4) -> Outcome:
+        runner = Runner(self.entry, self.plan, self.store, self.folder, source, self.watcher, batch)
+        profiles = require_swings(self.plan, self.configuration)
+        return runner.run(course_of(self.plan, profiles, self.configuration.plant.robot.lie), interrupted)
+
+    @property
+    def shots(self) -> list[Shot]:
+        return [stored.shot for stored in self.store.shots(self.entry.id)]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    configuration = load_configuration(Path("shipped"))
+    configuration = replace(configuration, bench=replace(configuration.bench, data_dir=tmp_path))
+    base = load_plan(Path("symmetry"), configuration)
+
+    with open_database(database_url("", tmp_path), NOW) as engine:
+
+        def build(**changes: Any) -> Bench:
+            plan = replace(base, design=replace(base.design, blocks=3), stop=replace(base.stop, rule="fixed"))
+            for name, values in changes.items():
+                plan = replace(plan, **{name: replace(getattr(plan, name), **values)})
+            return Bench(tmp_path, engine, plan, configuration)
+
+        yield build
+
+
+def test_a_campaign_comes_to_its_end_with_every_shot_and_file(make: Callable[..., Bench]) -> None:
+    bench = make()
+    outcome = bench.run(Scripted())
+    assert outcome == (CampaignState.FINISHED, "", 18, 18)
+    assert [shot.role for shot in bench.shots][:3] == ["warm-up"] * 3
+    assert [shot.shot for shot in bench.shots] == list(range(1, 19))
+    for stored in bench.store.shots(bench.entry.id):
+        cycles, metadata = read_swing(bench.folder / stored.file)
+        assert len(cycles) == 3
+        assert metadata["shot"]["shot"] == stored.shot.shot
+        assert metadata["campaign"] == bench.entry.id
+    hits = bench.store.hits(bench.entry.id)
+    assert hits[Hit("club", "driver")] == hits[Hit("valve", ACTUATORS[0])] == 18
+    assert sum(n for hit, n in hits.items() if hit.kind == "ball") == 18
+
+
+def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]) -> None:
+    bench = make()
+    lost = {"status": Status.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
+    outcome = bench.run(Scripted(lambda n: lost if n in {5, 8, 9, 10} else {}))
+    assert outcome.state is CampaignState.FINISHED
+    attempts = [(s.shot, s.block, s.position, s.attempt) for s in bench.shots if s.block == 1]
+    assert attempts == [
+        (4, 1, 1, 1), (5, 1, 2, 1), (6, 1, 2, 2), (7, 1, 3, 1), (8, 1, 4, 1), (9, 1, 4, 2), (10, 1, 4, 3),
+        (11, 1, 5, 1),
+    ]  # fmt: skip
+
+
+def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.run(Scripted(lambda n: {"club_speed_mps": 44.0} if n == 6 else {}))
+    excluded = [shot for shot in bench.shots if shot.status is Status.EXCLUDED]
+    assert [shot.shot for shot in excluded] == [6]
+    assert excluded[0].reason == "club speed 44.00 m/s, outside 42.90 ± 1.00 m/s (simulated)"
+
+
+def test_where_the_ball_goes_excludes_nothing(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Scripted(lambda n: {"carry_m": 10.0 * n, "ball_speed_mps": 1.0 + n})).valid == 18
+
+
+def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., Bench]) -> None:
+    bench = make(
+        gate={"sources": ("launch monitor",), "centre": "planned"},
+        warm_up={"at_most": 0},
+        design={"blocks": 1, "failures_in_a_row": 100},
+    )
+    bench.run(Scripted())
+    assert {s.status for s in bench.shots if s.block} == {Status.EXCLUDED}
+    assert "does not accept" in bench.shots[-1].reason
+
+
+def test_the_warm_up_ends_when_the_speed_is_stable_or_the_campaign_does(make: Callable[..., Bench]) -> None:
+    bench = make()
+    outcome = bench.run(Scripted(lambda n: {"club_speed_mps": 40.0 + n} if n < 4 else {}))
+    assert outcome.state is CampaignState.FINISHED
+    assert sum(shot.role == "warm-up" for shot in bench.shots) == 5
+    other = make(campaign={"name": "cold"})
+    refused = other.run(Scripted(lambda n: {"club_speed_mps": 40.0 + n}))
+    assert refused.state is CampaignState.SUSPENDED
+    assert "did not warm up" in refused.reason
+    assert refused.shots == 10
+
+
+def test_the_set_up_is_by_the_control_balls_speed(make: Callable[..., Bench]) -> None:
+    bench = make(set_up={"control_ball_speed": 60.0, "tolerance": 1.0})
+    outcome = bench.run(Scripted())
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "62.00 m/s, wanted 60 ± 1 m/s" in outcome.reason
+
+
+def test_too_many_failures_in_a_row_suspend_and_resume_goes_on(make: Callable[..., Bench]) -> None:
+    bench = make()
+    jam = {"status": Status.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    outcome = bench.run(Scripted(lambda n: jam if n >= 7 else {}))
+    assert outcome.state is CampaignState.SUSPENDED
+    assert outcome.reason == "5 shots in a row not valid, the last: feeder jam: no ball came"
+    assert bench.store.shots(bench.entry.id)[-1].file == ""
+    assert bench.run(Scripted()).state is CampaignState.FINISHED
+
+
+def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]) -> None:
+    bench = make(ball_handling={"samples": 2, "hits": 3})
+    source = Scripted()
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "balls used up: every sample of 'tour' has its 3 hits" in outcome.reason
+    assert max(bench.store.hits(bench.entry.id)[Hit("ball", "tour", n)] for n in (1, 2)) == 3
+    samples = [sample for _, step, sample in source.taken if step.trial.arm.ball == "tour"]
+    assert samples == [1, 2, 1, 2, 1, 2]
+
+
+def test_a_used_up_box_is_refused_before_the_first_shot(make: Callable[..., Bench]) -> None:
+    bench = make(ball_handling={"samples": 2, "hits": 9})
+    with pytest.raises(Refused, match="first_sample = 3"):
+        require_balls(bench.plan, bench.store, "bench1")
+    enough = replace(bench.plan, ball_handling=replace(bench.plan.ball_handling, hits=20))
+    require_balls(enough, bench.store, "bench1")
+
+
+def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:
+    bench = make(
+        design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "blocks_at_least": 3, "looks": 4}
+    )
+    outcome = bench.run(Scripted())
+    assert outcome.state is CampaignState.FINISHED
+    assert "section 1 after 3 of 12 blocks" in outcome.reason
+    assert max(shot.block for shot in bench.shots) == 3
+
+
+def test_stop_pause_and_abort_are_obeyed(make: Callable[..., Bench]) -> None:
+    bench = make()
+
+    def asked(request: str, at: int) -> Callable[[int], dict[str, Any]]:
+        def script(number: int) -> dict[str, Any]:
+            if number == at:
+                bench.store.change(bench.entry.id, requested=request)
+            return {}
+
+        return script
+
+    stopped = bench.run(Scripted(asked("stop", 6)))
+    assert (stopped.state, stopped.shots) == (CampaignState.STOPPED, 6)
+    assert len(bench.shots) == 6
+
+    def let_go() -> None:
+        while bench.store.standing(bench.entry.id).state is not CampaignState.PAUSED:
+            time.sleep(0.02)
+        assert len(bench.shots) == 9
+        bench.store.change(bench.entry.id, requested="")
+
+    friend = threading.Thread(target=let_go)
+    friend.start()
+    paused = bench.run(Scripted(asked("pause", 9)))
+    friend.join()
+    assert paused == (CampaignState.FINISHED, "", 18, 18)
+    other = make(campaign={"name": "other"})
+    bench = other
+    aborted = other.run(Scripted(asked("abort", 5)))
+    assert (aborted.state, aborted.shots) == (CampaignState.ABORTED, 5)
+
+
+def test_ctrl_c_keeps_the_shots_so_far(make: Callable[..., Bench]) -> None:
+    bench = make()
+    source = Scripted()
+    outcome = bench.run(source, lambda: len(source.taken) >= 7)
+    assert (outcome.state, len(bench.shots)) == (CampaignState.STOPPED, 7)
+    again = Scripted()
+    assert bench.run(again) == (CampaignState.FINISHED, "", 18, 18)
+    assert again.taken[0][0] == 8
+
+
+@pytest.mark.parametrize("at", [1, 5, 6, 13, 18])
+def test_after_any_shot_resume_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+    def dies(number: int) -> dict[str, Any]:
+        if number == at:
+            raise RuntimeError("power cut")
+        return {}
+
+    whole, broken = make(), make(campaign={"name": "broken"})
+    whole.run(Scripted())
+    with pytest.raises(RuntimeError):
+        broken.run(Scripted(dies))
+    assert len(broken.shots) == at - 1
+    broken.run(Scripted())
+    assert broken.shots == whole.shots
+    assert broken.store.hits(broken.entry.id) == whole.store.hits(whole.entry.id)
+
+
+def test_a_full_disk_keeps_what_was_stored_and_resume_goes_on(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    real = write_swing
+
+    def full(path: Path, *arguments: Any) -> None:
+        if path.stem == "000007":
+            raise NotStored(str(path), "No space left on device", "space", "Free some.")
+        real(path, *arguments)
+
+    monkeypatch.setattr("bench.campaign.runner.write_swing", full)
+    with pytest.raises(NotStored):
+        bench.run(Scripted())
+    assert [shot.shot for shot in bench.shots] == list(range(1, 7))
+    monkeypatch.setattr("bench.campaign.runner.write_swing", real)
+    assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
+
+
+def test_a_stored_shot_that_the_plan_did_not_have_is_refused(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.run(Scripted(), batch=4)
+    bench.plan = replace(bench.plan, design=replace(bench.plan.design, seed=99))
+    with pytest.raises(BenchError, match="do not belong together"):
+        bench.run(Scripted())
+
+
+def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -> None:
+    bench = make()
+    state, configuration = CampaignState.STOPPED, bench.configuration
+    require_resumable(bench.entry, state, configuration, bench.plan)
+    other = replace(bench.plan, design=replace(bench.plan.design, blocks=4))
+    with pytest.raises(Refused, match="another plan"):
+        require_resumable(bench.entry, state, configuration, other)
+    warmer = replace(configuration, air=replace(configuration.air, temperature=300.0))
+    with pytest.raises(Refused, match=r"air\.temperature"):
+        require_resumable(bench.entry, state, warmer, None)
+    with pytest.raises(Refused, match="finished"):
+        require_resumable(bench.entry, CampaignState.FINISHED, configuration, None)
+
+
+def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
+    bench = make()
+    name = bench.entry.id
+    with pytest.raises(Refused, match="no runner"):
+        ask(bench.store, bench.folder, name, "pause")
+    with runner_lock(bench.folder, name):
+        assert is_running(bench.folder, name)
+        with pytest.raises(Refused, match="which runs it"), runner_lock(bench.folder, name):
+            pass
+        assert "pauses" in ask(bench.store, bench.folder, name, "pause")
+        assert bench.store.standing(name).requested == "pause"
+    assert not is_running(bench.folder, name)
+    assert "aborted" in ask(bench.store, bench.folder, name, "abort")
+    with pytest.raises(Refused, match="not over"):
+        ask(bench.store, bench.folder, name, "stop")
+
+
+def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
+    from collections import Counter
+
+    plan = make(ball_handling={"samples": 3, "first_sample": 5, "hits": 2}).plan
+    hits = Counter({Hit("ball", "pole", 5): 1, Hit("ball", "pole", 7): 2})
+    assert sample_for(plan, "pole", hits) == 6
+    assert sample_for(plan, "pole", Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
+
+
+def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(
+    make: Callable[..., Bench],
+) -> None:
+    from bench.campaign.gate import outside
+
+    bench = make()
+    source = Scripted(lambda _: {"club_speed_mps": None})
+    shot = source.take(Step(next(iter(_trials(bench.plan))), 1, Centre()), 1, 1).shot
+    club = bench.plan.clubs["driver"]
+    assert outside(shot, club, Centre(), bench.plan.gate) == ""
+    assert outside(shot, club, Centre(club_speed=43.0), bench.plan.gate) == "club speed not measured"
+
+
+def _trials(plan: Plan) -> Any:
+    from bench.campaign.sequence import all_trials
+
+    return all_trials(plan)
+
+
+def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -> None:
+    """Two hundred kills: `python -m tests.benchmarks campaign_kills`."""
+    command = [sys.executable, "-m", "tests.benchmarks", "campaign_kills"]
+    # A process of its own: it forks its runners, and must not have started threads before.
+    options = ["--kills", "3", "--batch", "3", "--blocks", "8"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
