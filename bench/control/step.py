@@ -500,6 +500,8 @@ def _watch_permission(s: Any, p: Any, time: float) -> None:
             _disarm(s, time)
     elif s.state == _HOMING and s.reaction == _NONE and not s.lease_held:
         _disarm(s, time)
+    elif s.state in (_SWINGING, _RECOVERING) and not (s.lease_held and s.support_ready):
+        s.disarming = True  # also if both come back: nothing is armed again by itself
 
 
 @compiled

@@ -100,18 +100,30 @@ class Puppet:
     def cause(self) -> Cause:
         return Cause(int(self.control["cause"]))
 
+    def give(self, **values: Any) -> Puppet:
+        """Set fields of the readings, or of what the step is told from outside."""
+        for name, value in values.items():
+            record = self.readings if name in (READINGS.names or ()) else self.state.control
+            record[name] = value
+        return self
+
     def tick(self, request: int = 0) -> int:
         """Run one tick and return the answer to `request`; 0 if there was none."""
+        self.control["answer"] = 0
+        self.step(request)
+        return int(self.control["answer"])
+
+    def step(self, request: int = 0) -> None:
+        """Run one tick; the last answer stands until there is another."""
         self.time += self.period
         r = self.readings
         seen = self.angle + self.offset
         r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
         r["encoder_time"][0, r["encoder_valid"][0] != 0] = self.time
-        self.control["request"], self.control["answer"] = request, 0
+        self.control["request"] = request
         step(self.state, self.parameters, r, self.time, self.record, self.cycle)
         if self.follows and self.phase is not Phase.STANDING:
             self.angle = self.control["reference"].copy()
-        return int(self.control["answer"])
 
     def run(self, ticks: int, request: int = 0) -> Array:
         """Run `ticks` ticks; return their openings (ticks, 3)."""
