@@ -71,6 +71,8 @@ class Puppet:
         self.angle = ADDRESS.copy()
         self.offset = np.zeros(3)
         """What the joints miss of the reference."""
+        self.stamp = np.zeros(3)
+        """What the encoders' time stamps are off (s)."""
         self.follows = True
         self.time, self.period = 100.0, tick
         r = self.readings
@@ -119,7 +121,8 @@ class Puppet:
         r = self.readings
         seen = self.angle + self.offset
         r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
-        r["encoder_time"][0, r["encoder_valid"][0] != 0] = self.time
+        valid = r["encoder_valid"][0] != 0
+        r["encoder_time"][0, valid] = (self.time + self.stamp)[valid]
         self.control["request"] = request
         step(self.state, self.parameters, r, self.time, self.record, self.cycle)
         if self.follows and self.phase is not Phase.STANDING:
