@@ -16,7 +16,7 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.control.step import ACCEPTED, ARM, SWING, new_control_state, step
-from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
@@ -172,9 +172,12 @@ class Puppet:
             self.run(10)
             assert self.tick(ARM) == ACCEPTED
             self.run(60)
+        elif phase is Phase.HOMING:
+            self.parameters.control["home_by_index"] = True
+            self.give(state=State.SAFE, homed=False, encoder_indexed=0).run(10)
+            assert self.tick(Request.HOME) == ACCEPTED
+            self.run(60)
         else:
             self.hold()
-            self.control["phase"] = phase  # nothing enters HOMING yet
-            self.tick()
         assert self.phase is phase
         return self

@@ -366,5 +366,4 @@ Bench.TestCase.settings = settings(
 )
 
 
-class TestBench(Bench.TestCase):  # type: ignore[misc,name-defined]
-    """The machine, as pytest finds it."""
+TestBench = Bench.TestCase

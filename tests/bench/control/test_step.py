@@ -112,6 +112,24 @@ def test_arming_holds_the_pose_it_finds() -> None:
     assert puppet.record["supply_enable"][0]
 
 
+def test_arming_again_is_without_a_bump() -> None:
+    puppet = Puppet().hold()
+    puppet.shift(0, -0.012)
+    puppet.run(500)
+    assert np.abs(puppet.state.pid["integral"][0]).max() > 0.001
+    puppet.tick(DISARM)
+    puppet.offset[:] = 0.0
+    puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]  # it sank while it was vented
+    puppet.run(50)
+    puppet.parameters.control["precharge_opening"] = 0.0
+    puppet.tick(ARM)
+    openings = [puppet.record["valve"][0].copy()]
+    for _ in range(15):  # charging: nothing moves yet
+        puppet.tick()
+        openings.append(puppet.record["valve"][0].copy())
+    assert np.abs(openings).max() < 0.01
+
+
 def test_charging_swings_the_spools_around_their_centre() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
     puppet.run(10)
@@ -215,7 +233,8 @@ def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> No
     if slow:
         assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.NONE)
         puppet.run(1600)
-        assert (puppet.control["state"], puppet.is_without_energy()) == (State.READY, True)
+        rests = State.SAFE if phase is Phase.HOMING else State.READY
+        assert (puppet.bench, puppet.is_without_energy()) == (rests, True)
 
 
 def test_disarming_does_not_cut_a_brake_short() -> None:
@@ -340,6 +359,8 @@ PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
 def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
+    if phase is Phase.HOMING and column == DISOBEYED:
+        cause = Cause.HOMING_FAILED
     provoke(puppet)
     puppet.run(5 if column == LOST else 1)
     if phase is Phase.IMPACT and column == DISOBEYED:
@@ -381,6 +402,9 @@ def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
     for _ in range(100):
         puppet.tick()
         assert puppet.is_without_energy()
+    if phase is Phase.HOMING:
+        assert (puppet.tick(ARM), puppet.bench) == (REFUSED, State.SAFE)
+        return
     assert puppet.tick(ARM) == ACCEPTED
     assert not puppet.record["tee"][0]
     puppet.run(400)
