@@ -20,7 +20,7 @@ help:  ## show this text
 demo: $(VENV)/.runtime  ## ten swings of the simulated robot at a ball, and their report
 	@$(BIN)/golfbench demo
 
-test: $(VENV)/.dev lint coverage  ## lint, types, import contracts, branches of the envelope and all tests
+test: $(VENV)/.dev lint coverage  ## lint, types, import contracts, branches of the safety code and all tests
 	@$(BIN)/python -m pytest $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
@@ -30,10 +30,11 @@ lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/lint-imports
 
 # Counted without compilation: compiled code leaves no trace of the lines it ran.
-coverage: $(VENV)/.dev  ## every branch of the envelope and of the stopping table is tested
+coverage: $(VENV)/.dev  ## every branch of envelope, stopping table and answers to requests is tested
 	@NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest --quiet --no-header --tb=short \
-	  tests/bench/control/test_envelope.py tests/bench/test_lifecycle.py
-	@$(BIN)/coverage report --include='bench/control/envelope.py,bench/lifecycle.py' --fail-under=100
+	  tests/bench/control/test_envelope.py tests/bench/control/test_requests.py tests/bench/test_lifecycle.py
+	@$(BIN)/coverage report --fail-under=100 \
+	  --include='bench/control/envelope.py,bench/control/requests.py,bench/lifecycle.py'
 
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)

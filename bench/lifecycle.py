@@ -79,6 +79,7 @@ class Refusal(IntEnum):
     LOCAL_RESET = 10
     READ_ONLY = 11
     SUPERVISOR = 12
+    DEVICE = 13
 
 
 REFUSAL_TEXT = {
@@ -95,6 +96,7 @@ REFUSAL_TEXT = {
     Refusal.LOCAL_RESET: "press the reset button beside the robot, then ask again",
     Refusal.READ_ONLY: "this bench was started to observe only",
     Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
+    Refusal.DEVICE: "the device went passive by itself: reset first",
 }
 """What the operator reads, with the cure."""
 
@@ -226,39 +228,42 @@ class Edge(NamedTuple):
 
 
 _S = State
-_CLEAR = "interlocks closed, readings trusted, lease held"
+_CLEAR = "interlocks closed, readings trusted, lease held, supervisor alive"
+_GONE = f"cause gone, {_CLEAR}, local reset pressed"
+_STILL = "for the absolute method chambers proven empty"
+_ACCESSIBLE = "chambers proven empty, emergency stop circuit closed, lease held"
+_MOVES = (_S.HOMING, _S.ARMED, _S.SWINGING, _S.RECOVERING)
 _LATCHES = (_S.SAFE, _S.HOMING, _S.READY, _S.ARMED, _S.SWINGING, _S.RECOVERING, _S.ACCESS)
 
 EDGES = (
     Edge(_S.STARTING, "warmed up", _S.ESTOP, "", "cause POWER_UP or RESTART"),
-    Edge(_S.ESTOP, "reset", _S.SAFE, f"cause gone, {_CLEAR}, local reset pressed; not homed", "never moves"),
-    Edge(_S.ESTOP, "reset", _S.READY, f"cause gone, {_CLEAR}, local reset pressed; homed", "never moves"),
-    Edge(_S.FAULT, "reset", _S.SAFE, f"cause gone, {_CLEAR}, local reset pressed; not homed", "never moves"),
-    Edge(_S.FAULT, "reset", _S.READY, f"cause gone, {_CLEAR}, local reset pressed; homed", "never moves"),
-    Edge(_S.SAFE, "home", _S.HOMING, _CLEAR, "the only motion allowed until homed"),
-    Edge(_S.READY, "home", _S.HOMING, _CLEAR),
+    Edge(_S.ESTOP, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
+    Edge(_S.ESTOP, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
+    Edge(_S.FAULT, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
+    Edge(_S.FAULT, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
+    Edge(_S.SAFE, "home", _S.HOMING, f"{_CLEAR}, {_STILL}", "the only motion allowed until homed"),
+    Edge(_S.READY, "home", _S.HOMING, f"{_CLEAR}, {_STILL}"),
     Edge(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
     Edge(_S.HOMING, "disarm, or lease lost", _S.SAFE, "", "brake, vent"),
-    Edge(
-        _S.READY, "arm", _S.ARMED, f"{_CLEAR}, recorder and supervisor alive", "warn, charge, go to address"
-    ),
+    Edge(_S.READY, "arm", _S.ARMED, f"{_CLEAR}, recorder alive", "warn, charge, go to address"),
     Edge(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),
     Edge(_S.ARMED, "disarm, time-out, lease or recorder lost", _S.READY, "at rest", "vent"),
     Edge(_S.ARMED, "disarm, lease or recorder lost", _S.RECOVERING, "on the way to address", "brake"),
     Edge(_S.SWINGING, "swing over", _S.RECOVERING, "", "return to the address"),
     Edge(_S.RECOVERING, "back at the address", _S.READY, "", "vent"),
-    Edge(_S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder still there"),
+    Edge(_S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder never lost"),
     Edge(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
-    Edge(_S.SAFE, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
-    Edge(_S.READY, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.SAFE, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Edge(_S.READY, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
     Edge(_S.ACCESS, "secure", _S.SAFE, "guard closed, not homed", "lock the guard"),
     Edge(_S.ACCESS, "secure", _S.READY, "guard closed, homed", "lock the guard"),
-    Edge(_S.ESTOP, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
-    Edge(_S.FAULT, "access", _S.ACCESS, "chambers proven empty, lease held", "unlock the guard"),
+    Edge(_S.ESTOP, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Edge(_S.FAULT, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
     Edge(_S.ACCESS, "secure", _S.ESTOP, "guard closed, its cause still latched", "lock the guard"),
     Edge(_S.ACCESS, "secure", _S.FAULT, "guard closed, its cause still latched", "lock the guard"),
     *(Edge(s, "emergency stop", _S.ESTOP, "at standstill", "stopping table, then vent") for s in _LATCHES),
-    *(Edge(s, "fault or stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
+    *(Edge(s, "fault", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
+    *(Edge(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
     Edge(_S.FAULT, "emergency stop", _S.ESTOP),
 )
 """How the bench gets from state to state; there is no other way. Requests are named as in `Request`."""

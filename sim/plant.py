@@ -10,7 +10,7 @@ Identical inputs and seeds give identical bits.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import pi, sin, sqrt
+from math import floor, pi, sin, sqrt
 from typing import Annotated, Any
 
 import numpy as np
@@ -54,11 +54,13 @@ Sign = Annotated[int, Range(-1, 1, "")]
 
 @dataclass(frozen=True)
 class Encoders:
-    """Three absolute single-turn rotary encoders on R1, R2, R3."""
+    """Three single-turn rotary encoders on R1, R2, R3."""
 
+    incremental: bool = False
+    """False: absolute. True: counting from where they were switched on, until their index has passed."""
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")] = 2**17
     zero_count: tuple[ZeroCount, ZeroCount, ZeroCount] = (0.0, 0.0, 0.0)
-    """Count at joint angle zero; calibration finds it."""
+    """Count at joint angle zero; calibration finds it. An incremental encoder's index is at count 0."""
     sign: tuple[Sign, Sign, Sign] = (1, 1, 1)
     """-1 where the count falls as the angle rises."""
     latency: Annotated[float, Range(0.0, 0.005, "s")] = 0.0001
@@ -198,6 +200,7 @@ PLANT_PARAMETERS = np.dtype(
         ("encoder_scale", "f8", (3,)),
         ("encoder_zero", "f8", (3,)),
         ("encoder_counts", "i8"),
+        ("incremental", "?"),
         ("latency", "f8"),
         ("jitter", "f8"),
         ("noise", "f8"),
@@ -245,6 +248,9 @@ PLANT_STATE = np.dtype(
         ("guard_locked", "?"),
         ("local_reset", "?"),
         ("encoder_valid", "u1", (3,)),
+        ("encoder_indexed", "u1", (3,)),
+        ("encoder_start", "i8", (3,)),
+        ("index_fitted", "u1", (3,)),
         ("ball_present", "?"),
         ("tee_before", "?"),
         ("struck", "?"),
@@ -344,6 +350,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
         "atmosphere": supply.atmosphere,
         "exponent": supply.polytropic_exponent,
         "encoder_counts": encoders.counts_per_revolution,
+        "incremental": encoders.incremental,
         "latency": encoders.latency,
         "jitter": encoders.jitter,
         "noise": encoders.noise,
@@ -376,7 +383,12 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     state["supply_pressure"] = supply.pressure if pressurised else supply.atmosphere
     state["supply_level"] = 1.0 if pressurised else 0.0
     state["emergency_stop_clear"] = state["guard_closed"] = state["guard_locked"] = True
-    state["encoder_valid"] = 1
+    state["encoder_valid"] = state["index_fitted"] = 1
+    if plant.parameters.encoders.incremental:
+        scale, zero = plant.plant["encoder_scale"][0], plant.plant["encoder_zero"][0]
+        state["encoder_start"] = np.floor(np.asarray(angle) * scale + zero)
+    else:
+        state["encoder_indexed"] = 1
     state["history"] = angle
     state["lowest_clearance"] = np.inf
     state["peak_pressure"] = state["pressure"]
@@ -398,6 +410,13 @@ def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
             side = 1 if depth > 0.0 else 0
             s.stop_energy[i, side] = max(s.stop_energy[i, side], y[15 + i])
             s.stop_depth[i, side] = max(s.stop_depth[i, side], abs(depth))
+
+
+@compiled
+def _index_side(p: Any, i: int, angle: float) -> float:
+    """Return the number of the turn that encoder `i` is in: it changes where the index mark passes."""
+    turns: float = (angle * p.encoder_scale[i] + p.encoder_zero[i]) / p.encoder_counts
+    return floor(turns)
 
 
 @compiled
@@ -451,6 +470,9 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
             s.history[s.history_index, i] = y[i]
     s.time += p.tick
     for i in range(3):
+        if p.incremental and s.index_fitted[i] != 0:
+            if _index_side(p, i, s.angle[i]) != _index_side(p, i, y[i]):
+                s.encoder_indexed[i] = 1
         s.angle[i], s.speed[i], s.stop_work[i], s.effort[i] = y[i], y[3 + i], y[15 + i], scratch[4, 15 + i]
     for i in range(6):
         s.pressure[i] = y[6 + i]

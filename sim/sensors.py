@@ -48,11 +48,14 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
         angle = newer + part * (older - newer)
         if p.noise > 0.0:
             angle += p.noise * _normal(s)
-        out.encoder_count[i] = floor(angle * p.encoder_scale[i] + p.encoder_zero[i]) % p.encoder_counts
+        count = floor(angle * p.encoder_scale[i] + p.encoder_zero[i])
+        if s.encoder_indexed[i] == 0:
+            count -= s.encoder_start[i]  # as it was switched on
+        out.encoder_count[i] = count % p.encoder_counts
         out.encoder_time[i] = s.time - p.latency
         out.encoder_valid[i] = s.encoder_valid[i]
         out.encoder_age[i] = p.latency
-        out.encoder_indexed[i] = 1
+        out.encoder_indexed[i] = s.encoder_indexed[i]
     out.emergency_stop_clear = s.emergency_stop_clear
     out.guard_closed = s.guard_closed
     out.guard_locked = s.guard_locked

@@ -212,6 +212,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[MISSING] = missing
     hypothesis.settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
     hypothesis.settings.register_profile("dev", deadline=None, print_blob=True)
+    hypothesis.settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=2000)
     hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "dev")
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 

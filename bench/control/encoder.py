@@ -56,12 +56,15 @@ ENCODER_STATE = np.dtype(
         ("verdict", "u1", (3,)),
         ("fresh", "u1", (3,)),
         ("started", "u1", (3,)),
+        ("indexed", "u1", (3,)),
+        ("zero_set", "u1", (3,)),
     ],
     align=True,
 )
 """Per joint: angle (rad) of the last accepted sample, its age (s) at this tick and its time (s); the
 unwrapped count; consecutive ticks with an implausible sample; this tick's verdict; 1 if fresh; 1 once a
-sample was accepted."""
+sample was accepted; whether the count is absolute; 1 in the tick in which that changed, and with it the
+zero: the sample is then not compared with those before."""
 
 _TURN = 2.0 * np.pi
 
@@ -132,7 +135,7 @@ def decode_encoders(
     p = parameters[0]
     r = readings[0]
     for i in range(3):
-        s.fresh[i] = 0
+        s.fresh[i] = s.zero_set[i] = 0
         s.age[i] = time - s.sample_time[i]
         sample_time = r.encoder_time[i]
         count = r.encoder_count[i]
@@ -145,6 +148,10 @@ def decode_encoders(
         if not abs(time - sample_time) <= p.greatest_age[i]:  # so that NaN is stale, too
             s.verdict[i] = STALE
             continue
+        if r.encoder_indexed[i] != s.indexed[i]:
+            s.indexed[i] = r.encoder_indexed[i]
+            s.zero_set[i] = s.started[i]
+            s.started[i] = 0
         span = p.count_range[i]
         per_radian = p.counts_per_revolution[i] / _TURN
         reach = 0.5 * span

@@ -126,37 +126,6 @@ def control(
 
 
 @compiled
-def match_output(
-    state: np.ndarray[Any, Any],
-    parameters: np.ndarray[Any, Any],
-    reference: np.ndarray[Any, Any],
-    reference_velocity: np.ndarray[Any, Any],
-    angle: np.ndarray[Any, Any],
-    velocity: np.ndarray[Any, Any],
-    feed_forward: np.ndarray[Any, Any],
-    output: np.ndarray[Any, Any],
-) -> None:
-    """Set the integrals so that the controllers would give `output` (3,) now: bumpless transfer.
-
-    An integral this leaves outside its limits moves only back towards them. A non-finite input leaves
-    NaN in `output` and the integral as it was.
-    """
-    s = state[0]
-    p = parameters[0]
-    _set_terms(s, p, reference, reference_velocity, angle, velocity)
-    for i in range(3):
-        rest = s.proportional[i] + s.derivative[i] + feed_forward[i]
-        integral = output[i] - rest
-        if not np.isfinite(integral):
-            s.unsaturated[i] = np.nan
-            s.output[i] = np.nan
-            continue
-        s.integral[i] = integral
-        s.unsaturated[i] = rest + integral
-        s.output[i] = _clip(s.unsaturated[i], p.lowest[i], p.highest[i])
-
-
-@compiled
 def reset_integral(state: np.ndarray[Any, Any]) -> None:
     """Empty the three integrals and all terms."""
     s = state[0]

@@ -20,8 +20,8 @@ _ACCESS_STATE = int(State.ACCESS)
 _BY_STATE, _STOPPING, _E_STOP = int(Refusal.STATE), int(Refusal.STOPPING), int(Refusal.EMERGENCY_STOP)
 _GUARD, _READINGS, _NOT_AT_ADDRESS = int(Refusal.GUARD), int(Refusal.READINGS), int(Refusal.NOT_AT_ADDRESS)
 _NO_LEASE, _SUPPORT, _NOT_VENTED = int(Refusal.NO_LEASE), int(Refusal.SUPPORT), int(Refusal.NOT_VENTED)
-_LOCAL_RESET, _READ_ONLY, _SUPERVISOR = (
-    int(Refusal.LOCAL_RESET), int(Refusal.READ_ONLY), int(Refusal.SUPERVISOR),
+_LOCAL_RESET, _READ_ONLY, _SUPERVISOR, _DEVICE = (
+    int(Refusal.LOCAL_RESET), int(Refusal.READ_ONLY), int(Refusal.SUPERVISOR), int(Refusal.DEVICE),
 )  # fmt: skip
 
 
@@ -61,7 +61,12 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         return _STOPPING
     if p.needs_lease[request] != 0 and not s.lease_held:
         return _NO_LEASE
+    # A passive device obeys nothing; the reset sets it to work again.
+    if not s.device_operational and request in (_ARM, _SWING, _HOME, _ACCESS):
+        return _DEVICE
     if request == _ACCESS:
+        if interlock_cause(readings) == _EMERGENCY_CAUSE:
+            return _E_STOP
         return 0 if s.vented else _NOT_VENTED
     if request == _SECURE:
         return 0 if readings[0].guard_closed else _GUARD
@@ -79,6 +84,11 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if request == _SWING:
         if s.phase != _HOLD or s.swinging or not near_address(parameters, state.estimator):
             return _NOT_AT_ADDRESS
+    if not s.vented:
+        if request == _HOME and not p.home_by_index:  # the pose proves something of a robot without air only
+            return _NOT_VENTED
+        if request == _RESET and time - s.vent_start >= p.vent_time:
+            return _NOT_VENTED
     # `not <=` so that a time that is no number refuses.
     if request == _RESET and p.local_reset and not time - s.reset_pressed <= p.local_reset_time:
         return _LOCAL_RESET
@@ -94,6 +104,9 @@ def take_request(state: Any, parameters: Any, readings: Any, time: float) -> int
     s.asked = request
     if request == 0:
         return 0
+    # A stop comes past the numbered requests: the answer to the last one may not have been read yet.
+    if request in (_STOP, _EMERGENCY_STOP) and s.answered_number == s.request_number != 0:
+        return int(request)
     s.answered_number = s.request_number
     s.refusal = refusal_of(state, parameters, readings, request, time)
     if s.refusal != 0:

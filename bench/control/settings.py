@@ -24,12 +24,15 @@ from bench.lifecycle import (
     reaction_table,
 )
 from bench.swing.profile import Profile
+from drivers.base import JOINTS
 from sim.compiled import new_record
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
+JointName = Literal["shoulder", "arm", "wrist"]
+Direction = Annotated[int, Ge(-1), Le(1)]
 Triple = tuple[float, float, float]
 PositiveTriple = tuple[Positive, Positive, Positive]
 NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
@@ -126,19 +129,30 @@ class HomingSettings:
     """How the encoders' zeros are proven."""
 
     method: Literal["absolute", "index"] = "absolute"
-    """Compare absolute encoders with the vented robot's pose, or search the index at low pressure."""
+    """Compare absolute encoders with the vented robot's pose, or search the index slowly, valves bounded."""
     tolerance: PositiveTriple = (0.15, 0.10, 0.15)
     """rad, of the vented robot's pose; friction keeps it from hanging quite straight."""
     time: Positive = 0.5
     """s for which the readings must agree."""
+    order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
+    """In which the joints search, one at a time."""
+    direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
+    """Of the search; -1 lowers the angle, which lifts the club away from the ground."""
+    travel: PositiveTriple = (1.0, 0.5, 1.0)
+    """rad, of the search at most."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """rad/s, of the search."""
-    pressure: Positive = 3.0e5
-    """Pa absolute, of the supply during the search."""
     opening: Annotated[float, Gt(0), Le(0.5)] = 0.15
     """Greatest valve opening of the search."""
     longest: Positive = 30.0
     """s, of the search."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError when a joint is named twice or a direction is none."""
+        if len(set(self.order)) < len(self.order):
+            raise ValueError("order: each joint once")
+        if 0 in self.direction:
+            raise ValueError("direction: 1 or -1 for each joint")
 
 
 @dataclass(frozen=True)
@@ -149,6 +163,7 @@ class EnvelopeSettings:
     """Shoulder rad/s, rod m/s, wrist rad/s."""
     following: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
+            "homing": (0.35, 0.20, 0.50),
             "hold": (0.10, 0.08, 0.15),
             "backswing": (0.30, 0.15, 0.40),
             "top": (0.15, 0.10, 0.25),
@@ -184,6 +199,7 @@ class EnvelopeSettings:
 
 
 _FOLLOWED = {
+    "homing": Phase.HOMING,
     "hold": Phase.HOLD,
     "backswing": Phase.BACKSWING,
     "top": Phase.TOP,
@@ -275,7 +291,8 @@ def _control_record(
         for setting in fields(settings):
             if setting.name in (CONTROL_PARAMETERS.names or ()):
                 record[setting.name] = getattr(settings, setting.name)
-    for name in ("tolerance", "time", "speed", "pressure", "opening", "longest"):
+    record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
+    for name in ("tolerance", "time", "direction", "travel", "speed", "opening", "longest"):
         record[f"home_{name}"] = getattr(homing, name)
     record["home_by_index"], record["home_pose"] = homing.method == "index", hanging_pose(plant)
     record["reactions"], record["accepted"] = reaction_table(), accepted_table()

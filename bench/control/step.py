@@ -17,6 +17,7 @@ import numpy as np
 from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
+from bench.control.homing import begin_search, bounded, search, search_cause
 from bench.control.pid import PID_STATE, control, reset_integral
 from bench.control.requests import near_address, note_local_reset, take_request
 from bench.lifecycle import (
@@ -76,8 +77,10 @@ CONTROL_PARAMETERS = np.dtype(
         ("home_pose", "f8", (3,)),
         ("home_tolerance", "f8", (3,)),
         ("home_time", "f8"),
+        ("home_order", "i8", (3,)),
+        ("home_direction", "f8", (3,)),
+        ("home_travel", "f8", (3,)),
         ("home_speed", "f8", (3,)),
-        ("home_pressure", "f8"),
         ("home_opening", "f8"),
         ("home_longest", "f8"),
     ],
@@ -112,6 +115,11 @@ CONTROL_STATE = np.dtype(
         ("emergency", "?"),
         ("homed", "?"),
         ("home_good", "f8"),
+        ("home_begin", "f8"),
+        ("home_turn", "i8"),
+        ("home_since", "f8"),
+        ("home_from", "f8", (3,)),
+        ("zero_shift", "f8", (3,)),
         ("vented", "?"),
         ("vent_start", "f8"),
         ("air", "?"),
@@ -151,6 +159,7 @@ CONTROL_STATE = np.dtype(
 """From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
+`zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `lost` is this tick's verdict on the readings, `seen` that they were trusted once; `emergency` says that the
 stop under way ends in ESTOP; `air` that the supply is on."""
 
@@ -165,6 +174,7 @@ PROFILE = np.dtype(
 )
 
 _HOLD, _RETURN, _STANDING = int(Phase.HOLD), int(Phase.RETURN), int(Phase.STANDING)
+_SEARCH = int(Phase.HOMING)
 _IMPACT, _FOLLOW = int(Phase.IMPACT), int(Phase.FOLLOW_THROUGH)
 _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(Reaction.BRAKE)
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
@@ -381,6 +391,13 @@ def _carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
         _enter(s, _READY if s.homed else _SAFE, time)
     elif request == _HOME:
         s.homed, s.home_good = False, time
+        if p.home_by_index:
+            reset_integral(state.pid)
+            s.disarming = s.tee = False
+            s.air_from = time + p.warning_time
+            s.move_start = s.home_begin = s.air_from + p.precharge_time
+            begin_search(s, p, e.angle, s.move_start)
+            s.phase = _SEARCH
         _enter(s, _HOMING, time)
     elif request == _ARM:
         reset_integral(state.pid)
@@ -500,6 +517,8 @@ def _watch_permission(s: Any, p: Any, time: float) -> None:
             _disarm(s, time)
     elif s.state == _HOMING and s.reaction == _NONE and not s.lease_held:
         _disarm(s, time)
+    elif s.state in (_SWINGING, _RECOVERING) and not (s.lease_held and s.support_ready):
+        s.disarming = True  # also if both come back: nothing is armed again by itself
 
 
 @compiled
@@ -589,6 +608,12 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
                 _begin_move(parameters, s, e.angle, time)
                 _move_at(parameters, s, time)
                 _enter(s, _RECOVERING, time)
+    elif s.phase == _SEARCH:
+        indexed = state.encoder[0].indexed
+        if search(s, p, e.angle, indexed, s.zero_shift, time, measured_step):
+            s.homed = True
+            s.reaction = _BRAKE  # no cause: to rest, then READY
+            s.reaction_start = s.still_since = time
     elif s.moving:
         if not _move_at(parameters, s, time) and near_address(parameters, state.estimator):
             _arrive(s, p, time)
@@ -624,7 +649,7 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
 @compiled
 def _charging(s: Any, time: float) -> bool:
     """Tell whether the chambers are being charged before the first move."""
-    return bool(s.moving and time < s.move_start)
+    return bool((s.moving or s.phase == _SEARCH) and time < s.move_start)
 
 
 @compiled
@@ -637,6 +662,13 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.started, s.time = True, time
     s.tick += 1
     decode_encoders(state.encoder, parameters.encoder, readings, time)
+    for i in range(3):
+        s.zero_shift[i] = 0.0
+        if state.encoder[0].zero_set[i] != 0 and state.encoder[0].fresh[i] != 0:
+            # The angle counts from another zero; the joint went on as before.
+            begun = state.encoder[0].angle[i] - e.velocity[i] * s.measured_step
+            s.zero_shift[i] = begun - e.angle[i]
+            e.angle[i] = begun
     estimate(
         state.estimator, parameters.estimator, state.encoder[0].angle, state.encoder[0].age,
         state.encoder[0].fresh, s.measured_step, s.phase == _IMPACT,
@@ -698,6 +730,16 @@ def _watch_motion(
         _react(state, parameters, _DEVICE, DISOBEYED, time)
     elif not s.supervisor_alive:
         _react(state, parameters, _SUPERVISOR, TRUSTED, time)
+    elif s.phase == _SEARCH and s.reaction <= _COMPLETE:
+        broken = search_cause(
+            s, parameters.control[0], parameters.envelope[0].following[_SEARCH],
+            parameters.envelope[0].greatest_gap, state.estimator[0].angle, state.estimator[0].velocity, time,
+        )  # fmt: skip
+        stuck = _FOLLOWING <= broken < _FOLLOWING + 3
+        if broken != 0:
+            _react(
+                state, parameters, _HOMING_FAILED if stuck else broken, DISOBEYED if stuck else TRUSTED, time
+            )
     elif s.reaction <= _COMPLETE:
         broken = motion_cause(
             parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
@@ -725,6 +767,8 @@ def limit_tick(
             s.desired[i] = 0.0
             s.applied[i] = 0.0
         else:
+            if s.phase == _SEARCH:
+                s.desired[i] = bounded(p, s.desired[i])
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
     c.supply_enable = c.exhaust_closed = powered

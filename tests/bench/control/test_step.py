@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 
-from bench.control.settings import ControlSettings, build_controller
 from bench.control.step import (
     ACCEPTED,
     ARM,
@@ -25,7 +24,6 @@ from bench.control.step import (
     STOP,
     SWING,
     ControlState,
-    new_control_state,
     step,
 )
 from bench.lifecycle import (
@@ -40,138 +38,25 @@ from bench.lifecycle import (
     Request,
     State,
 )
-from bench.swing.profile import PHASES, Profile
+from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
+from drivers.base import COMMAND, PASSIVE, unpack_command
 from sim.compiled import new_record
-from sim.plant import PlantParameters
-
-Array = np.ndarray[Any, Any]
-
-ADDRESS = np.array([0.40, 4.30, 6.10])
-SAMPLES, SPACING = 700, 20
-BEGINS = (0, 100, 200, 300, 400, 500, 600)
-COUNTS = PlantParameters().encoders.counts_per_revolution
-QUICK = ControlSettings(precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
-GOOD = ("emergency_stop_clear", "guard_closed", "guard_locked")
+from tests.bench.control.puppet import (
+    ADDRESS,
+    COUNTS,
+    GOOD,
+    QUICK,
+    SAMPLES,
+    SPACING,
+    STILL,
+    Array,
+    Puppet,
+)
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="plain integers do not wrap around as compiled ones do"
 )
-
-
-def still_profile() -> Profile:
-    """Return a swing that stays at the address, with blind brakes that differ from row to row."""
-    row = np.arange(SAMPLES // SPACING)[:, None]
-    blind = np.hstack([np.cos(row + [0.0, 1.0, 2.0]), 0.02 + 0.001 * (row % 7) + [[0.0, 0.01, 0.02]]])
-    return Profile(
-        "still", "", "", "", 1e-3, BEGINS, np.tile(ADDRESS, (SAMPLES, 1)), np.zeros((SAMPLES, 3)),
-        np.zeros((SAMPLES, 3)), SPACING, blind, (0.25, -1.56), 0.55,
-    )  # fmt: skip
-
-
-STILL = still_profile()
-
-
-class Puppet:
-    """The step with joints that follow its reference at once, and whatever else a test sets."""
-
-    def __init__(
-        self, profile: Profile = STILL, control: ControlSettings = QUICK, tick: float = 1e-3
-    ) -> None:
-        self.parameters = build_controller(replace(PlantParameters(), tick=tick), profile, control)
-        self.state = new_control_state()
-        self.readings, self.record, self.cycle = new_record(READINGS), new_record(COMMAND), new_record(CYCLE)
-        self.angle = ADDRESS.copy()
-        self.offset = np.zeros(3)
-        """What the joints miss of the reference."""
-        self.follows = True
-        self.time, self.period = 100.0, tick
-        r = self.readings
-        for name in GOOD:
-            r[name] = True
-        r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = 8e5, nan, 1
-        r["encoder_indexed"] = 1
-
-    @property
-    def control(self) -> Any:
-        return self.state.control[0]
-
-    @property
-    def phase(self) -> Phase:
-        return Phase(int(self.control["phase"]))
-
-    @property
-    def reaction(self) -> Reaction:
-        return Reaction(int(self.control["reaction"]))
-
-    @property
-    def cause(self) -> Cause:
-        return Cause(int(self.control["cause"]))
-
-    def tick(self, request: int = 0) -> int:
-        """Run one tick and return the answer to `request`; 0 if there was none."""
-        self.time += self.period
-        r = self.readings
-        seen = self.angle + self.offset
-        r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
-        r["encoder_time"][0, r["encoder_valid"][0] != 0] = self.time
-        self.control["request"], self.control["answer"] = request, 0
-        step(self.state, self.parameters, r, self.time, self.record, self.cycle)
-        if self.follows and self.phase is not Phase.STANDING:
-            self.angle = self.control["reference"].copy()
-        return int(self.control["answer"])
-
-    def run(self, ticks: int, request: int = 0) -> Array:
-        """Run `ticks` ticks; return their openings (ticks, 3)."""
-        openings = np.zeros((ticks, 3))
-        for k in range(ticks):
-            self.tick(request if k == 0 else 0)
-            openings[k] = self.record["valve"][0]
-        return openings
-
-    def shift(self, joint: int, miss: float) -> None:
-        """Let `joint` miss the reference by `miss`, taking 0.2 s for it."""
-        for value in np.linspace(self.offset[joint], miss, 200):
-            self.offset[joint] = value
-            self.tick()
-
-    def is_without_energy(self) -> bool:
-        return unpack_command(self.record) == PASSIVE
-
-    def hold(self) -> Puppet:
-        """Go to address."""
-        self.run(10)
-        assert self.tick(ARM) == ACCEPTED
-        self.run(400)
-        assert (self.phase, self.reaction) == (Phase.HOLD, Reaction.NONE)
-        return self
-
-    def swing(self, sample: int) -> Puppet:
-        """Hold, then swing up to `sample`."""
-        self.hold()
-        assert self.tick(SWING) == ACCEPTED
-        self.run(sample)
-        assert self.control["swing_sample"] == sample
-        return self
-
-    def enter(self, phase: Phase) -> Puppet:
-        """Be in the middle of `phase`, however it came to that."""
-        if phase in PHASES and phase is not Phase.HOLD:
-            return self.swing(BEGINS[PHASES.index(phase)] + 50)
-        if phase is Phase.STANDING:
-            self.run(10)
-            return self
-        if phase is Phase.RETURN:
-            self.run(10)
-            assert self.tick(ARM) == ACCEPTED
-            self.run(60)
-        else:
-            self.hold()
-            self.control["phase"] = phase  # nothing enters HOMING yet
-            self.tick()
-        assert self.phase is phase
-        return self
 
 
 each_phase = pytest.mark.parametrize("phase", list(Phase), ids=lambda phase: phase.name)
@@ -225,6 +110,24 @@ def test_arming_holds_the_pose_it_finds() -> None:
     assert np.abs(puppet.state.pid["output"][0]).max() < 0.01
     assert np.abs(puppet.record["valve"]).max() <= QUICK.precharge_opening + 0.01
     assert puppet.record["supply_enable"][0]
+
+
+def test_arming_again_is_without_a_bump() -> None:
+    puppet = Puppet().hold()
+    puppet.shift(0, -0.012)
+    puppet.run(500)
+    assert np.abs(puppet.state.pid["integral"][0]).max() > 0.001
+    puppet.tick(DISARM)
+    puppet.offset[:] = 0.0
+    puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]  # it sank while it was vented
+    puppet.run(50)
+    puppet.parameters.control["precharge_opening"] = 0.0
+    puppet.tick(ARM)
+    openings = [puppet.record["valve"][0].copy()]
+    for _ in range(15):  # charging: nothing moves yet
+        puppet.tick()
+        openings.append(puppet.record["valve"][0].copy())
+    assert np.abs(openings).max() < 0.01
 
 
 def test_charging_swings_the_spools_around_their_centre() -> None:
@@ -330,7 +233,8 @@ def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> No
     if slow:
         assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.NONE)
         puppet.run(1600)
-        assert (puppet.control["state"], puppet.is_without_energy()) == (State.READY, True)
+        rests = State.SAFE if phase is Phase.HOMING else State.READY
+        assert (puppet.bench, puppet.is_without_energy()) == (rests, True)
 
 
 def test_disarming_does_not_cut_a_brake_short() -> None:
@@ -455,6 +359,8 @@ PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
 def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
+    if phase is Phase.HOMING and column == DISOBEYED:
+        cause = Cause.HOMING_FAILED
     provoke(puppet)
     puppet.run(5 if column == LOST else 1)
     if phase is Phase.IMPACT and column == DISOBEYED:
@@ -496,6 +402,9 @@ def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
     for _ in range(100):
         puppet.tick()
         assert puppet.is_without_energy()
+    if phase is Phase.HOMING:
+        assert (puppet.tick(ARM), puppet.bench) == (REFUSED, State.SAFE)
+        return
     assert puppet.tick(ARM) == ACCEPTED
     assert not puppet.record["tee"][0]
     puppet.run(400)

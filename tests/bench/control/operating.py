@@ -1,0 +1,158 @@
+"""What an operator does: a bench is brought into each of its states the way it is done in the hall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from bench.control.settings import SIMULATED, HomingSettings
+from bench.lifecycle import (
+    Answer,
+    Phase,
+    Reaction,
+    Refusal,
+    Request,
+    State,
+)
+from tests.bench.control.puppet import ADDRESS, QUICK, STILL, Puppet
+
+VENT, HOMING, SECURING = 0.02, 0.02, 2.0
+"""s."""
+TIMES = replace(SIMULATED, vent_time=VENT, armed_time=1.0, series=False)
+CONTROL = replace(QUICK, precharge_time=0.01)
+SHORT = replace(STILL, **{name: getattr(STILL, name)[-90:] for name in ("angle", "velocity", "valve")},
+                begins=(0, 10, 20, 30, 40, 50, 60), blind_brake=STILL.blind_brake[-5:])  # fmt: skip
+PERMISSIONS = ("lease_held", "support_ready", "supervisor_alive")
+
+Act = Callable[[Puppet], None]
+
+
+def at_power_up(**settings: Any) -> Puppet:
+    """Return a bench just switched on, its supervisor alive, everything granted."""
+    puppet = Puppet(
+        SHORT, CONTROL, lifecycle=replace(TIMES, **settings), homing=HomingSettings(time=HOMING),
+        state=State.STARTING,
+    )  # fmt: skip
+    for name in PERMISSIONS:
+        puppet.control[name] = True
+    return puppet
+
+
+def asked(puppet: Puppet, request: int) -> Refusal:
+    """Put `request` to the next tick; return why it was refused."""
+    answer = puppet.tick(request)
+    refusal = Refusal(int(puppet.control["refusal"]))
+    assert answer == (Answer.REFUSED if refusal else Answer.ACCEPTED)
+    return refusal
+
+
+def do(request: Request) -> Act:
+    """Return the act of asking for `request`."""
+    return lambda puppet: void(puppet.tick(request))
+
+
+def give(**values: Any) -> Act:
+    """Return the act of changing inputs without running a tick."""
+    return lambda puppet: void(puppet.give(**values))
+
+
+def void(_: object) -> None: ...
+
+
+def wait(seconds: float) -> Act:
+    return lambda puppet: void(puppet.run(round(seconds / puppet.period)))
+
+
+def until(puppet: Puppet, *states: State, longest: int = 3000) -> State:
+    """Run until the bench is in one of `states`."""
+    for _ in range(longest):
+        if puppet.bench in states:
+            return puppet.bench
+        puppet.tick()
+    return puppet.bench
+
+
+def reach(state: State, *, homed: bool = True, **settings: Any) -> Puppet:
+    """Return a bench in `state`, brought there the way an operator would."""
+    return deepcopy(_reached(state, homed, tuple(settings.items())))
+
+
+@cache
+def _reached(state: State, homed: bool, given: tuple[tuple[str, Any], ...]) -> Puppet:
+    settings = dict(given)
+    puppet = at_power_up(**settings)
+    puppet.run(15)
+    if state is State.STARTING:
+        return puppet
+    puppet.control["warm"] = True
+    puppet.run(round(1000 * puppet.parameters.control["vent_time"][0]) + 20)  # vented
+    if state is State.ESTOP and not homed:
+        return puppet
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    if state is State.SAFE:
+        return puppet
+    if homed or state is State.HOMING:
+        assert asked(puppet, Request.HOME) is Refusal.NONE
+        if state is State.HOMING:
+            return puppet
+        assert until(puppet, State.READY) is State.READY
+    if state in {State.ESTOP, State.FAULT}:
+        change = "supervisor_alive" if state is State.FAULT else "emergency_stop_clear"
+        puppet.give(**{change: False}).tick()
+        puppet.give(**{change: True}).tick()
+        puppet.run(3)
+    elif state is State.ACCESS:
+        assert asked(puppet, Request.ACCESS) is Refusal.NONE
+        puppet.give(guard_locked=False).tick()
+    elif state in {State.ARMED, State.SWINGING, State.RECOVERING}:
+        assert asked(puppet, Request.ARM) is Refusal.NONE
+        puppet.run(420)
+        assert puppet.phase is Phase.HOLD
+        if state is not State.ARMED:
+            assert asked(puppet, Request.SWING) is Refusal.NONE
+            puppet.run(20)
+        if state is State.RECOVERING:
+            assert until(puppet, State.RECOVERING) is State.RECOVERING
+    assert puppet.bench is state
+    return puppet
+
+
+def press(puppet: Puppet) -> None:
+    """Press the button beside the robot and let it go."""
+    for pressed in (False, True, False):
+        puppet.give(local_reset=pressed).tick()
+
+
+def on_the_way(**settings: Any) -> Puppet:
+    """Return a bench that moves to its address with air on."""
+    puppet = reach(State.READY, **settings)
+    puppet.angle = ADDRESS + [0.1, 0.02, -0.1]
+    puppet.run(100)
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+    puppet.run(60)
+    assert (puppet.bench, puppet.phase) == (State.ARMED, Phase.RETURN)
+    assert puppet.record["supply_enable"][0]
+    return puppet
+
+
+def braking(**settings: Any) -> Puppet:
+    """Return a bench that brakes on its way to the address, as nobody wants it there any more."""
+    puppet = on_the_way(**settings)
+    puppet.tick(Request.DISARM)
+    assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)
+    return puppet
+
+
+def full(puppet: Puppet) -> None:
+    """Let air stay in the chambers."""
+    puppet.give(chamber_pressure=(2e5,) * 6).tick()
+
+
+def lose(puppet: Puppet, joint: int = 1) -> None:
+    """Lose an encoder in the next tick, as after five without a sample."""
+    puppet.readings["encoder_valid"][0, joint] = 0
+    puppet.state.estimator["without_sample"][0, joint] = 1.0

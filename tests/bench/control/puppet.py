@@ -1,0 +1,183 @@
+"""The step with joints that are where a test puts them, and readings that a test makes up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan, pi
+from typing import Any
+
+import numpy as np
+
+from bench.control.settings import (
+    SIMULATED,
+    ControlSettings,
+    HomingSettings,
+    LifecycleSettings,
+    build_controller,
+)
+from bench.control.step import ACCEPTED, ARM, SWING, new_control_state, step
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.swing.profile import PHASES, Profile
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
+from sim.compiled import new_record
+from sim.plant import PlantParameters
+
+Array = np.ndarray[Any, Any]
+
+ADDRESS = np.array([0.40, 4.30, 6.10])
+SAMPLES, SPACING = 700, 20
+BEGINS = (0, 100, 200, 300, 400, 500, 600)
+COUNTS = PlantParameters().encoders.counts_per_revolution
+QUICK = ControlSettings(precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
+GOOD = ("emergency_stop_clear", "guard_closed", "guard_locked")
+
+
+def still_profile() -> Profile:
+    """Return a swing that stays at the address, with blind brakes that differ from row to row."""
+    row = np.arange(SAMPLES // SPACING)[:, None]
+    blind = np.hstack([np.cos(row + [0.0, 1.0, 2.0]), 0.02 + 0.001 * (row % 7) + [[0.0, 0.01, 0.02]]])
+    return Profile(
+        "still", "", "", "", 1e-3, BEGINS, np.tile(ADDRESS, (SAMPLES, 1)), np.zeros((SAMPLES, 3)),
+        np.zeros((SAMPLES, 3)), SPACING, blind, (0.25, -1.56), 0.55,
+    )  # fmt: skip
+
+
+STILL = still_profile()
+
+
+class Puppet:
+    """The step with joints that follow its reference at once, and whatever else a test sets."""
+
+    def __init__(
+        self,
+        profile: Profile = STILL,
+        control: ControlSettings = QUICK,
+        tick: float = 1e-3,
+        lifecycle: LifecycleSettings = SIMULATED,
+        homing: HomingSettings = HomingSettings(),  # noqa: B008
+        *,
+        state: State = State.READY,
+        read_only: bool = False,
+    ) -> None:
+        """Stand at the profile's address, which is also where the vented robot hangs."""
+        plant = replace(PlantParameters(), tick=tick)
+        self.parameters = build_controller(
+            plant, profile, control, lifecycle=lifecycle, homing=homing, read_only=read_only
+        )
+        self.parameters.control["home_pose"] = ADDRESS
+        self.state = new_control_state(state)
+        self.readings, self.record, self.cycle = new_record(READINGS), new_record(COMMAND), new_record(CYCLE)
+        self.angle = ADDRESS.copy()
+        self.offset = np.zeros(3)
+        """What the joints miss of the reference."""
+        self.stamp = np.zeros(3)
+        """What the encoders' time stamps are off (s)."""
+        self.follows = True
+        self.time, self.period = 100.0, tick
+        r = self.readings
+        for name in GOOD:
+            r[name] = True
+        r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = 8e5, nan, 1
+        r["encoder_indexed"] = 1
+
+    @property
+    def control(self) -> Any:
+        return self.state.control[0]
+
+    @property
+    def phase(self) -> Phase:
+        return Phase(int(self.control["phase"]))
+
+    @property
+    def bench(self) -> State:
+        """The state of the bench."""
+        return State(int(self.control["state"]))
+
+    @property
+    def reaction(self) -> Reaction:
+        return Reaction(int(self.control["reaction"]))
+
+    @property
+    def cause(self) -> Cause:
+        return Cause(int(self.control["cause"]))
+
+    def give(self, **values: Any) -> Puppet:
+        """Set fields of the readings, or of what the step is told from outside."""
+        for name, value in values.items():
+            record = self.readings if name in (READINGS.names or ()) else self.state.control
+            record[name] = value
+        return self
+
+    def tick(self, request: int = 0) -> int:
+        """Run one tick and return the answer to `request`; 0 if there was none."""
+        self.control["answer"] = 0
+        self.step(request)
+        return int(self.control["answer"])
+
+    def step(self, request: int = 0) -> None:
+        """Run one tick; the last answer stands until there is another."""
+        self.time += self.period
+        r = self.readings
+        seen = self.angle + self.offset
+        r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
+        valid = r["encoder_valid"][0] != 0
+        r["encoder_time"][0, valid] = (self.time + self.stamp)[valid]
+        self.control["request"] = request
+        step(self.state, self.parameters, r, self.time, self.record, self.cycle)
+        if self.follows and self.phase is not Phase.STANDING:
+            self.angle = self.control["reference"].copy()
+
+    def run(self, ticks: int, request: int = 0) -> Array:
+        """Run `ticks` ticks; return their openings (ticks, 3)."""
+        openings = np.zeros((ticks, 3))
+        for k in range(ticks):
+            self.tick(request if k == 0 else 0)
+            openings[k] = self.record["valve"][0]
+        return openings
+
+    def shift(self, joint: int, miss: float) -> None:
+        """Let `joint` miss the reference by `miss`, taking 0.2 s for it."""
+        for value in np.linspace(self.offset[joint], miss, 200):
+            self.offset[joint] = value
+            self.tick()
+
+    def is_without_energy(self) -> bool:
+        return unpack_command(self.record) == PASSIVE
+
+    def hold(self) -> Puppet:
+        """Go to address."""
+        self.run(10)
+        assert self.tick(ARM) == ACCEPTED
+        self.run(400)
+        assert (self.phase, self.reaction) == (Phase.HOLD, Reaction.NONE)
+        return self
+
+    def swing(self, sample: int) -> Puppet:
+        """Hold, then swing up to `sample`."""
+        self.hold()
+        assert self.tick(SWING) == ACCEPTED
+        self.run(sample)
+        assert self.control["swing_sample"] == sample
+        return self
+
+    def enter(self, phase: Phase) -> Puppet:
+        """Be in the middle of `phase`, however it came to that."""
+        if phase in PHASES and phase is not Phase.HOLD:
+            return self.swing(BEGINS[PHASES.index(phase)] + 50)
+        if phase is Phase.STANDING:
+            self.run(10)
+            return self
+        if phase is Phase.RETURN:
+            self.run(10)
+            assert self.tick(ARM) == ACCEPTED
+            self.run(60)
+        elif phase is Phase.HOMING:
+            self.parameters.control["home_by_index"] = True
+            self.give(state=State.SAFE, homed=False, encoder_indexed=0).run(10)
+            assert self.tick(Request.HOME) == ACCEPTED
+            self.run(60)
+        else:
+            self.hold()
+        assert self.phase is phase
+        return self

@@ -1,0 +1,158 @@
+"""Homing on the plant: by the vented pose, and by the index of incremental encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.settings import SIMULATED, HomingSettings, build_controller
+from bench.control.step import ARM, new_control_state
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.lockstep import Lockstep
+from bench.swing.profile import Profile
+from sim.driver import hanging_pose
+from sim.plant import Encoders, PlantParameters, build_plant
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
+)
+
+INDEX = np.array([-0.60, 4.25, 5.90])
+"""Where the marks are (rad)."""
+COUNTS = Encoders().counts_per_revolution
+ZEROS = tuple(float(np.floor(-angle * COUNTS / (2 * pi))) for angle in INDEX)
+PLANT = PlantParameters(encoders=Encoders(incremental=True, zero_count=ZEROS))  # type: ignore[arg-type]
+HOMING = HomingSettings(method="index")
+FASTEST = np.array([2.0, 2.0, 4.5])
+"""rad/s that no joint may exceed while it is homed: it breaks loose from dry friction."""
+
+MakeBench = Callable[..., Lockstep]
+
+
+@pytest.fixture(scope="module")
+def make_bench(default_profile: Profile) -> MakeBench:
+    def make(angle: np.ndarray | None = None, plant: PlantParameters = PLANT) -> Lockstep:
+        start = hanging_pose(plant) if angle is None else angle
+        parameters = build_controller(plant, default_profile, lifecycle=SIMULATED, homing=HOMING)
+        bench = Lockstep(build_plant(plant), parameters, start)
+        bench.state = new_control_state(State.SAFE)
+        bench.advance(20)
+        return bench
+
+    return make
+
+
+def state(bench: Lockstep) -> State:
+    return State(int(bench.state.control["state"][0]))
+
+
+def cause(bench: Lockstep) -> Cause:
+    return Cause(int(bench.state.control["cause"][0]))
+
+
+def home(bench: Lockstep, longest: int = 40_000) -> np.ndarray:
+    """Ask for homing and run until it has ended; return its records."""
+    records = [bench.advance(1, Request.HOME)]
+    assert records[0]["refusal"][0] == 0
+    while state(bench) is State.HOMING and sum(map(len, records)) < longest:
+        records.append(bench.advance(50))
+    return np.concatenate(records)
+
+
+OFFSETS = [(0.0, 0.0, 0.0), (0.25, -0.05, -0.2), (-0.2, -0.05, -0.1), (0.4, -0.1, -0.3)]
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_the_index_is_found_from_several_poses(
+    make_bench: MakeBench, offset: tuple[float, float, float]
+) -> None:
+    bench = make_bench(hanging_pose(PLANT) + offset)
+    assert not bench.readings["encoder_indexed"].any()
+    records = home(bench)
+    assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
+    assert bench.state.control["homed"][0]
+    assert bench.readings["encoder_indexed"].all()
+    assert np.abs(records["applied_valve"]).max() <= HOMING.opening
+    assert (np.abs(records["plant_velocity"]).max(axis=0) < FASTEST).all()
+    bench.advance(500)
+    assert bench.state.estimator["angle"][0] == pytest.approx(bench.plant_state["angle"][0], abs=1e-3)
+    assert bench.arm()
+
+
+def test_one_joint_after_the_other(make_bench: MakeBench) -> None:
+    records = home(make_bench())
+    sought = records["reference_velocity"] != 0.0
+    assert sought.sum(axis=1).max() == 1
+    order = [joint for joint in np.argmax(sought, axis=1)[sought.any(axis=1)]]
+    names = [("shoulder", "arm", "wrist")[joint] for joint in dict.fromkeys(order)]
+    assert names == [name for name in HOMING.order if name in names]
+    assert (np.abs(records["reference_velocity"]).max(axis=0) <= HOMING.speed).all()
+
+
+def test_until_it_is_homed_nothing_else_moves(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    for request in (ARM, Request.SWING, Request.TEE):
+        assert bench.advance(1, request)["answer"][0] == 2
+    assert not bench.advance(500)["supply_enable"].any()
+
+
+def failed(bench: Lockstep) -> None:
+    assert (state(bench), cause(bench)) == (State.FAULT, Cause.HOMING_FAILED)
+    assert not bench.state.control["homed"][0]
+    assert not bench.advance(200)["supply_enable"].any()
+    assert bench.advance(1, Request.RESET)["answer"][0] == 1
+    assert state(bench) is State.SAFE
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_lost_index_ends_the_search(make_bench: MakeBench, joint: int) -> None:
+    bench = make_bench()
+    bench.plant_state["index_fitted"][0, joint] = 0
+    before = bench.plant_state["angle"][0, joint]
+    home(bench)
+    assert abs(bench.plant_state["angle"][0, joint] - before) < HOMING.travel[joint] + 0.3
+    assert bench.plant_state["stop_energy"].max() < 5.0
+    failed(bench)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_stuck_joint_ends_the_search(make_bench: MakeBench, joint: int) -> None:
+    name = ("shoulder", "right_arm", "wrist")[joint]
+    actuator = getattr(PLANT, name)
+    rust = replace(actuator.friction, coulomb=2000.0, static=2000.0)
+    bench = make_bench(plant=replace(PLANT, **{name: replace(actuator, friction=rust)}))
+    records = home(bench)
+    assert Reaction.PASSIVE in records["reaction"]
+    failed(bench)
+
+
+def test_a_guard_opened_in_the_search_brakes_and_latches(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.advance(1, Request.HOME)
+    bench.advance(2600)
+    assert bench.state.control["phase"][0] == Phase.HOMING
+    bench.plant_state["guard_closed"] = False
+    records = bench.advance(2000)
+    assert (records["reaction"][1], records["state"][1]) == (Reaction.BRAKE, State.HOMING)
+    assert (state(bench), cause(bench)) == (State.FAULT, Cause.GUARD)
+    assert not bench.state.control["homed"][0]
+    bench.plant_state["guard_closed"] = True
+    bench.advance(10)
+    assert bench.advance(1, Request.RESET)["answer"][0] == 1
+    assert state(bench) is State.SAFE
+    home(bench)
+    assert state(bench) is State.READY
+
+
+def test_disarming_ends_the_search_in_order(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.advance(1, Request.HOME)
+    bench.advance(2600)
+    assert bench.advance(1, Request.DISARM)["answer"][0] == 1
+    bench.advance(2000)
+    assert (state(bench), cause(bench)) == (State.SAFE, Cause.NONE)
