@@ -42,6 +42,9 @@ VARIANTS = Path(__file__).with_name("configurations")
 LONGEST_SUBSTEP = 0.00025
 """s; the plant's delivery is converged up to this internal step."""
 
+LONGEST_ANSWER = 0.7
+"""Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
+
 _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
 _DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
 
@@ -448,6 +451,28 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield "plant.site.ball_y", found, wanted, "Move the ball nearer, or take a longer club."
 
 
+def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    if c.driver.name != "canopen":
+        return
+    from drivers.canopen.frames import GREATEST_LOAD, bus_load, greatest_rate
+
+    bus, period = c.canopen, 1.0 / c.loop.rate
+    load = bus_load(bus, period, c.driver.watchdog)
+    if load > GREATEST_LOAD:
+        found = f"{bus.bitrate} bit/s, a bus load of {load:.0%} at {short(c.loop.rate)} Hz"
+        slower = int(greatest_rate(bus, c.driver.watchdog))
+        yield (
+            "canopen.bitrate",
+            found,
+            f"at most {GREATEST_LOAD:.0%}",
+            f"Raise it, or set loop.rate to {slower} Hz.",
+        )
+    longest = LONGEST_ANSWER * period
+    if bus.answer_time > longest:
+        found = f"{short(bus.answer_time)} s"
+        yield "canopen.answer_time", found, f"at most {short(longest)} s, part of the period", "Lower it."
+
+
 _CHECKS: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
-    _names, _network, _actuators, _linkage, _times, _air, _site,
+    _names, _network, _actuators, _linkage, _times, _air, _site, _bus,
 )  # fmt: skip

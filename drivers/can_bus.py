@@ -118,10 +118,15 @@ class LocalSocketBus(can.BusABC):
             except OSError:  # it has gone
                 self._peers.pop(name).close()
         if self._own:
-            self._waiting.append(frame)
+            self._waiting.append(stamped)
 
     def receive_frame(self, timeout: float | None) -> bytes | None:
         """Return the next frame (FRAME) that passes the filters; None when there is none for `timeout` s."""
+        stamped = self._next(timeout)
+        return None if stamped is None else stamped[: FRAME.size]
+
+    def _next(self, timeout: float | None) -> bytes | None:
+        """Return the next frame with its stamp."""
         waiting, begin = self._waiting, time.monotonic() if timeout else 0.0
         left = timeout
         while not waiting:
@@ -132,8 +137,8 @@ class LocalSocketBus(can.BusABC):
                 self._admit()
                 ready.remove(self._listener)
             if len(ready) == 1:
-                if frame := self._take(ready[0]):
-                    waiting.append(frame[: FRAME.size])
+                if stamped := self._take(ready[0]):
+                    waiting.append(stamped)
             elif ready:
                 self._merge(ready)
             if timeout:
@@ -161,7 +166,7 @@ class LocalSocketBus(can.BusABC):
             while (stamped := self._take(peer)) is not None:
                 taken.append(stamped)
         taken.sort(key=itemgetter(slice(FRAME.size, None)))
-        self._waiting += [stamped[: FRAME.size] for stamped in taken if stamped]
+        self._waiting += filter(None, taken)
 
     def _passes(self, frame: bytes) -> bool:
         """Whether the filters let `frame` in; error frames always pass, as in the kernel."""
@@ -217,8 +222,11 @@ class LocalSocketBus(can.BusABC):
             raise can.CanOperationError(f"Failed to transmit: {error.strerror}", error.errno) from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame = self.receive_frame(timeout)
-        return (None if frame is None else message_of(frame, self.channel_info)), True
+        stamped = self._next(timeout)
+        if stamped is None:
+            return None, True
+        age = time.monotonic_ns() - int.from_bytes(stamped[FRAME.size :], "big")
+        return message_of(stamped[: FRAME.size], self.channel_info, time.time() - 1e-9 * age), True
 
     def _apply_filters(self, filters: Any) -> None:
         chosen = []
@@ -240,11 +248,11 @@ class LocalSocketBus(can.BusABC):
         self._readable.clear()
 
 
-def message_of(frame: bytes, channel: str) -> can.Message:
-    """Return `frame` (FRAME) as python-can has it."""
+def message_of(frame: bytes, channel: str, timestamp: float = 0.0) -> can.Message:
+    """Return `frame` (FRAME) as python-can has it, `timestamp` in s of time.time."""
     identifier, length, data = FRAME.unpack(frame)
     return can.Message(
-        timestamp=time.time(),
+        timestamp=timestamp,
         arbitration_id=identifier & (0x1FFFFFFF if identifier & EXTENDED else 0x7FF),
         is_extended_id=bool(identifier & EXTENDED),
         is_remote_frame=bool(identifier & REMOTE),

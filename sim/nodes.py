@@ -186,7 +186,8 @@ class BenchNodes:
         count = self.readings.encoder_count[joint]
         if not self.readings.encoder_valid[joint]:
             return count
-        ahead = max(0.0, min(self._now - self._instant, _LONGEST_EXTRAPOLATION)) + self._latency
+        limit = _LONGEST_EXTRAPOLATION
+        ahead = max(-limit, min(limit, self._now - self._instant)) + self._latency
         speed, before = self._speed[joint], self._speed_before[joint]
         turned = ahead * (speed + 0.5 * ahead * (speed - before) / self._tick)
         return count + round(turned * self._scale[joint])
@@ -255,7 +256,10 @@ def _live(
         while left and (message := bus.receive(max(0.0, grid.instant - clock()))) is not None:
             left -= 1
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-                nodes.hear(message.arbitration_id, bytes(message.data), clock())
+                # The stamp of the bus, not this process' turn, is when a device latches its shaft at a SYNC.
+                age = time.time() - message.timestamp
+                heard = clock() - (age if 0.0 < age < _LONGEST_EXTRAPOLATION else 0.0)
+                nodes.hear(message.arbitration_id, bytes(message.data), heard)
         now = clock()
         late = now - grid.instant
         if late < 0.0:

@@ -146,6 +146,8 @@ class CanopenDriver:
         self._seen, self._faulty = [False] * 3, [False] * 3
         self._awaited = 0
         self._sync_time = ABSENT
+        self._in_time = False
+        """Answers that come now are those of this tick's SYNC."""
         self._inputs = 0
         self._pressures = dict.fromkeys(range(255), ABSENT)
         self._pressures_heard = [-math.inf, -math.inf]
@@ -251,7 +253,7 @@ class CanopenDriver:
         Raises:
             DriverError: one does not.
         """
-        self._awaited, self._sync_time = _ALL, self._time
+        self._awaited, self._in_time = _ALL, True
         self._put(self._sync)
         end = self.clock() + self.settings.service_time
         while self._awaited and (left := end - self.clock()) > 0.0:
@@ -295,7 +297,8 @@ class CanopenDriver:
     def read(self, time: float) -> Readings:
         """Let the encoders sample now and return what they and the inputs show.
 
-        Takes up to `answer_time` when a sample is missing. A sample's time is that of its SYNC, `time`.
+        Takes up to `answer_time` when a sample is missing. A sample's time is that of its SYNC: `time`, and
+        what it took to get there.
 
         Raises:
             DriverError: not open, or `time` is not finite or before the last one.
@@ -311,6 +314,8 @@ class CanopenDriver:
         self._listened += min(time - self._time, _LONGEST_STEP * self.period)
         self._time = time
         counters, clock = self.counters, self.clock
+        begin = clock()
+        self._in_time = False
         try:
             for _ in range(_MOST_WAITING):  # what came since the last tick
                 waiting = link.receive_frame(0.0)
@@ -322,9 +327,10 @@ class CanopenDriver:
             if self._awaited:
                 counters.missing += self._awaited.bit_count()
                 self._awaited = 0
+            sync = clock()
             if self._send(link, self._sync):
                 counters.syncs += 1
-                self._sync_time, self._awaited = time, _ALL
+                self._sync_time, self._awaited, self._in_time = time + (sync - begin), _ALL, True
                 end = clock() + self.settings.answer_time
                 while self._awaited and (left := end - clock()) > 0.0:
                     waiting = link.receive_frame(left)
@@ -449,7 +455,7 @@ class CanopenDriver:
             counters.duplicates += 1
             return
         self._awaited &= ~bit
-        if self._sync_time == self._time:
+        if self._in_time:
             counters.positions += 1
         else:
             counters.late += 1

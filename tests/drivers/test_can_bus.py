@@ -89,6 +89,16 @@ def test_frames_of_several_senders_come_in_the_order_of_sending(join: Join) -> N
     assert [got.arbitration_id for got in heard(reader)] == list(range(150))
 
 
+def test_a_message_bears_the_time_of_its_sending(join: Join) -> None:
+    first, second = join(), join()
+    before = time.time()
+    first.send(message())
+    after = time.time()
+    time.sleep(0.05)
+    (got,) = heard(second)
+    assert before - 0.01 < got.timestamp < after + 0.01
+
+
 def test_own_frames_come_back_when_asked_for(join: Join) -> None:
     bus = join(receive_own_messages=True)
     bus.send(message())

@@ -23,8 +23,6 @@ PERIOD = 0.001
 PLANT = PlantParameters()
 START = (0.2, 4.3, 6.0)
 SETTINGS = CanopenSettings(interface="local_socket")
-FRAME_TIME = 1e-6
-"""s that taking a frame lasts."""
 
 Meddler = Callable[[int, bytes], list[tuple[int, bytes]]]
 """What becomes of a node's frame on its way to the driver."""
@@ -40,6 +38,8 @@ class Wire:
         self.now = 0.0
         self.queue: deque[bytes] = deque()
         self.sent: list[tuple[int, bytes]] = []
+        self.frame_time = 0.0
+        """s that taking a frame lasts."""
         self.deaf = False
         """The driver's frames do not reach the nodes."""
         self.refuse: OSError | None = None
@@ -64,9 +64,9 @@ class Wire:
     def receive_frame(self, timeout: float) -> bytes | None:
         if self.break_receiving is not None:
             raise self.break_receiving
-        self.now += FRAME_TIME
+        self.now += self.frame_time
         if not self.queue and timeout:
-            self.pass_time(timeout)
+            self.pass_time(max(timeout, 1e-6))
         return self.queue.popleft() if self.queue else None
 
     def shutdown(self) -> None:

@@ -68,6 +68,15 @@ def test_a_sample_bears_the_time_of_its_sync(bench: Bench) -> None:
     assert readings.encoder_count == bench.wire.nodes.readings.encoder_count
 
 
+def test_what_comes_before_the_sync_counts_into_the_samples_time(bench: Bench) -> None:
+    bench.run(1)
+    bench.wire.frame_time = 1e-5
+    for _ in range(7):
+        bench.wire.put(0x555)
+    readings = bench.run(1)
+    assert readings.encoder_age == pytest.approx((-8e-5,) * 3, abs=1e-9)  # the eighth look finds nothing
+
+
 def test_openings_become_volts_and_switches_bits(bench: Bench) -> None:
     bench.run(1, Command((1.0, -1.0, 0.0), supply_enable=True, exhaust_closed=True, tee=True))
     a, b, c, outputs = bench.wire.commands[-1]
@@ -330,6 +339,7 @@ def test_overruns_and_error_passive_are_counted_only(bench: Bench) -> None:
 
 def test_a_babbling_node_does_not_hold_the_tick(bench: Bench) -> None:
     bench.run(2)
+    bench.wire.frame_time = 1e-6
     for _ in range(2000):
         bench.wire.put(0x282, bytes(4))
     bench.run(1)
