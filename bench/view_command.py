@@ -238,7 +238,7 @@ def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout
 
 
 def _say_where(window: RerunWindow | None) -> None:
-    if window is not None and window.web_port is not None:
+    if window is not None and window.page is not None:
         typer.echo(window.page)
 
 

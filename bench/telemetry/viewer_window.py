@@ -2,7 +2,7 @@
 
 Rerun listens on all interfaces unless told otherwise, and sends usage statistics unless told otherwise. So it
 is started with `--bind 127.0.0.1` and with a configuration folder of its own in which the statistics are
-switched off, which is read back before it starts.
+switched off, which is read back before it starts; its web page comes with a policy (`viewer_page`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from typing import Literal, Self
 from urllib.parse import quote
 
 from bench.errors import BenchError, ExitCode
-
-LOOPBACK = "127.0.0.1"
+from bench.telemetry.viewer_page import LOOPBACK, ViewerPage
 
 Kind = Literal["window", "web", "headless"]
 """On the screen, for a browser, or without any picture but screenshots."""
@@ -112,16 +111,17 @@ class RerunWindow:
                 "screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", "one for the viewer's window",
                 "Use --web and a browser, or --save FILE.",
             )  # fmt: skip
+        self._page: ViewerPage | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
         try:
             folder = Path(self._folder.name)
             environment = quiet_environment(folder, os.environ)
             environment.setdefault("XDG_RUNTIME_DIR", str(folder))
             self.port = free_port() if port is None else port
-            self.web_port = None if kind != "web" else free_port() if web_port is None else web_port
+            source_port = free_port() if kind == "web" else None
             arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
-            if self.web_port is not None:
-                arguments += ["--serve-web", "--web-viewer-port", str(self.web_port)]
+            if source_port is not None:
+                arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
                 arguments += ["--server-memory-limit", memory_limit]
             else:
                 arguments += ["--memory-limit", memory_limit]
@@ -132,7 +132,9 @@ class RerunWindow:
                 [str(rerun_program()), *arguments],
                 env=environment, stdin=subprocess.DEVNULL, stdout=self._said, stderr=self._said,
             )  # fmt: skip
-            self._wait_until_it_listens()
+            self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
+            if source_port is not None:
+                self._page = _page(web_port or 0, source_port, self.port)
         except BaseException:
             self.close()
             raise
@@ -161,12 +163,17 @@ class RerunWindow:
         return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
 
     @property
-    def page(self) -> str:
-        """What a browser of this machine opens."""
-        return f"http://{LOOPBACK}:{self.web_port}/?url={quote(self.url, safe='')}"
+    def page(self) -> str | None:
+        """What a browser of this machine opens; None without --web."""
+        if self._page is None:
+            return None
+        return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.url, safe='')}"
 
     def close(self) -> None:
         """End it. Allowed twice."""
+        if self._page is not None:
+            self._page.close()
+            self._page = None
         process = getattr(self, "_process", None)
         if process is not None and process.poll() is None:
             process.terminate()
@@ -179,9 +186,8 @@ class RerunWindow:
             said.close()
         self._folder.cleanup()
 
-    def _wait_until_it_listens(self) -> None:
+    def _wait_until_it_listens(self, ports: list[int]) -> None:
         deadline = time.monotonic() + _START
-        ports = [port for port in (self.port, self.web_port) if port is not None]
         while not all(map(_listens, ports)):
             if not self.alive or time.monotonic() > deadline:
                 self._said.seek(0)
@@ -192,6 +198,15 @@ class RerunWindow:
                     "it to open its window and listen", "Try --web, or --save FILE.",
                 )  # fmt: skip
             time.sleep(0.05)
+
+
+def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
+    try:
+        return ViewerPage(port, source_port, data_port)
+    except OSError as error:
+        raise BenchError(
+            f"--port {port}", error.strerror or str(error), "a free port", "Name another one, or none."
+        ) from None
 
 
 def free_port() -> int:

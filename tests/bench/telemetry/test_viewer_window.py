@@ -21,8 +21,8 @@ from bench.errors import BenchError
 from bench.telemetry.rerun_blueprint import live_blueprint
 from bench.telemetry.rerun_scene import log_static_scene
 from bench.telemetry.rerun_signals import bench_time, log_styles, send_scalars
+from bench.telemetry.viewer_page import LOOPBACK
 from bench.telemetry.viewer_window import (
-    LOOPBACK,
     RerunWindow,
     checked_memory,
     free_port,
@@ -52,12 +52,18 @@ def test_the_web_viewer_listens_on_the_loopback_only() -> None:
         stream.log("x", rr.Scalars(1.0))
         stream.flush(timeout_sec=HURRY)
         addresses = listening(window.pid) + listening(os.getpid())
+        assert window.page is not None
         with urlopen(window.page, timeout=HURRY) as page:  # noqa: S310 - its own page
             assert page.status == 200
+            policy = page.headers["Content-Security-Policy"]
+            assert b"<canvas" in page.read()
         stream.disconnect()
     assert len(addresses) >= 2
     assert all(ipaddress.ip_address(address).is_loopback for address in addresses)
     assert not window.alive
+    places = [source for rule in policy.split("; ") for source in rule.split()[1:] if ":" in source]
+    assert set(places) == {"data:", "blob:", f"http://127.0.0.1:{window.port}"}
+    assert policy.startswith("default-src 'none'; ")
 
 
 def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path: Path) -> None:
@@ -155,6 +161,13 @@ def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
     monkeypatch.setattr("bench.telemetry.viewer_window.quiet_environment", lambda folder, e: dict(e))
     with pytest.raises(BenchError, match="ended with 3: no graphics here"):
         RerunWindow("web", "10MB")
+
+
+def test_a_port_in_use_is_told() -> None:
+    with RerunWindow("web", "10MB") as window:
+        assert window._page is not None
+        with pytest.raises(BenchError, match="--port"):
+            RerunWindow("web", "10MB", web_port=window._page.port)
 
 
 def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
