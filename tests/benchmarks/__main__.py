@@ -30,6 +30,7 @@ LONG = (
     "kills",
     "soak",
     "campaign_kills",
+    "campaign_speed",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -76,7 +76,7 @@ def table(folder: Path, entry: CampaignEntry) -> tuple[str, CampaignState, int]:
             if not (content.startswith(b"PAR1") and content.endswith(b"PAR1")):
                 raise RuntimeError(f"{one.file} is no whole Parquet file")
     struck = sum(number for hit, number in hits.items() if hit.kind == "ball")
-    if struck != sum(one.shot.ball_speed_mps is not None for one in stored):
+    if struck != sum(one.shot.club_speed_mps is not None for one in stored):
         raise RuntimeError(f"{struck} hits of {len(stored)} shots")
     return shot_table_text([one.shot for one in stored]), standing.state, len(stored)
 

@@ -1,0 +1,116 @@
+"""How long a thousand simulated shots take with everything stored, and the report of ten thousand.
+
+The thousand are swung in lock-step, cycles written and synced; the greatest memory after a fifth of them and
+at the end tells whether it grows. The ten thousand of the report are drawn, not swung. Options: `--shots N`,
+`--report N`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from bench.campaign.campaign_report import load_record, write_campaign_report
+from bench.campaign.findings import findings
+from bench.campaign.operate import new_entry, run_simulated
+from bench.campaign.plan import Plan, load_plan
+from bench.campaign.runner import Watcher
+from bench.campaign.shot import Shot
+from bench.campaign.simulated import BEGIN
+from bench.config import load_configuration
+from bench.simulate import never
+from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
+from bench.store.database import database_url, open_database
+from tests.benchmarks.campaign_statistics import Truth, campaign_shots
+from tests.benchmarks.row import Row
+
+TITLE = "campaign speed"
+
+
+class Clock(Watcher):
+    """Notes time and greatest memory at each shot."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.memory: list[int] = []
+
+    def shot(self, shot: Shot) -> None:
+        """Note a shot."""
+        self.times.append(time.perf_counter())
+        self.memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def plan_of(shots: int) -> Plan:
+    """Return two balls with a control ball in blocks of five."""
+    plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
+    return replace(
+        plan,
+        design=replace(plan.design, blocks=shots // 5),
+        stop=replace(plan.stop, rule="fixed"),
+        ball_handling=replace(plan.ball_handling, samples=1000),
+    )
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Swing, store and report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--shots", type=int, default=1000)
+    parser.add_argument("--report", type=int, default=10_000)
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        return [
+            *_swung(Path(folder) / "swung", given.shots),
+            *_reported(Path(folder) / "drawn", given.report),
+        ]
+
+
+def _swung(folder: Path, shots: int) -> list[Row]:
+    configuration = load_configuration(Path("shipped"))
+    configuration = replace(configuration, bench=replace(configuration.bench, data_dir=folder))
+    plan, clock = plan_of(shots), Clock()
+    entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    with open_database(database_url("", folder)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        begun, cpu = time.perf_counter(), time.process_time()
+        outcome = run_simulated(entry, configuration, store, clock, never)
+        took, busy = time.perf_counter() - begun, time.process_time() - cpu
+        stored = store.shots(entry.id)
+    if outcome.state is not CampaignState.FINISHED or len(stored) != len(clock.times):
+        raise RuntimeError(f"{outcome}")
+    size = sum(one.bytes for one in stored) / len(stored)
+    grown = (clock.memory[-1] - clock.memory[len(clock.memory) // 5]) / 1024
+    note = f"of {len(stored)} shots; {busy:.1f} s of processor time; {size / 1e6:.2f} MB a swing"
+    return [
+        Row(
+            TITLE, "simulated and stored", took * 1000 / len(stored), "s a thousand shots", note, at_most=60.0
+        ),
+        Row(TITLE, "memory gained after the first fifth", grown, "MB", at_most=20.0),
+    ]
+
+
+def _reported(folder: Path, shots: int) -> list[Row]:
+    configuration = load_configuration(Path("shipped"))
+    plan = plan_of(shots)
+    entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    with open_database(database_url("", folder)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        drawn = [
+            replace(shot, club_speed_mps=42.9, attack_angle_deg=0.5, dynamic_loft_deg=11.1, strike_x_mm=0.1,
+                    ball_speed_mps=62.0, carry_side_m=-2.0 + shot.shot % 7 / 7, total_m=190.0)
+            for shot in campaign_shots(plan, Truth(), 1)
+        ]  # fmt: skip
+        store.add(entry, [StoredShot(shot) for shot in drawn])
+        begun = time.perf_counter()
+        record = load_record(store, entry)
+        write_campaign_report(folder / "report.html", record, findings(record.plan, record.shots))
+        took = time.perf_counter() - begun
+    size = (folder / "report.html").stat().st_size / 1e6
+    note = f"of {len(drawn)} shots, {size:.1f} MB"
+    return [Row(TITLE, "report", took, "s", note, at_most=10.0)]
