@@ -135,6 +135,11 @@ class CanopenDriver:
         )  # fmt: skip
         self._pressure_zero = valve_node.pressure_at_zero
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
+        self._pressure_groups = pressure_groups(valve_node)
+        self._supply, self._chambers = valve_node.supply_pressure, valve_node.chamber_pressures
+        self._longest_silence = _MISSED * self.settings.heartbeat
+        self._longest_without_inputs = _MISSED * self.settings.interlock_period
+        self._longest_without_pressures = _MISSED * self.settings.pressure_ticks * period
         self._takers = self._make_takers()
         self._forget()
 
@@ -397,9 +402,9 @@ class CanopenDriver:
 
     def _readings(self, time: float) -> Readings:
         inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
-        node, seen, faulty = self.settings.valve_node, self._seen, self._faulty
+        seen, faulty = self._seen, self._faulty
         a, b, c = self._sampled
-        p1, p2, p3, p4, p5, p6 = node.chamber_pressures
+        p1, p2, p3, p4, p5, p6 = self._chambers
         return Readings(
             time,
             (self._count[0], self._count[1], self._count[2]),
@@ -409,7 +414,7 @@ class CanopenDriver:
             inputs & bits[0] != 0,
             inputs & bits[1] != 0,
             inputs & bits[2] != 0,
-            pressures[node.supply_pressure],
+            pressures[self._supply],
             inputs & bits[3] != 0,
             inputs & bits[4] != 0,
             (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
@@ -428,7 +433,7 @@ class CanopenDriver:
             takers[SERVICE_ANSWER + number] = partial(self._take_answer, number)
         node = self.settings.valve_node
         takers[TPDO1 + node.node] = self._take_inputs
-        for n, (base, group) in enumerate(zip((TPDO2, TPDO3), pressure_groups(node), strict=False)):
+        for n, (base, group) in enumerate(zip((TPDO2, TPDO3), self._pressure_groups, strict=False)):
             packed = struct.Struct(f"<{len(group)}h")
             takers[base + node.node] = partial(self._take_pressures, n, group, packed)
         return takers
@@ -529,19 +534,17 @@ class CanopenDriver:
 
     def _supervise(self) -> None:
         """Notice who is silent for too long."""
-        time = self._listened
-        longest = _MISSED * self.settings.heartbeat
-        for index in range(4):
-            if time - self._heard[index] > longest:
-                who = f"node {self._numbers[index]} ({self._roles[index]})"
-                self._note_trouble(f"{who} has sent no heartbeat for {longest:g} s")
-        if time - self._inputs_heard > _MISSED * self.settings.interlock_period:
+        now = self._listened
+        if now - min(self._heard) > self._longest_silence:
+            index = self._heard.index(min(self._heard))
+            who = f"node {self._numbers[index]} ({self._roles[index]})"
+            self._note_trouble(f"{who} has sent no heartbeat for {self._longest_silence:g} s")
+        if now - self._inputs_heard > self._longest_without_inputs:
             self._note_trouble("the interlocks have not come for three of their periods")
-        stale = _MISSED * self.settings.pressure_ticks * self.period
-        for n, group in enumerate(pressure_groups(self.settings.valve_node)):
-            if time - self._pressures_heard[n] > stale and self._pressures_heard[n] > -math.inf:
+        for n, heard in enumerate(self._pressures_heard):
+            if now - heard > self._longest_without_pressures and heard > -math.inf:
                 self._pressures_heard[n] = -math.inf
-                for channel in group:
+                for channel in self._pressure_groups[n]:
                     self._pressures[channel] = ABSENT
 
     # The start-up's side of the bus --------------------------------------------------------------
