@@ -32,6 +32,7 @@ _START = 30.0
 _END = 5.0
 _FORCED = "FORCE_RERUN_ANALYTICS"
 """Environment variable that would switch the statistics on again."""
+_PROXIES = tuple(f(f"{name}_proxy") for name in ("all", "http", "https") for f in (str.lower, str.upper))
 _SIZE = re.compile(r"[1-9][0-9]*(\.[0-9]+)?([kKMGT]i?B|%)")
 
 
@@ -78,6 +79,10 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
         ViewerFailed: they could not be switched off.
     """
     quiet = {key: value for key, value in environment.items() if key != _FORCED}
+    # It asks the internet for newer versions of itself too: there is a proxy for that which nobody serves.
+    quiet |= dict.fromkeys(_PROXIES, f"http://{LOOPBACK}:9") | dict.fromkeys(
+        ("NO_PROXY", "no_proxy"), LOOPBACK
+    )
     quiet |= {"XDG_CONFIG_HOME": str(folder / "config"), "XDG_DATA_HOME": str(folder / "data")}
     command = [str(rerun_program()), "analytics", "disable"]
     subprocess.run(command, env=quiet, capture_output=True, timeout=_START, check=False)

@@ -112,6 +112,8 @@ def wait_for_end_of(file: Path, last: float) -> Recording:
 def test_usage_statistics_are_off_and_it_is_verified(tmp_path: Path) -> None:
     quiet = quiet_environment(tmp_path, {**os.environ, "FORCE_RERUN_ANALYTICS": "1"})
     assert "FORCE_RERUN_ANALYTICS" not in quiet
+    assert {quiet[name] for name in ("ALL_PROXY", "https_proxy", "HTTP_PROXY")} == {"http://127.0.0.1:9"}
+    assert quiet["NO_PROXY"] == "127.0.0.1"
     shown = subprocess.run(
         [str(rerun_program()), "analytics", "config"], env=quiet, capture_output=True, check=True, text=True
     ).stdout
