@@ -155,7 +155,7 @@ class CanopenDriver:
         """Answers that come now are those of this tick's SYNC."""
         self._inputs = 0
         self._pressures = dict.fromkeys(range(255), ABSENT)
-        self._pressures_heard = [-math.inf, -math.inf]
+        self._pressures_heard = [-math.inf] * len(self._pressure_groups)
         self._heard = [0.0] * 4
         self._listened = 0.0
         """s for which the loop has listened: the clock by which silence is judged."""
@@ -220,6 +220,10 @@ class CanopenDriver:
         for joint in range(3):
             self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
         self._inputs = valve_node.read(0x6000, 1, "inputs")
+        for channel in self.settings.valve_node.analogue_inputs:
+            count = valve_node.read(0x6401, channel, "pressure")
+            self._pressures[channel] = self._pressure_of(count - (count >> 15 << 16))
+        self._pressures_heard = [0.0] * len(self._pressure_groups)
         self._states = [-1] * 4
         for node in nodes:
             self._order(_START, node.number)
@@ -483,7 +487,11 @@ class CanopenDriver:
         self.counters.pressures += 1
         self._pressures_heard[n] = self._listened
         for channel, count in zip(group, packed.unpack(data), strict=True):
-            self._pressures[channel] = self._pressure_zero + self._pressure_scale * count
+            self._pressures[channel] = self._pressure_of(count)
+
+    def _pressure_of(self, count: int) -> float:
+        """Return Pa absolute."""
+        return self._pressure_zero + self._pressure_scale * count
 
     def _take_heartbeat(self, index: int, data: bytes) -> None:
         if len(data) != 1:

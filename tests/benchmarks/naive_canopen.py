@@ -28,6 +28,8 @@ class NaiveTick:
         loaded = cantools.database.load_string(describe(settings, period, watchdog), "dbc")
         assert isinstance(loaded, Database)
         self._bus, self._database = bus, loaded
+        self._beat = can.Message(arbitration_id=0x700 + settings.master, is_extended_id=False, data=b"\x05")
+        self._beaten, self._beat_period = 0.0, watchdog / 3.0
         self._sync = can.Message(arbitration_id=0x80, is_extended_id=False, data=b"")
         network = canopen.Network(bus)
         node = canopen.RemoteNode(settings.valve_node.node, str(_EDS))
@@ -42,6 +44,9 @@ class NaiveTick:
 
     def run(self, command: Command) -> tuple[object, ...]:
         """Do one tick; return positions, inputs and pressures."""
+        if time.monotonic() - self._beaten > self._beat_period:
+            self._beaten = time.monotonic()
+            self._bus.send(self._beat)
         self._bus.send(self._sync)
         missing, end = set(_POSITIONS), time.monotonic() + self._answer_time
         while missing and (left := end - time.monotonic()) > 0.0:

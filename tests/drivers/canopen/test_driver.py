@@ -95,6 +95,13 @@ def test_the_passive_command_is_the_centre_and_no_energy(bench: Bench) -> None:
     assert bench.wire.in_force == PASSIVE
 
 
+def test_inputs_and_pressures_are_known_from_the_first_tick_on(bench: Bench) -> None:
+    readings = bench.run(1, PASSIVE)
+    assert readings.emergency_stop_clear
+    assert readings.chamber_pressure == pytest.approx((101325,) * 6, abs=60)
+    assert bench.driver.counters.pressures == 0
+
+
 def test_interlocks_come_on_change_and_pressures_at_their_pace(bench: Bench) -> None:
     bench.run(20, PASSIVE)
     assert bench.readings[-1].supply_pressure == pytest.approx(101325, abs=60)
