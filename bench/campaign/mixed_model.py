@@ -26,6 +26,9 @@ from bench.campaign.shot import Shot
 _LEAST, _MOST = -8.0, 18.0
 """Bounds of log(variance of a shot / variance of an effect); the upper one is an effect of nothing."""
 
+_BALLS = 300
+"""Balls up to which each has an effect of its own; of more each is hit too seldom to have one."""
+
 
 @dataclass(frozen=True)
 class MixedPair:
@@ -45,7 +48,7 @@ class MixedModel:
 
     block_deviation: float
     ball_deviation: float | None
-    """Between balls of one model; None where each model had one ball only."""
+    """Between balls of one model; None where each model had one ball only, or very many."""
     deviation: float
     """Of one shot."""
     freedom: float
@@ -77,9 +80,9 @@ def mixed_model(plan: Plan, shots: Sequence[Shot]) -> MixedModel | None:
     kept, y = [every[index] for index in chosen], values[chosen]
     level = np.array([present.index(getattr(s, factor)) for s in kept])
     _, block = np.unique([s.block for s in kept], return_inverse=True)
-    balls = sorted({(s.ball, s.sample) for s in kept})
-    by_ball = factor == "ball" and len(present) < len(balls) < len(kept)
-    ball = np.array([balls.index((s.ball, s.sample)) for s in kept]) if by_ball else None
+    balls = {ball: code for code, ball in enumerate(sorted({(s.ball, s.sample) for s in kept}))}
+    by_ball = factor == "ball" and len(present) < len(balls) <= min(_BALLS, len(kept) - 1)
+    ball = np.array([balls[s.ball, s.sample] for s in kept]) if by_ball else None
     fit = fit_reml(y, level, block, ball)
     freedom = float(len(balls) - len(present) if by_ball else len(kept) - len(present) - block.max())
     if freedom < 1:

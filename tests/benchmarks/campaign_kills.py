@@ -49,10 +49,9 @@ def run_once(plan: Plan, configuration: Configuration, entry: CampaignEntry, bat
         runner.run(course_of(plan, profiles, configuration.plant.robot.lie), never)
 
 
-def begin(plan: Plan, folder: Path) -> tuple[Configuration, CampaignEntry]:
+def begin(plan: Plan, shipped: Configuration, folder: Path) -> tuple[Configuration, CampaignEntry]:
     """Begin a campaign with its records in `folder`."""
-    configuration = load_configuration(Path("shipped"))
-    configuration = replace(configuration, bench=replace(configuration.bench, data_dir=folder))
+    configuration = replace(shipped, bench=replace(shipped.bench, data_dir=folder))
     entry = new_entry(plan, configuration, BEGIN, simulated=True)
     with open_database(database_url("", folder)) as engine:
         CampaignStore(engine).begin(entry)
@@ -86,10 +85,11 @@ def kill_and_resume(
 ) -> tuple[int, int, bool]:
     """Return how many kills hit a running campaign, its shots, and whether it came out as if run through."""
     through, broken = folder / "through", folder / "broken"
+    shipped = load_configuration(Path("shipped"))
     random = np.random.default_rng(seed)
     context = multiprocessing.get_context("fork")
     # This process loads the model but starts no thread of its own, so that it may be forked.
-    configuration, entry = begin(plan, broken)
+    configuration, entry = begin(plan, shipped, broken)
     SimulatedShots(plan, configuration, require_swings(plan, configuration), never).arm_all()
     killed, before = 0, 0
     while killed < kills:
@@ -114,7 +114,7 @@ def kill_and_resume(
     last.start()
     last.join()
     last.close()
-    other, twin = begin(plan, through)
+    other, twin = begin(plan, shipped, through)
     whole = context.Process(target=run_once, args=(plan, other, twin, 50))
     whole.start()
     whole.join()
