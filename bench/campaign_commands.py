@@ -12,7 +12,7 @@ import typer
 from bench.session import Session
 
 if TYPE_CHECKING:
-    from bench.campaign.baseline import Checked
+    from bench.campaign.baseline import Band, Checked
     from bench.campaign.findings import Findings
     from bench.campaign.plan import Plan
     from bench.campaign.runner import Outcome
@@ -37,7 +37,7 @@ class Outputs(NamedTuple):
     json: bool
     junit: Path | None
     report: Path | None
-    baseline: Path | None
+    baseline: Sequence[Band]
 
 
 @app.command()
@@ -111,16 +111,18 @@ def run(
     """
     from datetime import UTC, datetime
 
+    from bench.campaign.baseline import read_baseline
     from bench.campaign.operate import new_entry
     from bench.errors import BenchError
 
     plan, configuration = _checked(context, file)
     if not sim:
         raise BenchError("campaign run", "no --sim", "--sim", "Runs against a daemon are not there yet.")
+    bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
         entry = new_entry(plan, configuration, datetime.now(UTC), simulated=sim)
         store.begin(entry)
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, check_))
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands))
 
 
 @app.command()
@@ -146,14 +148,14 @@ def resume(
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
             return
-        _run(store, entry, configuration, Outputs(json_, junit, None, None))
+        _run(store, entry, configuration, Outputs(json_, junit, None, []))
 
 
 def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs) -> None:
     """Run `entry` with a progress bar and tell what came of it."""
     import json
 
-    from bench.campaign.baseline import check_baseline, read_baseline
+    from bench.campaign.baseline import check_baseline
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.junit import junit_xml
@@ -166,7 +168,6 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     from bench.store.campaigns import CampaignState
     from bench.telemetry.whole_file import whole_file
 
-    bands = read_baseline(outputs.baseline) if outputs.baseline else []
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt() as asked, progress_bar() as bar:
@@ -174,7 +175,7 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     record = load_record(store, entry)
     found = findings(plan, record.shots)
     figures = findings_record(found)
-    checks = check_baseline(figures, bands)
+    checks = check_baseline(figures, outputs.baseline)
     if outputs.report and record.shots:
         write_campaign_report(outputs.report, record, found)
     if outputs.junit:

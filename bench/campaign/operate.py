@@ -32,7 +32,7 @@ PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "
 def new_entry(plan: Plan, configuration: Configuration, now: datetime, *, simulated: bool) -> CampaignEntry:
     """Return a campaign that begins `now`; its id is name and time."""
     return CampaignEntry(
-        id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}",
+        id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
         bench=configuration.bench.id,
         name=plan.campaign.name,
         title=plan.campaign.title or plan.campaign.name,

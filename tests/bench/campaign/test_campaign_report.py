@@ -1,0 +1,186 @@
+"""The campaign's report: verdict first, nothing from elsewhere, the same bytes again, read by a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.campaign.baseline import Band, check_baseline, read_baseline
+from bench.campaign.campaign_report import CampaignRecord, render_campaign_report, write_campaign_report
+from bench.campaign.findings import findings, findings_record
+from bench.campaign.junit import junit_xml
+from bench.campaign.operate import new_entry
+from bench.campaign.plan import load_plan
+from bench.campaign.runner import Outcome
+from bench.campaign.shot import Status
+from bench.config import load_configuration
+from bench.errors import BenchError
+from bench.store.campaigns import CampaignState, Event, Hit, Standing
+from tests.benchmarks.campaign_statistics import Truth, campaign_shots
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+
+
+def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
+    configuration = load_configuration(Path("shipped"))
+    plan = load_plan(Path(name), configuration)
+    plan = replace(plan, design=replace(plan.design, blocks=blocks))
+    shots = [
+        replace(shot, club_speed_mps=42.9 + 0.01 * (n % 7), attack_angle_deg=0.5, dynamic_loft_deg=11.1,
+                strike_x_mm=0.1 * (n % 5), ball_speed_mps=62.0 + 0.01 * n, carry_side_m=-2.0 + n % 9 / 9,
+                total_m=190.0, delivery_source="simulated", air_temperature_k=298.15,
+                air_pressure_pa=101325.0, relative_humidity=0.5)
+        for n, shot in enumerate(campaign_shots(plan, truth, 1))
+    ]  # fmt: skip
+    shots[5] = replace(shots[5], status=Status.EXCLUDED, reason="the launch monitor saw <no> ball")
+    entry = new_entry(plan, configuration, NOW, simulated=True)
+    standing = Standing(CampaignState.FINISHED, "", "", 0)
+    events = [Event(NOW, 3, "guard", "guard opened")]
+    return CampaignRecord(entry, standing, plan, shots, events, Counter({Hit("ball", "tour", 1): 4}))
+
+
+@pytest.fixture(scope="module")
+def record() -> CampaignRecord:
+    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+
+
+@pytest.fixture(scope="module")
+def text(record: CampaignRecord) -> str:
+    return render_campaign_report(record, findings(record.plan, record.shots))
+
+
+def _words(text: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", re.sub(r"<(svg|style).*?</\1>", "", text, flags=re.S)))
+
+
+def test_the_verdict_comes_before_any_table_or_picture(text: str) -> None:
+    verdict = text.index("pole has")
+    assert verdict < text.index("<table")
+    assert verdict < text.index("<svg")
+    assert "m more carry than seam" in text
+
+
+def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
+    words = _words(text)
+    for wanted in (
+        record.entry.id, record.entry.digest, "Seed", "guard opened", "Every figure is simulated",
+        "Tested by, date", "Symmetry: pole against seam", "25.0 °C, 1013 hPa, 50 %", "scipy",
+        "drift removed by the control", "Mixed model", "reproducibility SD", "ball tour", "plan.design",
+    ):  # fmt: skip
+        assert wanted in words, wanted
+    assert "saw &lt;no&gt; ball" in text
+
+
+def test_nothing_is_loaded_from_elsewhere(text: str) -> None:
+    assert "default-src 'none'" in text
+    for address in re.findall(r'(?:src|href|url\()=?"?([^")> ]+)', text):
+        assert address.startswith(("#", "data:")), address
+
+
+def test_the_same_record_gives_the_same_bytes(text: str, record: CampaignRecord) -> None:
+    assert render_campaign_report(record, findings(record.plan, record.shots)) == text
+
+
+def test_ids_are_unique_although_many_pictures_share_a_page() -> None:
+    record = _record("clubs", Truth(), 3)
+    page = render_campaign_report(record, findings(record.plan, record.shots))
+    ids = re.findall(r'\bid="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+
+
+def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
+    standing = Standing(CampaignState.SUSPENDED, "balls used up", "", 0)
+    page = render_campaign_report(replace(record, standing=standing), findings(record.plan, record.shots))
+    assert "This campaign is not finished: suspended (balls used up)" in page
+    assert page.index("not finished") < page.index("pole has")
+
+
+def test_one_level_and_no_shots() -> None:
+    record = _record("repeatability", Truth())
+    page = _words(render_campaign_report(record, findings(record.plan, record.shots)))
+    assert "tour: club speed 42.9" in page
+    with pytest.raises(ValueError, match="at least one shot"):
+        render_campaign_report(replace(record, shots=[]), findings(record.plan, []))
+
+
+def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:
+    found = findings(record.plan, record.shots)
+    figures = json.loads(json.dumps(findings_record(found), allow_nan=False))
+    (pair,) = figures["sections"][0]["confirmatory"]["pairs"]
+    assert pair["verdict"] == "different"
+    assert figures["by_status"] == {"valid": 39, "excluded": 1}
+    assert f"{pair['difference']:.2f}" in figures["sections"][0]["verdicts"][0]["headline"]
+
+
+def test_a_baseline_holds_or_tells_what_left_its_band(record: CampaignRecord, tmp_path: Path) -> None:
+    figures = findings_record(findings(record.plan, record.shots))
+    file = tmp_path / "baseline.toml"
+    file.write_text(
+        '[[figure]]\npath = "sections.0.levels.pole.spread.mean"\nlow = 170\nhigh = 190\n'
+        '[[figure]]\npath = "by_status.valid"\nlow = 40\n'
+        '[[figure]]\npath = "repeatability.driver.figures.club_speed_mps.within.deviation"\nhigh = 0.5\n'
+        '[[figure]]\npath = "sections.7.name"\nhigh = 1\n'
+    )
+    checks = check_baseline(figures, read_baseline(file))
+    assert [check.holds for check in checks] == [True, False, True, False]
+    assert str(checks[1]) == "by_status.valid: 39, band 40 to inf"
+    assert "not there" in str(checks[3])
+    assert not check_baseline({"x": None}, [Band("x", -1.0, 1.0)])[0].holds
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "x = 1", "[[figure]]\nlow = 1", '[[figure]]\npath = "a"', '[[figure]]\npath = "a"\nlow = nan',
+     '[[figure]]\npath = "a"\nlow = 2\nhigh = 1', '[[figure]]\npath = "a"\nlow = 2\nhihg = 1'],
+)  # fmt: skip
+def test_a_wrong_baseline_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "baseline.toml"
+    file.write_text(content)
+    with pytest.raises((BenchError, ExceptionGroup)):
+        read_baseline(file)
+
+
+def test_junit_has_a_case_for_each_planned_shot_and_band(record: CampaignRecord) -> None:
+    from xml.etree import ElementTree
+
+    outcome = Outcome(CampaignState.STOPPED, "stopped by request", 40, 39)
+    checks = check_baseline({"x": 3}, [Band("x", 0.0, 1.0)])
+    suite = ElementTree.fromstring(junit_xml(record.entry, outcome, record.shots, checks))  # noqa: S314
+    cases = suite.findall("testcase")
+    failed = {case.get("name"): case[0].get("message") for case in cases if len(case)}
+    assert len(cases) == 40 + 2 == int(suite.get("tests", ""))
+    assert len(failed) == 3 == int(suite.get("failures", ""))
+    assert failed["came to its end"] == "stopped: stopped by request"
+    assert failed["x"] == "x: 3, band 0 to 1"
+
+
+@pytest.mark.requires("chromium")
+def test_a_browser_shows_it_without_a_word_of_complaint_and_prints_it(
+    record: CampaignRecord, tmp_path: Path, tool: Callable[[str], str]
+) -> None:
+    page, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
+    write_campaign_report(page, record, findings(record.plan, record.shots))
+    done = _browse(tool("chromium"), tmp_path, f"--print-to-pdf={pdf}", page)
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert "CONSOLE" not in done.stderr
+    shown = _browse(tool("chromium"), tmp_path, "--dump-dom", page).stdout
+    assert "m more carry than seam" in shown
+
+
+def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.CompletedProcess[Any]:
+    options = (
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+        "--host-resolver-rules=MAP * ~NOTFOUND", "--no-first-run",
+        "--enable-logging=stderr", f"--user-data-dir={folder / 'profile'}",
+    )  # fmt: skip
+    command = [chromium, *options, action, page.as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
