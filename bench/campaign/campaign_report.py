@@ -162,7 +162,7 @@ def _standing_words(standing: Standing) -> str:
 
 def _beside(section: SectionAnalysis, pair: Pair) -> str:
     other = _same_pair(section.beside, pair)
-    return "–" if other is None else f"{_signed(other.difference)} (p {_chance(other.p_adjusted)})"
+    return "–" if other is None else _signed(other.difference)
 
 
 def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
@@ -173,7 +173,7 @@ def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
 def _mixed(model: MixedModel, pair: Pair) -> str:
     found = (p for p in model.pairs if (p.first, p.second) == (pair.first, pair.second))
     other = next(found, None)
-    return "–" if other is None else f"{_signed(other.difference)} (p {_chance(other.p_adjusted)})"
+    return "–" if other is None else f"{_signed(other.low)} … {_signed(other.high)}"
 
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:

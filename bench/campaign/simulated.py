@@ -56,6 +56,7 @@ class SimulatedShots:
         stop: Callable[[], bool],
     ) -> None:
         self._plan, self._configuration, self._profiles, self._stop = plan, configuration, profiles, stop
+        self._mounted: str | None = None
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
 
     def time_of(self, number: int) -> datetime:
@@ -77,6 +78,9 @@ class SimulatedShots:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm
         events = []
+        if self._mounted not in {None, arm.club}:
+            events.append(("prompt", f"club {arm.club} to be mounted; done by the simulation itself"))
+        self._mounted = arm.club
         if number in s.door_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
         if number in s.low_supply:
