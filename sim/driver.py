@@ -33,15 +33,23 @@ _NEAR = 1e-6
 """Share of a tick by which a time may fall short of it, for rounding."""
 
 
-def hanging_pose(parameters: PlantParameters) -> NDArray[np.float64]:
-    """Return the joint angles (3,) rad of the vented robot: lowest potential energy inside its stops."""
+def joint_travel(parameters: PlantParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest joint angles (3,) rad between the stops."""
     robot = parameters.robot
     short, long = (
         float(theta2_from_right_arm(robot, robot.l56 + extension))
         for extension in (parameters.right_arm.lower, parameters.right_arm.upper)
     )
-    lower = np.array([parameters.shoulder.lower, min(short, long), parameters.wrist.lower])
-    upper = np.array([parameters.shoulder.upper, max(short, long), parameters.wrist.upper])
+    return (
+        np.array([parameters.shoulder.lower, min(short, long), parameters.wrist.lower]),
+        np.array([parameters.shoulder.upper, max(short, long), parameters.wrist.upper]),
+    )
+
+
+def hanging_pose(parameters: PlantParameters) -> NDArray[np.float64]:
+    """Return the joint angles (3,) rad of least potential energy inside the stops."""
+    robot = parameters.robot
+    lower, upper = joint_travel(parameters)
     angle: NDArray[np.float64] = (lower + upper) / 2
     for _ in range(400):  # steepest descent; the gradient is what gravity asks of the actuators
         angle = np.clip(angle - 0.02 * bias_forces(robot, angle, np.zeros(3)), lower, upper)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.client import BenchClient, NoAnswer
+from bench.client import BenchClient, CommandRefused, NoAnswer
 from bench.config import Configuration, load_configuration
 from bench.desk import Status
 from bench.lifecycle import Phase, State
@@ -25,6 +25,9 @@ from tests.bench.fake_desk import free_port
 
 LONGEST_START = 300.0
 """s; the first start compiles."""
+
+
+_RESTING = (State.READY, State.ESTOP, State.FAULT)
 
 
 class BenchProcess:
@@ -104,10 +107,29 @@ class BenchProcess:
             self.client.home()
         return self.client.wait_for("READY")
 
+    def recover(self) -> Status:
+        """Wait until the robot rests, whatever happened; reset and home where that is asked for."""
+        self.wait_until(lambda record: record["state"] in _RESTING)
+        if self.now()["state"] in (State.ESTOP, State.FAULT):
+            return self.make_ready()
+        return self.client.wait_for("READY")
+
     def take_address(self) -> Status:
         """Arm, and wait until the robot holds at its address."""
         self.client.arm()
         return self.client.wait_for("ARMED", phase="HOLD")
+
+    def swing(self, longest: float = 10.0) -> None:
+        """Swing as soon as the robot rests at its address."""
+        deadline = time.monotonic() + longest
+        while True:
+            try:
+                self.client.swing()
+                return
+            except CommandRefused:
+                if time.monotonic() > deadline or self.now()["state"] != State.ARMED:
+                    raise
+                time.sleep(0.05)
 
     def end(self, number: signal.Signals = signal.SIGINT, longest: float = 60.0) -> int:
         """End it in order, or by `number`; return its exit code."""

@@ -26,7 +26,7 @@ from bench.lifecycle import (
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.compiled import new_record
-from sim.driver import hanging_pose
+from sim.driver import hanging_pose, joint_travel
 from sim.plant import PlantParameters
 
 Positive = Annotated[float, Gt(0)]
@@ -129,9 +129,13 @@ class HomingSettings:
     """How the encoders' zeros are proven."""
 
     method: Literal["absolute", "index"] = "absolute"
-    """Compare absolute encoders with the vented robot's pose, or search the index slowly, valves bounded."""
+    """Compare absolute encoders with a mechanical reference, or search the index slowly, valves bounded."""
+    reference: Literal["travel", "pose"] = "travel"
+    """Of absolute encoders: between the stops, or the pose in which the robot hangs, to which a person brings
+    it by hand. It seldom comes to hang there by itself: chambers that vent and friction leave it up to 3 rad
+    off. The pose also finds a coupling that slipped by less than the travel."""
     tolerance: PositiveTriple = (0.15, 0.10, 0.15)
-    """rad, of the vented robot's pose; friction keeps it from hanging quite straight."""
+    """rad, beyond the travel or from the pose."""
     time: Positive = 0.5
     """s for which the readings must agree."""
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
@@ -294,7 +298,13 @@ def _control_record(
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     for name in ("tolerance", "time", "direction", "travel", "speed", "opening", "longest"):
         record[f"home_{name}"] = getattr(homing, name)
-    record["home_by_index"], record["home_pose"] = homing.method == "index", hanging_pose(plant)
+    record["home_by_index"] = homing.method == "index"
+    if homing.reference == "pose":
+        record["home_pose"] = hanging_pose(plant)
+    else:
+        lower, upper = joint_travel(plant)
+        record["home_pose"] = (lower + upper) / 2
+        record["home_tolerance"] += (upper - lower) / 2
     record["reactions"], record["accepted"] = reaction_table(), accepted_table()
     record["needs_lease"] = [request in NEEDS_LEASE for request in Request]
     record["emergencies"] = [cause in EMERGENCIES for cause in Cause]

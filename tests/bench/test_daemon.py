@@ -49,7 +49,7 @@ def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> 
             with pytest.raises(CommandRefused):
                 bench.client.swing()  # not armed
             bench.take_address()
-            bench.client.swing()
+            bench.swing()
             bench.wait_phase(Phase.FOLLOW_THROUGH)
             assert bench.client.wait_for("READY")["swings"] == 1
         (record,) = wait_for_records(bench, 1)
@@ -71,7 +71,7 @@ def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) ->
         bench.client.wait_for("READY")  # given back: disarmed
         with bench.client.lease("test"):
             bench.take_address()
-            bench.client.swing()
+            bench.swing()
             bench.wait_phase(Phase.BACKSWING)
         bench.client.stop()
         stopped = bench.wait_until(lambda record: record["state"] == State.FAULT)
@@ -92,7 +92,7 @@ def test_a_swing_completes_without_its_support_and_nothing_is_armed_after(
         bench.make_ready()
         bench.take_address()
         struck = psutil.Process(bench.pid(name))
-        bench.client.swing()
+        bench.swing()
         bench.wait_phase(Phase.BACKSWING)
         struck.send_signal(number)
         if number is signal.SIGKILL:  # seen at once, and mended within seconds
@@ -115,7 +115,7 @@ def test_who_was_killed_comes_back_in_estop_and_says_so(tmp_path: Path, name: st
         with bench.client.lease("test"):
             bench.make_ready()
             bench.take_address()
-            bench.client.swing()
+            bench.swing()
             bench.wait_phase(Phase.BACKSWING)
             time.sleep(0.1)  # where it was is on the disk by then
             children = [psutil.Process(bench.pid(child)) for child in ("loop", "recorder", "publisher")]

@@ -122,7 +122,7 @@ def _bring_to(bench: BenchProcess, phase: Phase) -> None:
     if phase is not Phase.STANDING:
         bench.take_address()
         if phase is not Phase.HOLD:
-            bench.client.swing()
+            bench.swing()
             bench.wait_phase(phase, 6.0)
 
 

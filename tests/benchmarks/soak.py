@@ -49,12 +49,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
                     samples.append((since, memory(bench)))
                 try:
                     bench.take_address()
-                    bench.client.swing()
+                    bench.swing()
                     bench.client.wait_for("READY")
                 except Refused as error:
                     stops.append(f"{since:.0f} s: {error.found}")
-                    time.sleep(0.5)
-                    bench.make_ready()
+                    bench.recover()
             swings = bench.client.status()["swings"]
             loop = bench.client.status()["loop"]
             bench.end()

@@ -15,7 +15,7 @@ from bench.control.step import ARM, new_control_state
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
-from sim.driver import hanging_pose
+from sim.driver import hanging_pose, joint_travel
 from sim.plant import Encoders, PlantParameters, build_plant
 
 pytestmark = pytest.mark.skipif(
@@ -156,3 +156,23 @@ def test_disarming_ends_the_search_in_order(make_bench: MakeBench) -> None:
     assert bench.advance(1, Request.DISARM)["answer"][0] == 1
     bench.advance(2000)
     assert (state(bench), cause(bench)) == (State.SAFE, Cause.NONE)
+
+
+@pytest.mark.parametrize("part", [0.02, 0.5, 0.98])
+def test_absolute_encoders_prove_their_zeros_wherever_the_vented_robot_rests(
+    default_profile: Profile, part: float
+) -> None:
+    plant = PlantParameters()
+    lower, upper = joint_travel(plant)
+    control = build_controller(plant, default_profile, homing=HomingSettings()).control
+    pose, tolerance = control["home_pose"][0], control["home_tolerance"][0]
+    assert np.all(np.abs(lower + part * (upper - lower) - pose) <= tolerance)
+    for beyond in (lower - 0.2, upper + 0.2):  # past a stop nobody can be: a zero is wrong
+        assert np.all(np.abs(beyond - pose) > tolerance)
+
+
+def test_beside_the_pose_a_slipped_coupling_shows(default_profile: Profile) -> None:
+    plant = PlantParameters()
+    control = build_controller(plant, default_profile, homing=HomingSettings(reference="pose")).control
+    assert control["home_pose"][0] == pytest.approx(hanging_pose(plant))
+    assert control["home_tolerance"][0] == pytest.approx(HomingSettings().tolerance)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.control.settings import SIMULATED, build_controller
+from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.control.step import ControlParameters
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
@@ -297,7 +297,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     replay = replay_cycles(swing[0], metadata, "swing")
     assert replay.defaults == (
         "control.strike_drop",
-        *(f"homing.{key}" for key in swing[1]["configuration"]["homing"]),
+        *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
     )
     assert wrong(replay) == {}
 
