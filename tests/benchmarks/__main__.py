@@ -31,6 +31,7 @@ LONG = (
     "soak",
     "campaign_kills",
     "campaign_speed",
+    "campaign_detection",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -1,0 +1,88 @@
+"""A simulated shot depends on plan and number only; what goes wrong is told as what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.campaign.course import Step
+from bench.campaign.gate import Centre
+from bench.campaign.plan import Plan, load_plan
+from bench.campaign.sequence import all_trials
+from bench.campaign.shot import Status
+from bench.campaign.simulated import SimulatedShots, Taken
+from bench.campaign.swings import require_swings
+from bench.config import Configuration, load_configuration
+from bench.simulate import never
+from bench.telemetry.cycle_record import CYCLE
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(Path("shipped"))
+
+
+@pytest.fixture(scope="module")
+def plan(configuration: Configuration) -> Plan:
+    plan = load_plan(Path("clubs"), configuration)
+    faulty = replace(
+        plan.simulation, missing_launch=(2,), missed_ball=(3,), feeder_jam=(4,), door_opened=(5,)
+    )
+    return replace(plan, simulation=faulty)
+
+
+@pytest.fixture(scope="module")
+def source(plan: Plan, configuration: Configuration) -> SimulatedShots:
+    return SimulatedShots(plan, configuration, require_swings(plan, configuration), never)
+
+
+def _take(source: SimulatedShots, plan: Plan, number: int, sample: int = 1) -> Taken:
+    return source.take(Step(all_trials(plan)[number], 1, Centre()), number, sample)
+
+
+def test_a_shot_is_the_same_whatever_was_swung_before(
+    source: SimulatedShots, plan: Plan, configuration: Configuration
+) -> None:
+    for number in (1, 3, 7):
+        _take(source, plan, number)
+    again = _take(source, plan, 6)
+    fresh = _take(SimulatedShots(plan, configuration, require_swings(plan, configuration), never), plan, 6)
+    assert again.shot == fresh.shot
+    assert again.cycles is not None
+    assert fresh.cycles is not None
+    for name in CYCLE.names or ():
+        np.testing.assert_array_equal(again.cycles[name], fresh.cycles[name], err_msg=name)
+
+
+def test_shots_differ_by_number_and_by_ball(source: SimulatedShots, plan: Plan) -> None:
+    speeds = {_take(source, plan, number, sample).shot.ball_speed_mps for number, sample in ((8, 1), (8, 2))}
+    assert len(speeds) == 2
+    assert _take(source, plan, 9).shot.club_speed_mps != _take(source, plan, 10).shot.club_speed_mps
+
+
+def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: Plan) -> None:
+    unseen, missed, jam = (_take(source, plan, number) for number in (2, 3, 4))
+    assert (unseen.shot.status, unseen.shot.reason) == (Status.EXCLUDED, "the launch monitor saw no ball")
+    assert unseen.shot.club_speed_mps is not None
+    assert unseen.shot.ball_speed_mps is None
+    assert unseen.struck
+    assert (missed.shot.status, missed.shot.reason) == (Status.FAILED, "no ball on the tee")
+    assert missed.cycles is not None
+    assert not missed.struck
+    assert (jam.shot.status, jam.cycles, jam.struck) == (Status.FAILED, None, False)
+    assert ("guard", "guard opened; a simulated bench resets and arms itself") in _take(
+        source, plan, 5
+    ).events
+
+
+def test_a_loft_is_seen_and_a_changed_club_is_an_event(source: SimulatedShots, plan: Plan) -> None:
+    taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
+    lofts: dict[str, set[float]] = {}
+    for one in taken:
+        assert one.shot.dynamic_loft_deg is not None
+        lofts.setdefault(one.shot.club, set()).add(round(one.shot.dynamic_loft_deg))
+    assert lofts == {"driver": {11}, "driver-9": {10}, "driver-12": {13}}
+    assert any(kind == "prompt" for one in taken for kind, _ in one.events)
