@@ -49,6 +49,10 @@ _BETWEEN_ATTEMPTS = 0.5
 """s between two attempts to open an interface that has gone."""
 _LONGEST_EXTRAPOLATION = 0.005
 """s: a plant that stands still is not moved on for longer."""
+_SYNC = 0x80
+_LEAD, _PULL, _LONGEST_PULL = 0.3, 0.05, 20e-6
+"""The plant's ticks are drawn to shortly before the SYNCs, so that little is left to extrapolate: share of a
+tick before them, share of the distance that one SYNC draws, and at most so many s."""
 _FRAMES_AT_ONCE = 64
 """Most frames taken between two ticks of the plant: a babbling participant does not stop it."""
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
@@ -119,7 +123,8 @@ class BenchNodes:
         self.plant = WallPlant(plan.plant_plan)
         self._latency = plan.plant.encoders.latency
         self._tick, resolution = plan.plant.tick, plan.plant.encoders.counts_per_revolution
-        self._now = self._instant = 0.0
+        self._now = self.instant = 0.0
+        """`instant` (s): the end of the plant's last tick."""
         self._frozen = False
         self._scale: list[float] = self.plant.plant.plant["encoder_scale"][0].tolist()
         self._speed = self._speed_before = [0.0, 0.0, 0.0]
@@ -133,7 +138,7 @@ class BenchNodes:
 
     def boot(self, now: float) -> None:
         """Switch the power of all devices on at `now` (s)."""
-        self._now = self._instant = now
+        self._now = self.instant = now
         for device in self.devices:
             device.boot(now)
         self.valve_node.sense(self.readings)
@@ -152,7 +157,7 @@ class BenchNodes:
     def move(self, instant: float) -> None:
         """Move the plant on by one tick, which ends at `instant` (s)."""
         self.plant.move(instant)
-        self._instant = instant
+        self.instant = instant
         self._speed_before, self._speed = self._speed, self.plant.state["speed"][0].tolist()
 
     def tell(self, now: float) -> None:
@@ -187,7 +192,7 @@ class BenchNodes:
         if not self.readings.encoder_valid[joint]:
             return count
         limit = _LONGEST_EXTRAPOLATION
-        ahead = max(-limit, min(limit, self._now - self._instant)) + self._latency
+        ahead = max(-limit, min(limit, self._now - self.instant)) + self._latency
         speed, before = self._speed[joint], self._speed_before[joint]
         turned = ahead * (speed + 0.5 * ahead * (speed - before) / self._tick)
         return count + round(turned * self._scale[joint])
@@ -249,26 +254,29 @@ def _live(
 ) -> None:
     """Run plant and devices on the wall's clock."""
     surroundings, report, clock = new_record(PLANT_SURROUNDINGS), nodes.plant.report, time.monotonic
-    looked, surrounded = 0.0, 0
-    grid = WallGrid(plan.plant.tick, clock(), plan.burst)
+    looked, surrounded, tick = 0.0, 0, plan.plant.tick
+    grid, offset = WallGrid(tick, clock(), plan.burst), 0.0
     while True:
         left = _FRAMES_AT_ONCE
-        while left and (message := bus.receive(max(0.0, grid.instant - clock()))) is not None:
+        while left and (message := bus.receive(max(0.0, grid.instant + offset - clock()))) is not None:
             left -= 1
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
                 # The stamp of the bus, not this process' turn, is when a device latches its shaft at a SYNC.
                 age = time.time() - message.timestamp
                 heard = clock() - (age if 0.0 < age < _LONGEST_EXTRAPOLATION else 0.0)
                 nodes.hear(message.arbitration_id, bytes(message.data), heard)
+                if message.arbitration_id == _SYNC:
+                    apart = (heard - nodes.instant - _LEAD * tick + tick / 2) % tick - tick / 2
+                    offset += max(-_LONGEST_PULL, min(_LONGEST_PULL, _PULL * apart))
         now = clock()
-        late = now - grid.instant
+        late = now - offset - grid.instant
         if late < 0.0:
             continue
         if (version := files.surroundings.read(surroundings)) != surrounded:
             surrounded = version
             nodes.surround(surroundings)
-        for _ in range(grid.take_due(now)):
-            nodes.move(grid.instant)
+        for _ in range(grid.take_due(now - offset)):
+            nodes.move(grid.instant + offset)
             grid.line += 1
         nodes.tell(now)
         nodes.run_timers(now)
