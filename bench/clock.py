@@ -52,6 +52,8 @@ class PacedClock:
         """Ticks that came more than a period late."""
         self.slipped = 0.0
         """Time lost against the wall, s."""
+        self.due = self.woke = 0
+        """When the tick was due after all slips, and when it began, ns of the wall's clock."""
 
     def wait(self) -> float:
         """Sleep until the next tick is due and return its virtual time (s)."""
@@ -62,10 +64,12 @@ class PacedClock:
         late = now - self._start - virtual
         if late < 0.0:
             self._sleep(-late)
+            now = self._now()
         elif late > self.period:
             self._start += late
             self.slips += 1
             self.slipped += late
+        self.due, self.woke = round(1e9 * (self._start + virtual)), round(1e9 * now)
         return virtual
 
 

@@ -243,6 +243,7 @@ class Daemon:
             ring=folder / RING_FILE,
             timing=folder / TIMING_FILE,
             heartbeat=folder / "publisher-heart",
+            wall=self.wall,
         )
         return Child.start("publisher", "bench.publisher_process", plan)
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from bench.child_process import Parent, read_plan, tell
-from bench.clock import Clock, GridClock, PacedClock
+from bench.clock import GridClock, PacedClock
 from bench.control.settings import build_controller
 from bench.errors import BenchError, ExitCode
 from bench.lifecycle import Answer, Phase, Request, State
@@ -120,7 +120,7 @@ class LoopProcess:
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
             self._revive()  # compiling may have outlasted the device's watchdog
-            clock: Clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
+            clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
             tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
             return self._live(clock)
@@ -133,7 +133,7 @@ class LoopProcess:
         begin = int(spare.marks[0])
         TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
 
-    def _warm_up(self, clock: Clock) -> None:
+    def _warm_up(self, clock: GridClock | PacedClock) -> None:
         """Run the ticks of STARTING, in which nothing can move, and refuse a tick that takes too long.
 
         Raises:
@@ -148,7 +148,7 @@ class LoopProcess:
             check_budget(durations, self._period_ns)
         self.cycle.state.control["warm"] = True
 
-    def _live(self, clock: Clock) -> str:
+    def _live(self, clock: GridClock | PacedClock) -> str:
         """Run ticks until the loop is to end and the robot stands; return why it ends."""
         control, reason, last = self.cycle.state.control, "", np.inf
         tick = 0
@@ -170,14 +170,13 @@ class LoopProcess:
             return "SIGTERM"
         return "its supervisor is gone" if self.parent.gone else ""
 
-    def _tick(self, clock: Clock) -> float:
+    def _tick(self, clock: GridClock | PacedClock) -> float:
         """Run one tick; a tick that fails has made the driver passive, and is told."""
         time = clock.wait()
         cycle = self.cycle
         record, marks = cycle.record, cycle.marks
-        if isinstance(clock, GridClock):
-            record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
-            record["work_time"] = 1e-9 * (marks[-1] - marks[0])
+        record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
+        record["work_time"] = 1e-9 * (marks[-1] - marks[0])
         control = cycle.state.control
         self.orders.put(control, time)
         if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
@@ -195,9 +194,7 @@ class LoopProcess:
             return time
         self._failures = 0
         self._watch_device()
-        begin = int(marks[0])
-        due, woke = (clock.due, clock.woke) if isinstance(clock, GridClock) else (begin, begin)
-        self.timing.note(marks, due, woke)
+        self.timing.note(marks, clock.due, clock.woke)
         if record["answer"][0] == Answer.ACCEPTED and record["request"][0]:
             self._note_request(Request(int(record["request"][0])))
         return time

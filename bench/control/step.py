@@ -760,7 +760,7 @@ def limit_tick(
     """Bound the desired openings, and write COMMAND and the tick's CYCLE record."""
     s, p, c = state.control[0], parameters.control[0], command[0]
     if s.phase != _STANDING and s.reaction <= _COMPLETE and s.time >= s.air_from:
-        s.air = True
+        s.air, s.vented = True, False
     powered = s.air and s.phase != _STANDING and s.reaction != _PASSIVE and not p.read_only
     for i in range(3):
         if not powered:
