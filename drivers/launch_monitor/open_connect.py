@@ -1,0 +1,337 @@
+"""GSPro's Open Connect, version 1: its messages, read tolerantly and written exactly.
+
+What senders do and is understood: numbers as strings, other capitals and underscores in names, `BackSpin`
+and `SideSpin` instead of `TotalSpin` and `SpinAxis`, figures left out, null or 0 rpm where spin was not seen.
+Speeds are mph whatever `Units` says, `CarryDistance` is in yards unless that is "Meters". Angles keep their
+signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right as ours are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin
+from typing import Any, NamedTuple
+
+from drivers.base import Launch
+from drivers.launch_monitor.record import NO_CLUB, ClubFigures, LaunchRecord
+
+MPH = 0.44704
+"""m/s."""
+YARD = 0.9144
+"""m."""
+RPM = pi / 30.0
+"""rad/s."""
+
+SHOT_TAKEN, PLAYER, FAILURE, TOO_LARGE = 200, 201, 501, 413
+"""Codes of answers."""
+
+LONGEST_NAME = 64
+"""Characters that are kept of a device's name."""
+
+
+class Status(NamedTuple):
+    """A heartbeat, or a message without figures: how the monitor is. None where it does not say."""
+
+    device: str
+    heartbeat: bool
+    ready: bool | None = None
+    ball_detected: bool | None = None
+
+
+class Refusal(NamedTuple):
+    """A message that cannot be taken, and why."""
+
+    code: int
+    reason: str
+
+
+Message = LaunchRecord | Status | Refusal
+
+
+class _Bounds(NamedTuple):
+    """What a figure can be at all, in the unit it is sent in, and that unit in ours."""
+
+    low: float
+    high: float
+    unit: str
+    factor: float
+
+
+_SPEED = _Bounds(0.09, 300.0, "mph", MPH)
+_ELEVATION = _Bounds(-90.0, 90.0, "deg", pi / 180.0)
+_AZIMUTH = _Bounds(-180.0, 180.0, "deg", pi / 180.0)
+_SPIN = _Bounds(0.0, 20_000.0, "rpm", RPM)
+_BACK_SPIN = _Bounds(-20_000.0, 20_000.0, "rpm", RPM)
+_CARRY_YD = _Bounds(0.0, 600.0, "yd", YARD)
+_CARRY_M = _Bounds(0.0, 550.0, "m", 1.0)
+_STRIKE = _Bounds(-100.0, 100.0, "mm", 1e-3)
+
+
+def read_message(data: bytes, time: float) -> Message:
+    """Return what the object `data` tells; `time` (s) goes into the record. Never raises."""
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        return Refusal(FAILURE, f"no JSON: {_short(error)}")
+    if not isinstance(tree, dict):
+        return Refusal(FAILURE, "no JSON object")
+    root = _plain_names(tree)
+    options, ball, club = (
+        _plain_names(part) if isinstance(part, dict) else {}
+        for part in (root.get("shotdataoptions"), root.get("balldata"), root.get("clubdata"))
+    )
+    device = _text(root.get("deviceid"))
+    has_ball, has_club = _yes(options.get("containsballdata")), _yes(options.get("containsclubdata"))
+    heartbeat = _yes(options.get("isheartbeat"))
+    if has_ball is None:
+        has_ball = bool(ball) and not heartbeat
+    if has_club is None:
+        has_club = bool(club) and not heartbeat
+    if not has_ball and not has_club:
+        if not options:
+            return Refusal(FAILURE, "neither BallData nor ShotDataOptions")
+        ready = _yes(options.get("launchmonitorisready"))
+        return Status(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
+    version = root.get("apiversion")
+    if version is not None and _number(version) != 1.0:
+        return Refusal(FAILURE, f"APIversion {_short(version)}, expected 1")
+    if has_ball and not ball:
+        return Refusal(FAILURE, "ContainsBallData without BallData")
+    in_metres = _text(root.get("units")).lower() in ("meters", "metres", "meter", "metre", "m")
+    number = _number(root.get("shotnumber"))
+    whole = int(number) if number is not None and 0 <= number <= 1e9 and number == int(number) else None
+    return _record(ball, club if has_club else {}, time, device, whole, in_metres)
+
+
+def _record(
+    ball: Mapping[str, Any],
+    club: Mapping[str, Any],
+    time: float,
+    device: str,
+    number: int | None,
+    in_metres: bool,
+) -> LaunchRecord:
+    absent: list[tuple[str, str]] = []
+
+    def figure(name: str, key: str, bounds: _Bounds, data: Mapping[str, Any] = ball) -> float | None:
+        value = _figure(data, key, bounds)
+        if isinstance(value, str):
+            absent.append((name, value))
+            return None
+        return value
+
+    speed = figure("speed", "Speed", _SPEED)
+    launch_angle = figure("launch_angle", "VLA", _ELEVATION)
+    direction = figure("direction", "HLA", _AZIMUTH)
+    spin, spin_axis = _spin(ball)
+    for name, value in (("spin", spin), ("spin_axis", spin_axis)):
+        if isinstance(value, str):
+            absent.append((name, value))
+    carry = figure("carry", "CarryDistance", _CARRY_M if in_metres else _CARRY_YD)
+    figures = NO_CLUB
+    if club:
+        figures = ClubFigures(
+            figure("club.speed", "Speed", _SPEED, club),
+            figure("club.attack_angle", "AngleOfAttack", _ELEVATION, club),
+            figure("club.path", "Path", _ELEVATION, club),
+            figure("club.face_angle", "FaceToTarget", _ELEVATION, club),
+            figure("club.dynamic_loft", "Loft", _ELEVATION, club),
+            figure("club.strike_x", "HorizontalFaceImpact", _STRIKE, club),
+            figure("club.strike_y", "VerticalFaceImpact", _STRIKE, club),
+        )
+    return LaunchRecord(
+        time=time,
+        device=device,
+        number=number,
+        speed=speed,
+        launch_angle=launch_angle,
+        direction=direction,
+        spin=None if isinstance(spin, str) else spin,
+        spin_axis=None if isinstance(spin_axis, str) else spin_axis,
+        carry=carry,
+        club=figures,
+        absent=tuple(absent),
+    )
+
+
+def _spin(ball: Mapping[str, Any]) -> tuple[float | str, float | str]:
+    """Return spin (rad/s) and axis (rad), each a reason where it is not known.
+
+    Total and axis count where they are given; with them the components need not agree, they do not in the
+    specification's own example. No ball leaves a club without spin: 0 rpm means that it was not seen.
+    """
+    total, axis = _figure(ball, "TotalSpin", _SPIN), _figure(ball, "SpinAxis", _AZIMUTH)
+    back, side = _figure(ball, "BackSpin", _BACK_SPIN), _figure(ball, "SideSpin", _BACK_SPIN)
+    if not isinstance(total, str) and total == 0.0:
+        total = "0 rpm: not seen"
+    if isinstance(back, float) and isinstance(side, float) and (back or side):
+        if isinstance(total, str):
+            total, axis = hypot(back, side), atan2(side, back)
+        elif isinstance(axis, str):
+            axis = atan2(side, back)
+    return total, total if isinstance(total, str) else axis
+
+
+def write_shot(
+    number: int, launch: Launch, device: str, club: ClubFigures = NO_CLUB, carry: float | None = None
+) -> bytes:
+    """Return the message of a shot (SI in, protocol units out) with a line end behind it.
+
+    Raises:
+        ValueError: a figure is not finite.
+    """
+    speed, launch_angle, direction, spin, spin_axis = launch
+    ball = {
+        "Speed": speed / MPH,
+        "SpinAxis": degrees(spin_axis),
+        "TotalSpin": spin / RPM,
+        "BackSpin": spin / RPM * cos(spin_axis),
+        "SideSpin": spin / RPM * sin(spin_axis),
+        "HLA": degrees(direction),
+        "VLA": degrees(launch_angle),
+    }
+    if carry is not None:
+        ball["CarryDistance"] = carry / YARD
+    sent = {
+        "Speed": (club.speed, MPH),
+        "AngleOfAttack": (club.attack_angle, radians(1.0)),
+        "FaceToTarget": (club.face_angle, radians(1.0)),
+        "Loft": (club.dynamic_loft, radians(1.0)),
+        "Path": (club.path, radians(1.0)),
+        "SpeedAtImpact": (club.speed, MPH),
+        "VerticalFaceImpact": (club.strike_y, 1e-3),
+        "HorizontalFaceImpact": (club.strike_x, 1e-3),
+    }
+    of_club = {name: value / unit for name, (value, unit) in sent.items() if value is not None}
+    return _written(
+        {
+            **_head(device, number),
+            "BallData": {name: round(value, 4) for name, value in ball.items()},
+            "ClubData": {name: round(value, 4) for name, value in of_club.items()},
+            "ShotDataOptions": _options(ball=True, club=bool(of_club)),
+        }
+    )
+
+
+def write_heartbeat(number: int, device: str) -> bytes:
+    """Return a heartbeat; `number` is that of the last shot."""
+    return _written({**_head(device, number), "ShotDataOptions": _options(heartbeat=True)})
+
+
+def _head(device: str, number: int) -> dict[str, Any]:
+    return {"DeviceID": device, "Units": "Yards", "ShotNumber": number, "APIversion": "1"}
+
+
+def _options(*, ball: bool = False, club: bool = False, heartbeat: bool = False) -> dict[str, bool]:
+    return {
+        "ContainsBallData": ball,
+        "ContainsClubData": club,
+        "LaunchMonitorIsReady": True,
+        "LaunchMonitorBallDetected": ball,
+        "IsHeartBeat": heartbeat,
+    }
+
+
+# Answers -----------------------------------------------------------------------------------------
+
+
+class Answer(NamedTuple):
+    """What a simulator answers."""
+
+    code: int
+    text: str
+    club: str = ""
+    """Of the player, in GSPro's code: DR, W3, I7, PT ... It never changes our club."""
+    handed: str = ""
+
+
+def write_answer(code: int, text: str) -> bytes:
+    """Return an answer; senders expect no line end."""
+    return json.dumps({"Code": code, "Message": text}).encode()
+
+
+def write_player(club: str, handed: str = "RH") -> bytes:
+    """Return the news of the player's club and hand, which tells a monitor what to look for."""
+    player = {"Handed": handed, "Club": club}
+    return json.dumps({"Code": PLAYER, "Message": "GSPro Player Information", "Player": player}).encode()
+
+
+def read_answer(data: bytes) -> Answer | None:
+    """Return what an answer says; None when it is none. Never raises."""
+    try:
+        tree = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    root = _plain_names(tree) if isinstance(tree, dict) else {}
+    code = _number(root.get("code"))
+    if code is None or not 100 <= code <= 999:
+        return None
+    player = root.get("player")
+    player = _plain_names(player) if isinstance(player, dict) else {}
+    return Answer(
+        int(code), _text(root.get("message")), _text(player.get("club")), _text(player.get("handed"))
+    )
+
+
+# Values ------------------------------------------------------------------------------------------
+
+
+def _written(tree: dict[str, Any]) -> bytes:
+    return json.dumps(tree, allow_nan=False).encode() + b"\n"
+
+
+def _plain_names(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `tree` with names in small letters, without spaces and underscores."""
+    return {name.replace("_", "").replace(" ", "").lower(): value for name, value in tree.items()}
+
+
+def _figure(data: Mapping[str, Any], key: str, bounds: _Bounds) -> float | str:
+    """Return the figure in SI, or why there is none."""
+    value = data.get(key.lower())
+    if value is None or value == "":
+        return f"no {key}"
+    number = _number(value)
+    if number is None:
+        return f"{key} {_short(value)}, no number"
+    if not bounds.low <= number <= bounds.high:
+        return f"{key} {number:g} {bounds.unit}, possible {bounds.low:g} to {bounds.high:g}"
+    return number * bounds.factor
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number, given as one or as text."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        return None
+    if isinstance(value, str) and len(value) > 40:
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if isfinite(number) else None
+
+
+def _yes(value: Any) -> bool | None:
+    """Return a yes or no, given as one, as 0 or 1, or as text; None when it is neither."""
+    if isinstance(value, bool):
+        return value
+    return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}.get(
+        str(value).strip().lower() if isinstance(value, (int, str)) else ""
+    )
+
+
+def _text(value: Any) -> str:
+    """Return printable text, cut when long; empty when it is none."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return _short(value)
+    return "".join(c for c in value[:LONGEST_NAME] if c.isprintable()) if isinstance(value, str) else ""
+
+
+def _short(value: Any) -> str:
+    try:
+        text = str(value) if isinstance(value, BaseException) else repr(value)
+    except (ValueError, RecursionError):  # an integer of more digits than Python prints
+        return type(value).__name__
+    printable = "".join(c if c.isprintable() else "?" for c in text[:LONGEST_NAME])
+    return printable if len(text) <= LONGEST_NAME else f"{printable}..."
