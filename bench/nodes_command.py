@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.config import Configuration
 from bench.errors import BenchError, ExitCode
 from bench.session import Session
-from sim.node_plan import NodesPlan
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from sim.node_plan import NodesPlan
 
 
 class NoBus(BenchError):
@@ -21,6 +23,8 @@ class NoBus(BenchError):
 
 def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
     """Return what the simulated nodes of `configuration` are started with; their files go to `folder`."""
+    from sim.node_plan import NodesPlan
+
     c, bus = configuration, configuration.canopen
     return NodesPlan(
         interface=bus.interface,
