@@ -21,7 +21,8 @@ from bench.campaign.operate import new_entry, run_simulated
 from bench.campaign.plan import Plan, load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.shot import Shot
-from bench.campaign.simulated import BEGIN
+from bench.campaign.simulated import BEGIN, SimulatedShots
+from bench.campaign.swings import require_swings
 from bench.config import load_configuration
 from bench.simulate import never
 from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
@@ -74,6 +75,8 @@ def _swung(folder: Path, shots: int) -> list[Row]:
     configuration = replace(configuration, bench=replace(configuration.bench, data_dir=folder))
     plan, clock = plan_of(shots), Clock()
     entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    # The first arming after a change of the model translates it to machine code, once.
+    SimulatedShots(plan, configuration, require_swings(plan, configuration), never).arm_all()
     with open_database(database_url("", folder)) as engine:
         store = CampaignStore(engine)
         store.begin(entry)
