@@ -17,6 +17,7 @@ import typer
 
 from bench.calibration.commands import app as calibration_app
 from bench.campaign_commands import app as campaign_app
+from bench.certificates_command import certificates
 from bench.control_commands import app as control_app
 from bench.errors import BenchError, ExitCode
 from bench.export_command import export
@@ -50,6 +51,7 @@ app.command()(run)
 app.command()(nodes)
 app.command()(view)
 app.command()(export)
+app.command()(certificates)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")

@@ -45,6 +45,9 @@ LONGEST_SUBSTEP = 0.00025
 LONGEST_ANSWER = 0.7
 """Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
 
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
+"""Of somebody in a certificate."""
+
 _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
 _DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
 
@@ -86,10 +89,20 @@ class DriverSettings:
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """Where the daemon listens and clients connect."""
+    """Where the daemon listens and clients connect, and who may do what from other machines."""
 
     endpoint: str
-    """zenoh endpoint, loopback unless there is good reason."""
+    """zenoh endpoint: of the daemon on its own machine; of a client elsewhere, the daemon's `beyond`."""
+    beyond: str = ""
+    """Where the daemon also listens, by TLS; empty: nowhere."""
+    router: str = ""
+    """zenoh router that the daemon connects to; empty: none."""
+    identity: str = ""
+    """Path, without ending, of this side's certificate (.pem) and key (.key); authority.pem beside them."""
+    viewers: tuple[str, ...] = ()
+    """Names in certificates of those who may look."""
+    operators: tuple[str, ...] = ()
+    """Names of those who may also command; a router counts as one."""
 
 
 @dataclass(frozen=True)
@@ -341,16 +354,46 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 
 def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    endpoint = c.network.endpoint
+    network, inside = c.network, "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only"
+    beyond = "tls/HOST:PORT: commands in the clear would be anybody's beyond this machine"
+    places = (
+        ("endpoint", network.endpoint, f"{inside}, or {beyond}", _is_loopback, _is_secure),
+        ("beyond", network.beyond, f'"", or {beyond}', _is_empty, _is_secure),
+        ("router", network.router, f'"", {inside}, or {beyond}', _is_empty, _is_loopback, _is_secure),
+    )
+    for name, endpoint, wanted, *allowed in places:
+        if not any(allow(endpoint) for allow in allowed):
+            yield f"network.{name}", shown(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
+        elif _is_secure(endpoint) and not network.identity:
+            found = f"none, with {name} = {shown(endpoint)}"
+            cure = "Make them: golfbench certificates."
+            yield "network.identity", found, "path of certificate and key, without ending", cure
+    for role in ("viewers", "operators"):
+        for name in getattr(network, role):
+            if not NAME.fullmatch(name):
+                wanted = "names as in certificates: letters, digits, ., - and _, at most 63"
+                yield f"network.{role}", shown(name), wanted, "Correct it."
+
+
+def _is_empty(endpoint: str) -> bool:
+    return endpoint == ""
+
+
+def _is_loopback(endpoint: str) -> bool:
     form = re.fullmatch(r"tcp/(?:\[(?P<six>[0-9a-f:]+)\]|(?P<four>[0-9.]+)):(?P<port>[0-9]{1,5})", endpoint)
     try:
-        loopback = form is not None and ip_address(form["six"] or form["four"]).is_loopback
+        return form is not None and ip_address(form["six"] or form["four"]).is_loopback and _is_port(form)
     except ValueError:
-        loopback = False
-    if form is None or not loopback or not 1 <= int(form["port"]) <= 65535:
-        # Commands travel in the clear: beyond this machine they would be anybody's.
-        wanted = "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only, PORT 1 to 65535"
-        yield "network.endpoint", shown(endpoint), wanted, "Correct it."
+        return False
+
+
+def _is_secure(endpoint: str) -> bool:
+    form = re.fullmatch(r"tls/(?:\[[0-9a-f:]+\]|[A-Za-z0-9.-]+):(?P<port>[0-9]{1,5})", endpoint)
+    return form is not None and _is_port(form)
+
+
+def _is_port(form: re.Match[str]) -> bool:
+    return 1 <= int(form["port"]) <= 65535
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:

@@ -1,0 +1,81 @@
+"""Who may do what over the network: roles by the name in a certificate, as zenoh's access control wants them.
+
+A viewer hears what the bench tells and asks for its status; an operator commands as well. Whoever may connect
+at all, which takes a certificate of the bench's authority, may stop it. What comes without TLS comes from
+this machine (the configuration takes nothing else) and is not restricted. What is denied is dropped silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+_ALL = "golfbench/**"
+_COMMANDS = "golfbench/*/command/**"
+_STATUS = "golfbench/*/command/status"
+_STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
+_MESSAGES = (
+    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
+    "liveliness_query", "declare_liveliness_subscriber",
+)  # fmt: skip
+
+
+def access_control(
+    viewers: Collection[str], operators: Collection[str], benches: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return zenoh's `access_control` for a bench, or with `benches` for a router between them and clients.
+
+    `viewers` and `operators` are common names of certificates; so are `benches`, and each of them speaks for
+    the bench of that name and no other. A bench takes a router it connects to for an operator.
+    """
+    reads = _allow("reads", "ingress", "declare_subscriber", _ALL), _allow("hears", "egress", "put", _ALL)
+    rules = [
+        _allow("anything", "both", _MESSAGES, "**"),
+        *reads,
+        *_asks("status", _STATUS),
+        *_asks("command", _COMMANDS),
+        *_asks("stop", *_STOPS),
+    ]
+    policies = [
+        _policy("this machine", ["anything"], link_protocols=["tcp"]),
+        _policy("anybody", ["stop", "stop answered"], link_protocols=["tls"]),
+    ]
+    if viewers:
+        may = ["reads", "hears", "status", "status answered"]
+        policies.append(_policy("viewers", may, cert_common_names=sorted(viewers)))
+    if operators:
+        may = ["reads", "hears", "command", "command answered"]
+        policies.append(_policy("operators", may, cert_common_names=sorted(operators)))
+    for name in sorted(benches):
+        own = f"golfbench/{name}/**"
+        rules += [
+            _allow(f"{name} tells", "ingress", ("put", "declare_queryable", "reply"), own),
+            _allow(f"{name} is asked", "egress", ("declare_subscriber", "query"), own),
+        ]
+        policies.append(_policy(name, [f"{name} tells", f"{name} is asked"], cert_common_names=[name]))
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [subject for subject, _ in policies],
+        "policies": [policy for _, policy in policies],
+    }
+
+
+def _asks(name: str, *keys: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the rules for asking, and for getting the answer."""
+    return _allow(name, "ingress", "query", *keys), _allow(f"{name} answered", "egress", "reply", *keys)
+
+
+def _allow(name: str, flow: str, messages: str | tuple[str, ...], *keys: str) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"] if flow == "both" else [flow],
+        "messages": [messages] if isinstance(messages, str) else list(messages),
+        "key_exprs": list(keys),
+    }
+
+
+def _policy(name: str, rules: list[str], **who: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    return {"id": name, **who}, {"rules": rules, "subjects": [name]}

@@ -1,0 +1,284 @@
+"""Beyond this machine: who has no certificate is nobody, and everybody may do what their role may."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from bench.cli import main
+from bench.client import BenchClient
+from bench.config import Configuration, NetworkSettings
+from bench.errors import BenchError, ExitCode
+from bench.zenoh_session import NoAnswer, open_client, open_daemon
+from tests.bench.certified import Folder, bench_of, client_of
+from tests.bench.fake_desk import FakeDesk, RunningPlane, free_port, running_plane
+
+PUBLISHED = ("telemetry", "state", "event", "shot", "loop")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Folder:
+    made = Folder(tmp_path_factory.mktemp("network") / "certificates")
+    for name in ("anna", "bob", "carl"):
+        made.add(name)
+    return made
+
+
+@pytest.fixture(scope="module")
+def configuration(folder: Folder) -> Configuration:
+    return bench_of(folder, viewers=("anna",), operators=("bob",))
+
+
+@pytest.fixture
+def bench(configuration: Configuration) -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), configuration) as running:
+        yield running
+
+
+Connect = Callable[[str], BenchClient]
+
+
+@pytest.fixture
+def come_as(bench: RunningPlane, folder: Folder) -> Iterator[Connect]:
+    """Connect by TLS with the certificate in a file of `folder`."""
+    clients: list[BenchClient] = []
+
+    def connect(file: str) -> BenchClient:
+        client = client_of(bench.configuration.network.beyond, str(folder.path / file))
+        clients.append(BenchClient.connect(client, timeout=1.0))
+        return clients[-1]
+
+    yield connect
+    for client in clients:
+        client.close()
+
+
+@contextmanager
+def denied() -> Iterator[None]:
+    with pytest.raises(NoAnswer, match="denied or not running") as caught:
+        yield
+    assert caught.value.exit_code == ExitCode.NO_ANSWER == 75
+
+
+def heard_by(network: NetworkSettings, publisher: zenoh.Session, *, longest: float) -> set[str]:
+    """Return which of the published messages somebody with `network` hears within `longest` s."""
+    heard: set[str] = set()
+    with open_client(network, "bench1") as session:
+        session.declare_subscriber("golfbench/bench1/**", lambda sample: heard.add(str(sample.key_expr)))
+        deadline = time.monotonic() + longest
+        while len(heard) < len(PUBLISHED) and time.monotonic() < deadline:
+            for name in PUBLISHED:
+                publisher.put(f"golfbench/bench1/{name}", b"news")
+            time.sleep(0.02)
+    return {key.rpartition("/")[2] for key in heard}
+
+
+# Who may not connect ---------------------------------------------------------------------------------
+
+
+def test_a_certificate_of_another_authority_is_refused(bench: RunningPlane, tmp_path: Path) -> None:
+    stranger = Folder(tmp_path / "other").add("bob")
+    with denied():
+        BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
+
+
+def test_another_authoritys_certificate_beside_the_benchs_authority_is_refused(
+    bench: RunningPlane, folder: Folder, tmp_path: Path
+) -> None:
+    """The stranger trusts the bench, so that it is the bench that refuses."""
+    other = Folder(tmp_path / "other")
+    stranger = other.add("bob")
+    (other.path / "authority.pem").write_bytes((folder.path / "authority.pem").read_bytes())
+    with denied():
+        BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
+
+
+def test_an_expired_certificate_is_refused(bench: RunningPlane, folder: Folder, come_as: Connect) -> None:
+    folder.add("bob", file="expired", days=1.0, ago=1.001)
+    with denied():
+        come_as("expired")
+    assert come_as("bob").status()["state"]
+
+
+def test_without_a_certificate_nobody_connects(bench: RunningPlane, folder: Folder) -> None:
+    tls = {"root_ca_certificate": str(folder.path / "authority.pem")}
+    for endpoint in (
+        bench.configuration.network.beyond,
+        bench.configuration.network.beyond.replace("tls", "tcp"),
+    ):
+        configuration = zenoh.Config.from_json5('{mode: "client", scouting: {multicast: {enabled: false}}}')
+        configuration.insert_json5("connect/endpoints", f'["{endpoint}"]')
+        configuration.insert_json5("transport/link/tls", str(tls).replace("'", '"'))
+        with pytest.raises(zenoh.ZError):
+            zenoh.open(configuration)
+
+
+def test_a_client_talks_to_no_false_bench(folder: Folder, tmp_path: Path) -> None:
+    """One with a certificate for another address, or of another authority, hears no commands."""
+    false = bench_of(Folder(tmp_path / "other"))
+    with running_plane(FakeDesk(), false), denied():
+        BenchClient.connect(client_of(false.network.beyond, str(folder.path / "bob")))
+    network = bench_of_client(folder)
+    with open_daemon(network), denied():
+        BenchClient.connect(client_of(network.beyond, str(folder.path / "bob")))
+
+
+def bench_of_client(folder: Folder) -> NetworkSettings:
+    """Return the network of a bench whose certificate is a person's, for no address."""
+    from datetime import UTC, datetime
+
+    from bench.certificates import make_certificate, write_identity
+
+    made = make_certificate(folder.authority, "dora", (), datetime.now(UTC), 1.0)
+    write_identity(folder.path, "dora", made)
+    return NetworkSettings(
+        f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}", identity=str(folder.path / "dora")
+    )
+
+
+def test_a_certificate_that_expires_ends_the_connection(
+    bench: RunningPlane, folder: Folder, come_as: Connect
+) -> None:
+    folder.add("bob", file="brief", days=4.0 / 86400)
+    client = come_as("brief")
+    assert client.status()["state"]
+    deadline = time.monotonic() + 20.0
+    with denied():
+        while time.monotonic() < deadline:
+            client.status()
+            time.sleep(0.1)
+
+
+# Roles -----------------------------------------------------------------------------------------------
+
+
+def test_viewers_read(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
+    viewer = come_as("anna")
+    assert viewer.status()["version"]
+    network = bench.configuration.network
+    with open_client(network, "bench1") as publisher:  # on the loopback, as the publisher is
+        beyond = client_of(network.beyond, str(folder.path / "anna")).network
+        assert heard_by(beyond, publisher, longest=10.0) == set(PUBLISHED)
+
+
+def test_viewers_do_not_command(bench: RunningPlane, come_as: Connect) -> None:
+    viewer = come_as("anna")
+    for command in (viewer.disarm, lambda: viewer.take_lease("anna")):
+        with denied():
+            command()
+    with come_as("bob").lease("bob") as held:
+        viewer.held = replace(held, sequence=100)  # even with a lease that is somebody's
+        for command in (viewer.reset, viewer.home, viewer.arm, viewer.swing, viewer.tee, viewer.access):
+            with denied():
+                command()
+    assert bench.desk.requests == []
+
+
+def test_viewers_cannot_pose_as_the_bench(bench: RunningPlane, folder: Folder) -> None:
+    network = bench.configuration.network
+    for name in ("anna", "bob", "carl"):
+        with open_client(client_of(network.beyond, str(folder.path / name)).network, "bench1") as impostor:
+            assert heard_by(network, impostor, longest=0.5) == set()
+            asked: list[str] = []
+            impostor.declare_queryable(
+                "golfbench/bench1/**", lambda query, asked=asked: asked.append(str(query.key_expr))
+            )
+            time.sleep(0.2)
+            with BenchClient.connect(bench.configuration) as here:
+                assert here.status()["state"]
+            assert asked == []
+
+
+def test_operators_read_and_command(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
+    operator = come_as("bob")
+    with operator.lease("bob"):
+        operator.reset()
+        operator.home()
+        operator.arm()
+        operator.swing()
+    assert len(bench.desk.requests) == 4
+    network = bench.configuration.network
+    with open_client(network, "bench1") as publisher:
+        beyond = client_of(network.beyond, str(folder.path / "bob")).network
+        assert heard_by(beyond, publisher, longest=10.0) == set(PUBLISHED)
+
+
+@pytest.mark.parametrize("name", ["anna", "bob", "carl"])
+def test_whoever_may_connect_may_stop(name: str, bench: RunningPlane, come_as: Connect) -> None:
+    client = come_as(name)
+    assert client.stop().state == "FAULT"
+    assert client.emergency_stop().state == "ESTOP"
+
+
+def test_who_has_no_role_may_do_no_more_than_stop(
+    bench: RunningPlane, come_as: Connect, folder: Folder
+) -> None:
+    client = come_as("carl")
+    for command in (client.status, client.disarm, lambda: client.take_lease("carl")):
+        with denied():
+            command()
+    network = bench.configuration.network
+    with open_client(network, "bench1") as publisher:
+        beyond = client_of(network.beyond, str(folder.path / "carl")).network
+        assert heard_by(beyond, publisher, longest=0.5) == set()
+
+
+def test_on_this_machine_all_is_as_without_roles(bench: RunningPlane) -> None:
+    with BenchClient.connect(bench.configuration) as here, here.lease("Ann"):
+        here.reset()
+    assert len(bench.desk.requests) == 1
+
+
+def test_the_command_line_ends_with_75(
+    bench: RunningPlane, folder: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "elsewhere.toml"
+    outcomes = []
+    for name in ("anna", "carl"):
+        file.write_text(
+            f'base = "shipped"\n[network]\nendpoint = "{bench.configuration.network.beyond}"\n'
+            f'identity = "{folder.path / name}"\n'
+        )
+        for verb in ("status", "disarm", "stop"):
+            with pytest.raises(SystemExit) as end:
+                main(["--config", str(file), verb])
+            outcomes.append((name, verb, end.value.code, "denied or not running" in capsys.readouterr().err))
+    assert outcomes == [
+        ("anna", "status", 0, False), ("anna", "disarm", 75, True), ("anna", "stop", 0, False),
+        ("carl", "status", 75, True), ("carl", "disarm", 75, True), ("carl", "stop", 0, False),
+    ]  # fmt: skip
+
+
+# Certificates that do not hold are told before anything is opened ------------------------------------
+
+
+@pytest.mark.parametrize("lacking", ["authority.pem", "x.pem", "x.key"])
+def test_a_missing_or_wrong_file_is_told(lacking: str, tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "c")
+    identity = folder.add("x")
+    client = client_of(f"tls/127.0.0.1:{free_port()}", identity).network
+    daemon = replace(client, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond=client.endpoint)
+    folder.add("y")
+    other = (folder.path / "y.key").read_bytes()
+    for content in (None, b"nonsense", other):
+        path = folder.path / lacking
+        path.unlink() if content is None else path.write_bytes(content)
+        for attempt in (lambda: open_client(client, "b"), lambda: open_daemon(daemon)):
+            with pytest.raises(BenchError, match="golfbench certificates") as caught:
+                attempt()
+            assert caught.value.exit_code == ExitCode.BAD_INPUT
+            assert caught.value.place == f"network.identity {identity}"
+            if lacking == "authority.pem":
+                assert lacking in caught.value.found
+
+
+def test_a_bench_listens_for_its_own_processes_on_the_loopback(folder: Folder) -> None:
+    network = NetworkSettings(f"tls/127.0.0.1:{free_port()}", identity=str(folder.path / "bob"))
+    with pytest.raises(BenchError, match=r"network\.beyond"):
+        open_daemon(network)
