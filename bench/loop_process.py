@@ -45,7 +45,9 @@ WARM_UP = 200
 
 _MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
 _GIVE_UP = 20
-"""Ticks in a row that may fail."""
+"""Ticks in a row that may fail for another reason than the device's."""
+_BETWEEN_REPORTS = 1000
+"""Failing ticks in a row between two that are told."""
 _LONGEST_STOP = 15.0
 """s in which the robot must stand after the order to end."""
 _BETWEEN_LOOKS = 50
@@ -187,9 +189,12 @@ class LoopProcess:
         try:
             cycle.run_tick(time)
         except Exception as error:  # numerics or driver may fail in any way
+            if self._failures % _BETWEEN_REPORTS == 0:
+                tell("exception", text=f"{type(error).__name__}: {error}")
             self._failures += 1
-            tell("exception", text=f"{type(error).__name__}: {error}")
-            if self._failures >= _GIVE_UP:
+            # A device that is away leaves a bench in FAULT, which answers, and whose reset tries it again.
+            is_away = isinstance(error, DriverError) and bool(control["warm"][0])
+            if self._failures >= _GIVE_UP and not is_away:
                 raise
             return time
         self._failures = 0

@@ -8,6 +8,7 @@ one instant at which they are logged to the next.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -189,7 +190,7 @@ def log_codes(
             )
 
 
-def code_words(code: State | Phase | Reaction) -> str:
+def code_words(code: IntEnum) -> str:
     """Return how `code` is shown."""
     return code.name.lower().replace("_", " ")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from scipy.io import savemat
@@ -36,5 +37,5 @@ def write_mat(path: Path, record: Record) -> list[Path]:
         "metadata": json.dumps(record.metadata, allow_nan=False),
     }
     with whole_file(path) as stream:
-        savemat(stream, variables, do_compression=True, long_field_names=True)
+        savemat(cast(Any, stream), variables, do_compression=True, long_field_names=True)
     return [path]

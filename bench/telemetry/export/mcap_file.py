@@ -43,7 +43,7 @@ def write_mcap(path: Path, record: Record) -> list[Path]:
             message = json.dumps(row, allow_nan=False, separators=(",", ":")).encode()
             writer.add_message(channel, at, message, at, max(0, row["tick"]) & 0xFFFFFFFF)
         writer.add_metadata("golfbench", {key: json.dumps(value) for key, value in record.metadata.items()})
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return [path]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any, cast
 
 import rerun as rr
 
@@ -30,7 +31,7 @@ def write_rrd(path: Path, record: Record) -> list[Path]:
         log_shots(recording, [shot.record], shot.plant)
         recording.send_property(
             "golfbench",
-            rr.AnyValues(**{key: json.dumps(value) for key, value in record.metadata.items()}),
+            rr.AnyValues(**cast(Any, {key: json.dumps(value) for key, value in record.metadata.items()})),
         )
         if len(record.cycles):
             _log_fields(recording, record)

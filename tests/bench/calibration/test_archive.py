@@ -136,6 +136,12 @@ def test_reading_makes_no_database(tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+def test_nodes_that_processes_of_this_machine_play_need_not_either(tmp_path: Path) -> None:
+    machine = _at(tmp_path, "canopen")
+    played = replace(machine, canopen=replace(machine.canopen, interface="local_socket"))
+    assert not calibration_of(played, NOW).required
+
+
 @pytest.mark.parametrize(("driver", "required"), [("sim", False), ("mock", False), ("canopen", True)])
 def test_a_machine_must_be_calibrated_a_simulation_need_not(
     tmp_path: Path, driver: str, required: bool
