@@ -102,7 +102,9 @@ class Child:
         stdout = self.process.stdout
         while time.monotonic() < deadline:
             ended = not self.alive
-            for event in self.take_events():
+            self.listen()
+            while self.events:
+                event = self.events.pop(0)  # what it told after it stays to be taken
                 if event["event"] == "ready":
                     return event
                 if event["event"] == "failed":
