@@ -26,33 +26,38 @@ def access_control(
     """Return zenoh's `access_control` for a bench, or with `benches` for a router between them and clients.
 
     `viewers` and `operators` are common names of certificates; so are `benches`, and each of them speaks for
-    the bench of that name and no other. A bench takes a router it connects to for an operator.
+    the bench of that name and no other. A bench takes a router it connects to for an operator; to a router
+    everybody comes by TLS, a bench of the same machine too.
     """
     reads = _allow("reads", "ingress", "declare_subscriber", _ALL), _allow("hears", "egress", "put", _ALL)
     rules = [
-        _allow("anything", "both", _MESSAGES, "**"),
         *reads,
         *_asks("status", _STATUS),
         *_asks("command", _COMMANDS),
         *_asks("stop", *_STOPS),
+        # A client asks without knowing whether somebody answers; a router passes on what it knows of.
+        _allow("command offered", "egress", "declare_queryable", _COMMANDS),
     ]
-    policies = [
-        _policy("this machine", ["anything"], link_protocols=["tcp"]),
-        _policy("anybody", ["stop", "stop answered"], link_protocols=["tls"]),
-    ]
+    policies = [_policy("anybody", ["stop", "stop answered"], link_protocols=["tls"])]
+    if benches:  # who listens to all benches listens to each
+        rules.append(_allow("wanted", "egress", "declare_subscriber", _ALL))
+    else:
+        rules.append(_allow("anything", "both", _MESSAGES, "**"))
+        policies.append(_policy("this machine", ["anything"], link_protocols=["tcp"]))
     if viewers:
         may = ["reads", "hears", "status", "status answered"]
         policies.append(_policy("viewers", may, cert_common_names=sorted(viewers)))
     if operators:
-        may = ["reads", "hears", "command", "command answered"]
+        may = ["reads", "hears", "command", "command answered", "command offered"]
         policies.append(_policy("operators", may, cert_common_names=sorted(operators)))
     for name in sorted(benches):
         own = f"golfbench/{name}/**"
         rules += [
             _allow(f"{name} tells", "ingress", ("put", "declare_queryable", "reply"), own),
-            _allow(f"{name} is asked", "egress", ("declare_subscriber", "query"), own),
+            _allow(f"{name} is asked", "egress", "query", own),
         ]
-        policies.append(_policy(name, [f"{name} tells", f"{name} is asked"], cert_common_names=[name]))
+        may = [f"{name} tells", f"{name} is asked", "wanted"]
+        policies.append(_policy(name, may, cert_common_names=[name]))
     return {
         "enabled": True,
         "default_permission": "deny",

@@ -30,11 +30,17 @@ class Folder:
         return str(self.path / file)
 
 
-def bench_of(folder: Folder, **roles: tuple[str, ...]) -> Configuration:
+def bench_of(
+    folder: Folder, *, viewers: tuple[str, ...] = (), operators: tuple[str, ...] = ()
+) -> Configuration:
     """Return the configuration of a bench on the loopback and, by TLS, beyond it."""
     configuration = loopback_configuration()
     network = replace(
-        configuration.network, beyond=f"tls/127.0.0.1:{free_port()}", identity=folder.add("bench1"), **roles
+        configuration.network,
+        beyond=f"tls/127.0.0.1:{free_port()}",
+        identity=folder.add("bench1"),
+        viewers=viewers,
+        operators=operators,
     )
     return replace(configuration, network=network)
 

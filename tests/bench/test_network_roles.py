@@ -63,7 +63,7 @@ def come_as(bench: RunningPlane, folder: Folder) -> Iterator[Connect]:
 def denied() -> Iterator[None]:
     with pytest.raises(NoAnswer, match="denied or not running") as caught:
         yield
-    assert caught.value.exit_code == ExitCode.NO_ANSWER == 75
+    assert int(caught.value.exit_code) == 75
 
 
 def heard_by(network: NetworkSettings, publisher: zenoh.Session, *, longest: float) -> set[str]:
@@ -185,14 +185,11 @@ def test_viewers_cannot_pose_as_the_bench(bench: RunningPlane, folder: Folder) -
     for name in ("anna", "bob", "carl"):
         with open_client(client_of(network.beyond, str(folder.path / name)).network, "bench1") as impostor:
             assert heard_by(network, impostor, longest=0.5) == set()
-            asked: list[str] = []
-            impostor.declare_queryable(
-                "golfbench/bench1/**", lambda query, asked=asked: asked.append(str(query.key_expr))
-            )
+            false = impostor.declare_queryable("golfbench/bench1/**", zenoh.handlers.FifoChannel(10))
             time.sleep(0.2)
             with BenchClient.connect(bench.configuration) as here:
                 assert here.status()["state"]
-            assert asked == []
+            assert false.try_recv() is None
 
 
 def test_operators_read_and_command(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
@@ -269,9 +266,9 @@ def test_a_missing_or_wrong_file_is_told(lacking: str, tmp_path: Path) -> None:
     for content in (None, b"nonsense", other):
         path = folder.path / lacking
         path.unlink() if content is None else path.write_bytes(content)
-        for attempt in (lambda: open_client(client, "b"), lambda: open_daemon(daemon)):
+        for is_client in (True, False):
             with pytest.raises(BenchError, match="golfbench certificates") as caught:
-                attempt()
+                open_client(client, "b") if is_client else open_daemon(daemon)
             assert caught.value.exit_code == ExitCode.BAD_INPUT
             assert caught.value.place == f"network.identity {identity}"
             if lacking == "authority.pem":

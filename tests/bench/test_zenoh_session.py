@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.config import load_configuration
+from bench.config import NetworkSettings, load_configuration
 from bench.errors import BenchError, ExitCode
 from bench.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, open_daemon
 from tests.bench.fake_desk import loopback_configuration
@@ -67,38 +67,85 @@ def test_what_is_longer_than_the_transport_takes_never_arrives() -> None:
     assert arrived == [LONGEST_MESSAGE // 2]
 
 
-@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7451", "tcp/127.1.2.3:1", "tcp/[::1]:65535"])
-def test_endpoints_of_this_machine_hold(endpoint: str, tmp_path: Path) -> None:
-    path = tmp_path / "bench.toml"
-    path.write_text(f'base = "shipped"\n[network]\nendpoint = "{endpoint}"\n')
-    assert load_configuration(path).network.endpoint == endpoint
+def configured(folder: Path, **network: str) -> NetworkSettings:
+    """Return [network] with these keys, read from a file."""
+    path = folder / "bench.toml"
+    keys = "".join(f'{key} = "{value}"\n' for key, value in network.items())
+    path.write_text(f'base = "shipped"\n[network]\n{keys}')
+    return load_configuration(path).network
 
 
 @pytest.mark.parametrize(
     "endpoint",
-    [
-        "",
-        "7451",
-        "tcp/127.0.0.1",
-        "tcp/127.0.0.1:0",
-        "tcp/127.0.0.1:65536",
-        "tcp/127.0.0.1:123456",
-        "tcp/127.0.0.1:7451#iface=eth0",
-        "tcp/127.0.0.1:7451\\n",
-        "tcp/0.0.0.0:7451",
-        "tcp/[::]:7451",
-        "tcp/192.168.1.5:7451",
-        "tcp/bench.example:7451",
-        "tcp/127.0.0.1.1:7451",
-        "udp/127.0.0.1:7451",
-    ],
+    ["tcp/127.0.0.1:7451", "tcp/127.1.2.3:1", "tcp/[::1]:65535", "tls/bench.example:7452", "tls/[::]:7452"],
 )
-def test_other_endpoints_do_not_hold(endpoint: str, tmp_path: Path) -> None:
+def test_endpoints_of_this_machine_and_secure_ones_hold(endpoint: str, tmp_path: Path) -> None:
+    assert configured(tmp_path, endpoint=endpoint, identity="bob").endpoint == endpoint
+
+
+BEYOND_IN_THE_CLEAR = [
+    "tcp/0.0.0.0:7451",
+    "tcp/[::]:7451",
+    "tcp/192.168.1.5:7451",
+    "tcp/bench.example:7451",
+    "tcp/127.0.0.1.1:7451",
+    "udp/127.0.0.1:7451",
+    "quic/192.168.1.5:7451",
+]
+NO_ENDPOINT = [
+    "7451",
+    "tcp/127.0.0.1",
+    "tcp/127.0.0.1:0",
+    "tcp/127.0.0.1:65536",
+    "tcp/127.0.0.1:123456",
+    "tcp/127.0.0.1:7451#iface=eth0",
+    "tcp/127.0.0.1:7451\\n",
+    "tls/:7452",
+    "tls/192.168.1.5",
+    "tls/192.168.1.5:7452?rel=0",
+    "tls/192.168.1.5:7452#verify_name_on_connect=false",
+    "tls/192.168.1.5:7452,tcp/0.0.0.0:7451",
+]
+
+
+@pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
+@pytest.mark.parametrize("endpoint", [*BEYOND_IN_THE_CLEAR, *NO_ENDPOINT])
+def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(ExceptionGroup) as caught:
+        configured(tmp_path, identity="bench1", **{key: endpoint})
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert fault.place.endswith(f"network.{key}")
+    assert "tls/HOST:PORT" in fault.expected
+    if key == "endpoint":
+        assert "an address of this machine only" in fault.expected
+
+
+@pytest.mark.parametrize(("key", "endpoint"), [("endpoint", ""), ("beyond", "tcp/127.0.0.1:7451")])
+def test_only_the_endpoint_must_be_given_and_only_it_may_be_without_tls(
+    key: str, endpoint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ExceptionGroup, match="does not hold"):
+        configured(tmp_path, **{key: endpoint})
+
+
+@pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
+def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
+    with pytest.raises(ExceptionGroup) as caught:
+        configured(tmp_path, **{key: "tls/192.0.2.5:7452"})
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert fault.place.endswith("network.identity")
+    assert "golfbench certificates" in fault.cure
+
+
+@pytest.mark.parametrize("name", ["", "anna*", "anna bob", "**"])
+def test_roles_are_of_names(name: str, tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
-    path.write_text(f'base = "shipped"\n[network]\nendpoint = "{endpoint}"\n')
+    path.write_text(f'base = "shipped"\n[network]\noperators = ["bob", "{name}"]\n')
     with pytest.raises(ExceptionGroup) as caught:
         load_configuration(path)
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.place.endswith("network.endpoint")
-    assert "an address of this machine only" in fault.expected
+    assert fault.place.endswith("network.operators")
+    assert fault.found == f'"{name}"'
