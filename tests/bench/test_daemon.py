@@ -8,17 +8,24 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import psutil
 import pytest
 
+from bench.calibration.archive import add_calibration
+from bench.calibration.values import BallPosition
 from bench.client import CommandRefused
+from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.lifecycle import Cause, Phase, State
 from bench.replay import replay_record
+from bench.store.database import database_url, open_database
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+BALL = BallPosition(0.251, -1.559, 5e-4)
 
 pytestmark = pytest.mark.timeout(400)  # the first start compiles
 
@@ -142,6 +149,22 @@ def test_a_silent_supervisor_stops_the_swing(tmp_path: Path) -> None:
         finally:
             bench.process.send_signal(signal.SIGCONT)
         assert stopped["trip"] == Cause.SUPERVISOR
+
+
+def test_with_an_expired_calibration_nothing_is_armed(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "expired")
+    bench_settings = load_configuration(file).bench
+    then = datetime.now(UTC) - timedelta(days=2)
+    with open_database(database_url(bench_settings.database, bench_settings.data_dir), then) as database:
+        add_calibration(
+            database, bench_settings.id, BALL, date=then, expires=then + timedelta(days=1),
+            by="test", method="rule",
+        )  # fmt: skip
+    with running_bench(file) as bench, bench.client.lease("test"):
+        bench.make_ready()
+        with pytest.raises(CommandRefused, match="expired"):
+            bench.client.arm()
+        assert bench.client.status()["state"] == "READY"
 
 
 def test_an_observing_bench_moves_nothing(tmp_path: Path) -> None:
