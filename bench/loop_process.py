@@ -161,7 +161,10 @@ class LoopProcess:
                 continue
             if not reason and (reason := self._reason_to_end()):
                 last = time + _LONGEST_STOP
-                control["request"] = Request.STOP
+                if self.parent.gone:
+                    self.orders.give_up()
+                else:
+                    control["request"] = Request.STOP
             if reason and (control["phase"][0] == Phase.STANDING or time > last):
                 return reason
 

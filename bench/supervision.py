@@ -87,6 +87,10 @@ class Orders:
         waiting = self._seen != (number, stops, emergencies)
         self._version = _UNREAD if waiting else version
 
+    def give_up(self) -> None:
+        """From now on count the supervisor as dead: the loop has seen that its process is gone."""
+        self._silence = 0.0
+
     def close(self) -> None:
         """Unmap the file."""
         self._shared.close()

@@ -95,3 +95,16 @@ def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervis
     supervisor.say(shutdown=True)
     put(100.001)
     assert orders.shutdown
+
+
+def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
+    put: Put, orders: Orders, supervisor: Supervisor
+) -> None:
+    supervisor.say(heartbeat=8, lease_held=True)
+    assert put(100.0)["supervisor_alive"]
+    orders.give_up()
+    seen = put(100.001)
+    assert not seen["supervisor_alive"]
+    assert not seen["lease_held"]
+    supervisor.say(heartbeat=9)
+    assert not put(100.002)["supervisor_alive"]
