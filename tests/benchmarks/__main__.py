@@ -25,6 +25,7 @@ LONG = (
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",
+    "launch_monitor_fuzz",
     "campaign_statistics",
     "reactions",
     "kills",

@@ -1,0 +1,35 @@
+"""A shot as a monitor sends it, and a plain connection to send it over."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+
+from drivers.base import Launch
+from drivers.launch_monitor.open_connect import write_shot
+
+LAUNCH = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
+
+
+def shot(number: int = 1) -> bytes:
+    return write_shot(number, LAUNCH, "monitor")
+
+
+def wait_for(holds: Callable[[], object], timeout: float = 10.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not holds():
+        assert time.monotonic() < deadline, "it did not come"
+        time.sleep(0.002)
+
+
+def receive(connection: socket.socket, count: int) -> bytes:
+    """Return what comes until it holds `count` closing braces of answers, or the end of the connection."""
+    connection.settimeout(10.0)
+    data = b""
+    while data.count(b'"Code"') < count or not data.endswith(b"}"):
+        piece = connection.recv(65_536)
+        if not piece:
+            break
+        data += piece
+    return data

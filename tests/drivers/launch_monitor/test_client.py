@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import json
+import math
+import socket
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.base import DriverError
+from drivers.launch_monitor.client import MOST_WAITING, SimulatorClient
+from drivers.launch_monitor.open_connect import write_answer, write_player
+from drivers.launch_monitor.record import ClubFigures
+from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
+from tests.drivers.launch_monitor.stream import LAUNCH, wait_for
+
+
+@pytest.fixture
+def gspro() -> Iterator[socket.socket]:
+    """Stand in for GSPro: what listens where it would."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(10.0)
+        yield listener
+
+
+@pytest.fixture
+def client(gspro: socket.socket) -> Iterator[SimulatorClient]:
+    made = SimulatorClient(
+        SimulatorSettings(True, "127.0.0.1", gspro.getsockname()[1]), "bench", answer_time=1.0, reconnect=0.05
+    )
+    made.open()
+    yield made
+    made.close()
+
+
+def accept(gspro: socket.socket) -> socket.socket:
+    connection, _ = gspro.accept()
+    connection.settimeout(10.0)
+    return connection
+
+
+def message(connection: socket.socket) -> dict[str, object]:
+    data = b""
+    while not data.endswith(b"}\n"):
+        data += connection.recv(65_536)
+    tree = json.loads(data)
+    assert isinstance(tree, dict)
+    return tree
+
+
+def test_a_shot_arrives_and_is_taken(gspro: socket.socket, client: SimulatorClient) -> None:
+    assert client.send(LAUNCH, ClubFigures(speed=45.0), carry=230.0) == 1
+    with accept(gspro) as connection:
+        tree = message(connection)
+        assert tree["ShotNumber"] == 1
+        assert tree["DeviceID"] == "bench"
+        connection.sendall(write_player("DR") + write_answer(200, "Shot received successfully"))
+        wait_for(lambda: client.passing().taken == 1)
+        passing = client.passing()
+        assert (passing.connected, passing.trouble, passing.waiting) == (True, "", 0)
+        assert passing.player is not None
+        assert passing.player.club == "DR"
+
+
+def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
+    client.send(LAUNCH)
+    with accept(gspro) as connection:
+        assert message(connection) == message(connection)
+        wait_for(lambda: client.passing().refused == 1)
+        assert "not answered" in client.passing().trouble
+
+
+def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, client: SimulatorClient) -> None:
+    client.send(LAUNCH)
+    with accept(gspro) as connection:
+        message(connection)
+        connection.sendall(write_answer(501, "no player"))
+        wait_for(lambda: client.passing().refused == 1)
+        assert "501: no player" in client.passing().trouble
+        client.send(LAUNCH)
+        message(connection)
+        connection.sendall(write_answer(200, ""))
+        wait_for(lambda: client.passing().taken == 1)
+
+
+def test_it_connects_again_and_sends_what_was_not_taken(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
+    client.send(LAUNCH)
+    with accept(gspro) as connection:
+        first = message(connection)
+    with accept(gspro) as connection:
+        assert message(connection) == first
+        connection.sendall(write_answer(200, ""))
+        wait_for(lambda: client.passing().taken == 1)
+
+
+def test_an_endless_answer_ends_the_connection_only(gspro: socket.socket, client: SimulatorClient) -> None:
+    with accept(gspro) as connection, pytest.raises(OSError):  # noqa: PT011, PT012
+        while True:
+            connection.sendall(b'{"a' + b"x" * 100_000)
+    with accept(gspro):
+        wait_for(lambda: client.passing().connected)
+
+
+def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() -> None:
+    now = [0.0]
+    with socket.create_server(("127.0.0.1", 0)) as held:
+        port = held.getsockname()[1]
+    client = SimulatorClient(SimulatorSettings(True, "127.0.0.1", port), clock=lambda: now[0], reconnect=0.01)
+    client.open()
+    with pytest.raises(DriverError, match="open already"):
+        client.open()
+    try:
+        client.send(LAUNCH)
+        wait_for(lambda: "refused" in client.passing().trouble)
+        assert client.passing().waiting == 1
+        now[0] = 11.0
+        wait_for(lambda: client.passing().out_of_date == 1)
+        assert not client.passing().connected
+    finally:
+        client.close()
+
+
+def test_the_queue_is_bounded_and_bad_figures_are_the_callers_mistake() -> None:
+    client = SimulatorClient(SimulatorSettings())
+    with pytest.raises(ValueError, match="JSON"):
+        client.send(LAUNCH._replace(speed=math.nan))
+    numbers = [client.send(LAUNCH) for _ in range(MOST_WAITING + 2)]
+    assert numbers == list(range(1, MOST_WAITING + 3))
+    assert (client.passing().waiting, client.passing().out_of_date) == (MOST_WAITING, 2)
+    client.close()
+
+
+def test_our_client_and_our_server_understand_each_other() -> None:
+    server = LaunchMonitorServer(LaunchMonitorSettings(), port=0)
+    server.open()
+    client = SimulatorClient(SimulatorSettings(True, *server.address), "bench")
+    client.open()
+    try:
+        server.tell_player("PT")
+        client.send(LAUNCH)
+        wait_for(lambda: client.passing().taken == 1)
+        (record,) = server.take()
+        assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
+        wait_for(lambda: client.passing().player is not None)
+    finally:
+        client.close()
+        server.close()

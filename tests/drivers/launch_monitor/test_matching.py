@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.record import LaunchRecord
+
+WINDOW = MatchWindow(earliest=0.1, latest=5.0, patience=10.0)
+
+
+def told(time: float, number: int = 1, speed: float = 60.0) -> LaunchRecord:
+    return LaunchRecord(time, "monitor", number, speed=speed)
+
+
+def outcomes(
+    swings: list[SwingImpact], launches: list[LaunchRecord], now: float = 1e3
+) -> list[tuple[str, str]]:
+    return [(m.outcome.name, m.shot) for m in match(swings, launches, now, WINDOW).decided]
+
+
+def test_a_swing_and_its_launch() -> None:
+    swing, launch = SwingImpact("7", 100.0), told(101.0)
+    (found,) = match([swing], [launch], 200.0, WINDOW).decided
+    assert (found.outcome, found.shot, found.launch, found.reason) == (Outcome.MATCHED, "7", launch, "")
+
+
+@pytest.mark.parametrize("delay", [-0.1, 0.0, 5.0])
+def test_both_ends_of_the_window_belong_to_it(delay: float) -> None:
+    assert outcomes([SwingImpact("7", 100.0)], [told(100.0 + delay)]) == [("MATCHED", "7")]
+
+
+@pytest.mark.parametrize("delay", [-0.101, 5.001])
+def test_outside_the_window_both_are_told(delay: float) -> None:
+    found = outcomes([SwingImpact("7", 100.0)], [told(100.0 + delay)])
+    assert sorted(found) == [("NO_LAUNCH", "7"), ("NO_SWING", "")]
+
+
+def test_nothing_is_settled_before_its_time() -> None:
+    swing, launch, stray = SwingImpact("7", 100.0), told(101.0), told(80.0)
+    early = match([swing], [launch, stray], 89.0, WINDOW)
+    assert early.decided == ()
+    assert (early.swings, set(early.launches)) == ((swing,), {launch, stray})
+    later = match(early.swings, early.launches, 104.9, WINDOW)
+    assert [m.outcome for m in later.decided] == [Outcome.NO_SWING]
+    last = match(later.swings, later.launches, 105.1, WINDOW)
+    assert [m.outcome for m in last.decided] == [Outcome.MATCHED]
+    assert (last.swings, last.launches) == ((), ())
+
+
+def test_the_same_message_again_is_a_repetition() -> None:
+    assert outcomes([SwingImpact("7", 100.0)], [told(101.0), told(103.0)]) == [
+        ("MATCHED", "7"),
+        ("REPEATED", "7"),
+    ]
+
+
+def test_another_launch_in_the_same_swing_puts_both_in_doubt() -> None:
+    decided = match([SwingImpact("7", 100.0)], [told(101.0), told(101.2, 2, 61.0)], 200.0, WINDOW).decided
+    assert [m.outcome for m in decided] == [Outcome.MATCHED, Outcome.DOUBLE]
+    assert "2 different launches" in decided[0].reason
+
+
+def test_a_window_ends_where_the_next_swing_begins() -> None:
+    swings = [SwingImpact("7", 100.0), SwingImpact("8", 103.0)]
+    assert outcomes(swings, [told(103.5)]) == [("NO_LAUNCH", "7"), ("MATCHED", "8")]
+    assert outcomes(swings, [told(102.0), told(103.5)]) == [("MATCHED", "7"), ("MATCHED", "8")]
+    assert [m.shot for m in match(swings, [], 103.0, WINDOW).decided] == ["7"]
+
+
+def test_two_swings_of_one_id_are_refused() -> None:
+    with pytest.raises(ValueError, match="one id"):
+        match([SwingImpact("7", 1.0), SwingImpact("7", 2.0)], [], 3.0, WINDOW)
+
+
+TIMES = st.floats(0.0, 60.0)
+
+
+@given(st.lists(TIMES, max_size=8), st.lists(st.tuples(TIMES, st.integers(0, 2)), max_size=12), st.data())
+def test_each_swing_and_each_launch_comes_to_exactly_one_outcome(
+    impacts: list[float], messages: list[tuple[float, int]], data: st.DataObject
+) -> None:
+    swings = [SwingImpact(str(n), time) for n, time in enumerate(impacts)]
+    launches = [told(time, number) for time, number in messages]
+    decided = match(swings, launches, 1e3, WINDOW)
+    assert (decided.swings, decided.launches) == ((), ())
+    of_swings = [m.shot for m in decided.decided if m.outcome in (Outcome.MATCHED, Outcome.NO_LAUNCH)]
+    assert sorted(of_swings) == sorted(swing.shot for swing in swings)
+    of_launches = [m.launch for m in decided.decided if m.launch is not None]
+    assert sorted(map(id, of_launches)) == sorted(map(id, launches))
+    # Asked in between, as messages come, it says the same.
+    swings_left: list[SwingImpact] = []
+    launches_left: list[LaunchRecord] = []
+    stepwise: list[Match] = []
+    for now in sorted(data.draw(st.lists(TIMES, max_size=4))) + [1e3]:
+        known = {id(launch) for launch in of_launches if launch.time <= now}
+        fresh = [launch for launch in launches if id(launch) in known]
+        launches = [launch for launch in launches if id(launch) not in known]
+        swings_left += [swing for swing in swings if swing.time <= now]
+        swings = [swing for swing in swings if swing.time > now]
+        step = match(swings_left, [*launches_left, *fresh], now, WINDOW)
+        swings_left, launches_left = list(step.swings), list(step.launches)
+        stepwise += step.decided
+    assert {(m.outcome, m.shot, id(m.launch)) for m in stepwise} == {
+        (m.outcome, m.shot, id(m.launch)) for m in decided.decided
+    }

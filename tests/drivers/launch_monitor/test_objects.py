@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import json
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.launch_monitor.objects import DEEPEST, GREATEST, ObjectStream
+
+OBJECTS = st.dictionaries(
+    st.text(max_size=6),
+    st.one_of(st.text(alphabet='{}"\\a ü', max_size=12), st.integers(), st.just({}), st.just({"a": "}"})),
+    max_size=4,
+)
+BETWEEN = st.binary(max_size=5).map(lambda noise: noise.replace(b"{", b","))
+
+
+@given(
+    st.lists(st.tuples(BETWEEN, OBJECTS), max_size=6),
+    st.lists(st.integers(1, 30), min_size=1, max_size=20),
+    st.booleans(),
+)
+def test_objects_are_found_however_they_are_cut(
+    parts: list[tuple[bytes, dict[str, object]]], cuts: list[int], ascii_only: bool
+) -> None:
+    whole = [json.dumps(value, ensure_ascii=ascii_only).encode() for _, value in parts]
+    data = b"".join(noise + text for (noise, _), text in zip(parts, whole, strict=True))
+    stream, found, n = ObjectStream(), [], 0
+    while data:
+        cut = cuts[n % len(cuts)]
+        found += stream.feed(data[:cut])
+        data, n = data[cut:], n + 1
+    assert found == whole
+    assert stream.passed_over == sum(len(noise) for noise, _ in parts)
+    assert stream.pending == 0
+
+
+@given(st.lists(st.binary(max_size=40).map(lambda b: b.replace(b"q", b"{").replace(b"z", b'"')), max_size=20))
+def test_no_byte_is_lost_or_counted_twice(pieces: list[bytes]) -> None:
+    stream, inside = ObjectStream(), 0
+    for piece in pieces:
+        inside += sum(map(len, stream.feed(piece)))
+    if not stream.useless:
+        assert inside + stream.pending + stream.passed_over == sum(map(len, pieces))
+
+
+def test_an_object_without_end_makes_the_stream_useless_and_what_came_before_is_kept() -> None:
+    stream = ObjectStream()
+    assert stream.feed(b'{"a":1}{"b":"' + b"x" * (GREATEST // 2)) == [b'{"a":1}']
+    assert stream.useless == ""
+    assert stream.feed(b"x" * GREATEST) == []
+    assert str(GREATEST) in stream.useless
+    assert stream.pending == 0
+    assert stream.feed(b'{"a":1}') == []
+
+
+def test_a_whole_object_that_is_too_long_is_none() -> None:
+    stream = ObjectStream()
+    assert stream.feed(b'{"a":1}{"b":"' + b"x" * GREATEST + b'"}{"c":2}') == [b'{"a":1}']
+    assert stream.useless
+
+
+def test_depth_is_bounded() -> None:
+    stream = ObjectStream()
+    deepest = b'{"a":' * (DEEPEST - 1) + b"{}" + b"}" * (DEEPEST - 1)
+    assert stream.feed(deepest) == [deepest]
+    stream.feed(b'{"a":' * (DEEPEST + 1))
+    assert "deep" in stream.useless
+
+
+def test_what_was_cut_off_can_be_given_up() -> None:
+    stream = ObjectStream()
+    stream.feed(b'{"a":"')
+    assert stream.pending == 6
+    stream.drop()
+    assert (stream.pending, stream.passed_over) == (0, 6)
+    assert stream.feed(b'{"b":2}') == [b'{"b":2}']

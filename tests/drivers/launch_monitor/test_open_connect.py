@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+import json
+import math
+from math import pi, radians
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.base import Launch
+from drivers.launch_monitor.open_connect import (
+    Refusal,
+    Status,
+    read_answer,
+    read_message,
+    write_answer,
+    write_heartbeat,
+    write_player,
+    write_shot,
+)
+from drivers.launch_monitor.record import ClubFigures, LaunchRecord
+
+SPECIFICATION: dict[str, Any] = {
+    "DeviceID": "UF-BENCH", "Units": "Yards", "ShotNumber": 13, "APIversion": "1",
+    "BallData": {
+        "Speed": 147.5, "SpinAxis": -13.2, "TotalSpin": 3250.0, "BackSpin": 2500.0, "SideSpin": -800.0,
+        "HLA": 2.3, "VLA": 14.3, "CarryDistance": 256.5,
+    },
+    "ClubData": {
+        "Speed": 101.2, "AngleOfAttack": -1.1, "FaceToTarget": 0.4, "Lie": 0.0, "Loft": 13.1, "Path": -0.6,
+        "SpeedAtImpact": 101.2, "VerticalFaceImpact": 1.0, "HorizontalFaceImpact": -2.5, "ClosureRate": 0.0,
+    },
+    "ShotDataOptions": {
+        "ContainsBallData": True, "ContainsClubData": True, "LaunchMonitorIsReady": True,
+        "LaunchMonitorBallDetected": True, "IsHeartBeat": False,
+    },
+}  # fmt: skip
+
+
+def read(**changes: Any) -> LaunchRecord | Status | Refusal:
+    return read_message(json.dumps({**SPECIFICATION, **changes}).encode(), 7.0)
+
+
+def record(**ball: Any) -> LaunchRecord:
+    """Return the record of the specification's shot with other ball data; ... leaves a figure out."""
+    data = {name: value for name, value in {**SPECIFICATION["BallData"], **ball}.items() if value is not ...}
+    message = read(BallData=data)
+    assert isinstance(message, LaunchRecord)
+    return message
+
+
+def test_the_specifications_shot() -> None:
+    shot = read()
+    assert isinstance(shot, LaunchRecord)
+    assert shot.launch == pytest.approx(
+        (147.5 * 0.44704, radians(14.3), radians(2.3), 3250 * 2 * pi / 60, radians(-13.2))
+    )
+    assert (shot.time, shot.device, shot.number) == (7.0, "UF-BENCH", 13)
+    assert shot.carry == pytest.approx(234.5436)  # 256.5 yd
+    expected = ClubFigures(
+        45.240448, radians(-1.1), radians(-0.6), radians(0.4), radians(13.1), -0.0025, 0.001
+    )
+    assert shot.club == pytest.approx(expected)
+    assert shot.absent == ()
+    assert shot.valid
+    assert shot.source == "launch monitor"
+
+
+def test_numbers_as_text_and_other_spellings() -> None:
+    tree = {
+        "deviceID": "PiTrac", "units": "yards", "Shot_Number": "13", "APIVersion": 1.0,
+        "balldata": {
+            "speed": "147.5", "TotalSpin": "0.0", "Backspin": "2500.0", "side_spin": " -800 ", "hla": "2.3",
+            "VLA": "1.43e1",
+        },
+        "shotDataOptions": {"containsBallData": "true", "ContainsClubData": "false", "IsHeartBeat": 0},
+    }  # fmt: skip
+    shot = read_message(json.dumps(tree).encode(), 0.0)
+    assert isinstance(shot, LaunchRecord)
+    assert shot.number == 13
+    assert shot.launch is not None
+    assert shot.launch.spin == pytest.approx(math.hypot(2500, 800) * pi / 30)
+    assert shot.launch.spin_axis == pytest.approx(math.atan2(-800, 2500))
+    assert shot.launch.speed == pytest.approx(147.5 * 0.44704)
+    assert shot.absent == (("carry", "no CarryDistance"),)
+
+
+@pytest.mark.parametrize(
+    "ball",
+    [
+        {"TotalSpin": ..., "SpinAxis": ..., "BackSpin": ..., "SideSpin": ...},
+        {"TotalSpin": 0, "SpinAxis": 0, "BackSpin": 0, "SideSpin": 0},
+        {"TotalSpin": None, "BackSpin": None},
+        {"TotalSpin": "", "SideSpin": ""},
+        {"TotalSpin": 99999, "BackSpin": "n/a"},
+    ],
+)
+def test_a_spin_not_seen_is_absent_and_never_zero(ball: dict[str, Any]) -> None:
+    shot = record(**ball)
+    assert shot.spin is None
+    assert shot.spin_axis is None
+    assert shot.launch is None
+    assert not shot.valid
+    assert "no spin" in shot.reason
+    assert shot.speed == pytest.approx(65.9384)  # the others stand
+
+
+def test_the_total_counts_where_components_contradict_it() -> None:
+    assert record(SideSpin=800.0).spin == pytest.approx(3250 * pi / 30)
+    assert record(SpinAxis=...).spin_axis == pytest.approx(math.atan2(-800, 2500))
+
+
+@pytest.mark.parametrize(
+    "bad", ["NaN", "inf", "-1e999", "12,5", "fast", True, [1], {"a": 1}, -3, 301, 10**400]
+)
+def test_a_figure_that_cannot_be_is_absent_with_its_reason(bad: Any) -> None:
+    shot = record(Speed=bad)
+    assert shot.speed is None
+    assert shot.absent[0][0] == "speed"
+    assert "Speed" in shot.absent[0][1]
+    assert shot.launch_angle == pytest.approx(radians(14.3))
+
+
+def test_not_a_number_outside_json_is_none() -> None:
+    shot = read_message(json.dumps(SPECIFICATION).replace("147.5", "NaN").encode(), 0.0)
+    assert isinstance(shot, LaunchRecord)
+    assert shot.speed is None
+
+
+def test_metres() -> None:
+    shot = read(Units="Meters")
+    assert isinstance(shot, LaunchRecord)
+    assert shot.carry == 256.5
+    assert shot.speed == pytest.approx(65.9384)
+
+
+@pytest.mark.parametrize("options", [{}, {"IsHeartBeat": True}, {"IsHeartBeat": "1"}])
+def test_heartbeats_and_status(options: dict[str, Any]) -> None:
+    given_options = {"ContainsBallData": False, "ContainsClubData": False, **options}
+    assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == Status(
+        "UF-BENCH", bool(options), False, None
+    )
+
+
+def test_a_shot_counts_even_when_it_says_heartbeat() -> None:
+    assert isinstance(read(ShotDataOptions={"ContainsBallData": True, "IsHeartBeat": True}), LaunchRecord)
+
+
+def test_ball_data_without_options_is_a_shot() -> None:
+    tree = {name: value for name, value in SPECIFICATION.items() if name != "ShotDataOptions"}
+    assert isinstance(read_message(json.dumps(tree).encode(), 0.0), LaunchRecord)
+
+
+def test_club_data_alone_is_a_record_without_a_launch() -> None:
+    shot = read(BallData={}, ShotDataOptions={"ContainsBallData": False, "ContainsClubData": True})
+    assert isinstance(shot, LaunchRecord)
+    assert shot.launch is None
+    assert shot.club.speed == pytest.approx(45.240448)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"{", "no JSON"),
+        (b"{'a': 1}", "no JSON"),
+        (b'{"a": \xff}', "no JSON"),
+        (b"[1]", "no JSON object"),
+        (b"{}", "neither"),
+        (b'{"DeviceID": "x"}', "neither"),
+        (b'{"BallData": {}, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
+        (b'{"BallData": 3, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
+        (b'{"APIversion": "2", "BallData": {"Speed": 3}}', "APIversion"),
+        (b'{"Speed": ' + b"9" * 5000 + b"}", "no JSON"),
+        (b"{" * 100_000, "no JSON"),
+        (b'{"a":' + b"[" * 100_000, "no JSON"),
+    ],
+)
+def test_what_is_no_message_is_refused_with_its_reason(data: bytes, says: str) -> None:
+    message = read_message(data, 0.0)
+    assert isinstance(message, Refusal)
+    assert message.code == 501
+    assert says in message.reason
+    assert len(message.reason) < 200
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(
+                    [*SPECIFICATION, *SPECIFICATION["BallData"], *SPECIFICATION["ShotDataOptions"]]
+                ),
+                inner,
+                max_size=6,
+            )
+        ),
+        max_leaves=20,
+    )
+)
+def test_any_tree_gives_finite_figures_or_none(tree: Any) -> None:
+    message = read_message(json.dumps({"BallData": tree, "ShotDataOptions": tree}).encode(), 0.0)
+    if isinstance(message, LaunchRecord):
+        figures = (message.speed, message.launch_angle, message.direction, message.spin, message.spin_axis)
+        assert all(figure is None or math.isfinite(figure) for figure in (*figures, message.carry))
+        missing = {name for name, _ in message.absent}
+        assert {
+            name for name, figure in zip(Launch._fields, figures, strict=True) if figure is None
+        } <= missing
+
+
+@given(
+    st.builds(
+        Launch, st.floats(1, 100), st.floats(-1, 1), st.floats(-1, 1), st.floats(1, 2000), st.floats(-3, 3)
+    ),
+    st.integers(0, 10**6),
+)
+def test_what_is_written_reads_back(launch: Launch, number: int) -> None:
+    data = write_shot(number, launch, "bench", ClubFigures(speed=40.0, strike_x=0.01), carry=200.0)
+    assert data.endswith(b"}\n")
+    shot = read_message(data, 1.0)
+    assert isinstance(shot, LaunchRecord)
+    assert shot.launch == pytest.approx(launch, abs=1e-4)
+    assert shot.number == number
+    assert shot.carry == pytest.approx(200.0, abs=1e-4)
+    assert shot.club.speed == pytest.approx(40.0, abs=1e-4)
+    assert shot.club.strike_x == pytest.approx(0.01, abs=1e-6)
+    assert shot.club.path is None
+
+
+def test_exact_names_and_kinds_are_sent() -> None:
+    launch = Launch(65.9384, radians(14.3), radians(2.3), 3250 * pi / 30, radians(-13.2))
+    tree = json.loads(write_shot(13, launch, "UF-BENCH", ClubFigures(45.0), 234.5436))
+    for part in ("BallData", "ShotDataOptions"):
+        assert tree[part].keys() == SPECIFICATION[part].keys()
+    assert tree["ClubData"].keys() == {"Speed", "SpeedAtImpact"}  # what is not known is not sent
+    assert tree.keys() == SPECIFICATION.keys()
+    assert (tree["APIversion"], tree["Units"], tree["ShotNumber"]) == ("1", "Yards", 13)
+    for name in ("Speed", "SpinAxis", "TotalSpin", "HLA", "VLA", "CarryDistance"):
+        assert tree["BallData"][name] == pytest.approx(SPECIFICATION["BallData"][name], abs=1e-3)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_figure_that_is_not_finite_is_not_sent(bad: float) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        write_shot(1, Launch(bad, 0.1), "bench")
+
+
+def test_heartbeat_and_answers_read_back() -> None:
+    assert read_message(write_heartbeat(3, "bench"), 0.0) == Status("bench", True, True, False)
+    answer = read_answer(write_answer(200, "Shot received successfully"))
+    assert answer is not None
+    assert (answer.code, answer.text) == (200, "Shot received successfully")
+    player = read_answer(write_player("PT", "LH"))
+    assert player is not None
+    assert (player.code, player.club, player.handed) == (201, "PT", "LH")
+    for bad in (b"{}", b"nonsense", b"[1]", b'{"Code": "x"}', b'{"Code": 5e9}', b'{"Code": true}'):
+        assert read_answer(bad) is None

@@ -1,0 +1,282 @@
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from math import pi
+
+import pytest
+
+from drivers.base import DriverError
+from drivers.launch_monitor import server as server_module
+from drivers.launch_monitor.open_connect import write_heartbeat
+from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
+from tests.drivers.launch_monitor.stream import LAUNCH, receive, shot, wait_for
+
+
+class Clock:
+    """A clock that a test moves on."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def server(clock: Clock) -> Iterator[LaunchMonitorServer]:
+    made = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
+    made.open()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def connect(server: LaunchMonitorServer) -> Iterator[Callable[[], socket.socket]]:
+    made: list[socket.socket] = []
+
+    def one() -> socket.socket:
+        made.append(socket.create_connection(server.address, 10.0))
+        return made[-1]
+
+    yield one
+    for connection in made:
+        connection.close()
+
+
+Connect = Callable[[], socket.socket]
+
+
+def test_a_shot_is_answered_and_taken_once(server: LaunchMonitorServer, connect: Connect) -> None:
+    connection = connect()
+    connection.sendall(shot(5))
+    assert b'"Code": 200' in receive(connection, 1)
+    (record,) = server.take()
+    assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
+    assert (record.number, record.device, record.time, record.doubts) == (5, "monitor", 100.0, ())
+    assert server.take() == []
+
+
+def test_split_and_joined_messages(server: LaunchMonitorServer, connect: Connect) -> None:
+    connection = connect()
+    data = shot(1) + shot(2).rstrip() + shot(3)
+    for start in range(0, len(data), 97):
+        connection.sendall(data[start : start + 97])
+    assert receive(connection, 3).count(b'"Code": 200') == 3
+    assert [record.number for record in server.take()] == [1, 2, 3]
+
+
+def test_heartbeats_are_not_answered_and_tell_of_the_monitor(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    connection = connect()
+    connection.sendall(write_heartbeat(0, "monitor") + shot())
+    assert receive(connection, 1).count(b"Code") == 1
+    (connected,) = server.link().connected
+    assert (connected.device, connected.ready, connected.ball_detected) == ("monitor", True, False)
+
+
+def test_what_is_refused_is_answered_and_the_connection_goes_on(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    connection = connect()
+    connection.sendall(b'xx{"a": }, {"BallData": 3}' + shot())
+    answers = receive(connection, 3)
+    assert answers.count(b'"Code": 501') == 2
+    assert answers.count(b'"Code": 200') == 1
+    counts = server.link().counts
+    assert (counts.objects, counts.shots, counts.refused, counts.passed_over) == (3, 1, 2, 5)
+
+
+def test_an_object_without_end_is_refused_with_413_and_let_go(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    connection, other = connect(), connect()
+    with pytest.raises(OSError):  # noqa: PT011, PT012 - reset or broken pipe
+        for _ in range(10_000):
+            connection.sendall(b'{"a": "' + b"x" * 10_000)
+    other.sendall(shot())
+    assert b"200" in receive(other, 1)
+    wait_for(lambda: len(server.link().connected) == 1)
+    assert (server.link().counts.too_large, server.link().let_go) == (1, 1)
+
+
+def test_an_object_cut_off_is_given_up_and_the_next_one_heard(
+    server: LaunchMonitorServer, connect: Connect, clock: Clock
+) -> None:
+    connection = connect()
+    connection.sendall(shot()[:100])
+    wait_for(lambda: server.link().counts.received == 100)
+    clock.now += 2.5
+    connection.sendall(shot(2))
+    receive(connection, 1)
+    assert [record.number for record in server.take()] == [2]
+    assert server.link().counts.cut_off == 1
+
+
+def test_a_monitor_that_reads_no_answers_is_let_go(server: LaunchMonitorServer, connect: Connect) -> None:
+    connection = connect()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    with pytest.raises(OSError):  # noqa: PT011, PT012 - reset or broken pipe
+        for _ in range(1000):
+            connection.sendall(b'{"a":1}' * 5000)
+    wait_for(lambda: not server.link().connected)
+    assert server.link().let_go == 1
+
+
+def test_silence_after_heartbeats_lets_go_and_without_them_does_not(
+    server: LaunchMonitorServer, connect: Connect, clock: Clock
+) -> None:
+    beating, quiet = connect(), connect()
+    beating.sendall(write_heartbeat(0, "beating"))
+    quiet.sendall(shot())
+    wait_for(lambda: server.link().counts.objects == 2)
+    clock.now += 31.0
+    wait_for(lambda: len(server.link().connected) == 1)
+    assert server.link().connected[0].device == "monitor"
+    assert beating.recv(10) == b""
+    assert server.link().counts.statuses == 1  # what is gone is still counted
+
+
+def test_a_monitor_may_go_and_come_again(server: LaunchMonitorServer, connect: Connect) -> None:
+    for number in range(5):
+        connection = connect()
+        connection.sendall(shot(number))
+        receive(connection, 1)
+        connection.close()
+    wait_for(lambda: not server.link().connected)
+    assert server.link().connections == 5
+    assert [record.number for record in server.take()] == [0, 1, 2, 3, 4]
+
+
+def test_no_more_connections_than_there_is_room_for(server: LaunchMonitorServer, connect: Connect) -> None:
+    first = [connect() for _ in range(server_module.MOST_CONNECTIONS)]
+    wait_for(lambda: len(server.link().connected) == len(first))
+    assert connect().recv(1) == b""
+    assert server.link().turned_away == 1
+
+
+def test_the_player_is_told_to_who_is_there_and_who_comes(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    before = connect()
+    wait_for(lambda: server.link().connected)
+    server.tell_player("I7", "LH")
+    assert b'"Club": "I7"' in receive(before, 1)
+    assert b'"Handed": "LH"' in receive(connect(), 1)
+
+
+def test_a_doubtful_shot_is_kept_with_its_doubt(server: LaunchMonitorServer, connect: Connect) -> None:
+    connection = connect()
+    connection.sendall(shot().replace(b'"VLA": 11.4592', b'"VLA": 0.0'))
+    assert b"200" in receive(connection, 1)
+    (record,) = server.take()
+    assert record.launch is not None
+    assert not record.valid
+    assert "launch angle" in record.reason
+
+
+def test_records_nobody_takes_are_lost_and_counted(
+    server: LaunchMonitorServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "MOST_WAITING", 3)
+    connection = connect()
+    connection.sendall(b"".join(map(shot, range(5))))
+    receive(connection, 5)
+    assert [record.number for record in server.take()] == [2, 3, 4]
+    assert server.link().lost == 2
+
+
+def test_a_mistake_of_its_own_costs_one_connection(
+    server: LaunchMonitorServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError
+
+    connection = connect()
+    with monkeypatch.context() as patched:
+        patched.setattr("drivers.launch_monitor.conversation.read_message", fail)
+        connection.sendall(shot())
+        assert connection.recv(10) == b""
+    assert server.link().failures == 1
+    again = connect()
+    again.sendall(shot())
+    assert b"200" in receive(again, 1)
+
+
+def test_closing_ends_thread_and_sockets_and_opening_again_works(clock: Clock) -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    server = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
+    server.close()
+    for _ in range(3):
+        server.open()
+        with socket.create_connection(server.address) as connection:
+            wait_for(lambda: server.link().connected)
+            with pytest.raises(DriverError, match="open already"):
+                server.open()
+            server.close()
+            assert connection.recv(1) == b""
+        server.close()
+        with pytest.raises(DriverError, match="closed"):
+            _ = server.address
+    assert len(os.listdir("/proc/self/fd")) == before
+    assert not [thread for thread in threading.enumerate() if "launch" in thread.name]
+
+
+def test_a_port_that_is_taken_is_told(server: LaunchMonitorServer) -> None:
+    second = LaunchMonitorServer(LaunchMonitorSettings(), port=server.address[1])
+    with pytest.raises(DriverError, match=r"Address already in use.*launch_monitor\.port"):
+        second.open()
+    second.close()
+
+
+def test_the_network_is_for_named_clients_only() -> None:
+    with pytest.raises(ValueError, match="clients"):
+        LaunchMonitorSettings(address="0.0.0.0")  # noqa: S104
+    with pytest.raises(ValueError, match="IP address"):
+        LaunchMonitorSettings(address="localhost")
+    with pytest.raises(ValueError, match="IP address"):
+        LaunchMonitorSettings(clients=("somebody",))
+    with pytest.raises(ValueError, match="IP address"):
+        SimulatorSettings(address="")
+    named = LaunchMonitorSettings(address="192.0.2.1", clients=("192.0.2.7",))
+    assert named.lets_in("192.0.2.7")
+    assert not named.lets_in("127.0.0.1")
+    assert LaunchMonitorSettings().lets_in("127.0.0.1")
+    assert LaunchMonitorSettings().plausible.greatest_direction == pytest.approx(pi / 6)
+
+
+def test_who_is_not_named_is_turned_away(clock: Clock) -> None:
+    server = LaunchMonitorServer(LaunchMonitorSettings(clients=("192.0.2.7",)), port=0, clock=clock)
+    server.open()
+    try:
+        with socket.create_connection(server.address) as connection:
+            assert connection.recv(1) == b""
+        assert server.link().turned_away == 1
+    finally:
+        server.close()
+
+
+def test_ipv6() -> None:
+    if (
+        not socket.has_ipv6
+        or not os.path.exists("/proc/net/if_inet6")
+        or not os.path.getsize("/proc/net/if_inet6")
+    ):
+        pytest.skip("this machine has no IPv6")
+    server = LaunchMonitorServer(LaunchMonitorSettings(address="::1"), port=0)
+    server.open()
+    try:
+        with socket.create_connection(server.address) as connection:
+            connection.sendall(shot())
+            assert b"200" in receive(connection, 1)
+    finally:
+        server.close()

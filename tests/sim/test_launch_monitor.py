@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.base import Launch
+from drivers.launch_monitor.matching import MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.open_connect import read_message
+from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.server import LaunchMonitorServer
+from drivers.launch_monitor.settings import LaunchMonitorSettings
+from sim.launch_monitor import RECONNECT, MonitorParameters, SimulatedMonitor, messages_of
+
+STRUCK = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
+EXACT = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis_noise=0.0)
+
+
+@pytest.fixture
+def server() -> Iterator[LaunchMonitorServer]:
+    made = LaunchMonitorServer(LaunchMonitorSettings(), port=0)
+    made.open()
+    yield made
+    made.close()
+
+
+def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[LaunchRecord]:
+    records = []
+    for delay, message in messages_of(launch, number, parameters):
+        record = read_message(message, delay)
+        assert isinstance(record, LaunchRecord)
+        records.append(judged(record, PlausibleFigures()))
+    return records
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("spelling", [False, True])
+def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: bool) -> None:
+    parameters = replace(EXACT, text_numbers=text, other_spelling=spelling)
+    (record,) = told(STRUCK, 1, parameters)
+    assert record.launch == pytest.approx(STRUCK, rel=1e-4)
+    assert record.valid
+
+
+def test_the_noise_has_the_size_asked_for() -> None:
+    p = MonitorParameters()
+    launches = np.array([told(STRUCK, number, p)[0].launch for number in range(600)])
+    spread = [p.speed_noise * 65, p.angle_noise, p.angle_noise, p.spin_noise * 300, p.axis_noise]
+    assert np.std(launches, axis=0) == pytest.approx(spread, rel=0.12)
+    assert np.all(np.abs(np.mean(launches, axis=0) - STRUCK) < 5 * np.array(spread) / 600**0.5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "messages"), [("missing", 0), ("double", 2), ("repeated", 2), ("ghost", 2), ("misread", 1)]
+)
+def test_each_fault_has_its_share_and_moves_nothing_else(fault: str, messages: int) -> None:
+    faults = replace(MonitorParameters(), **{fault: 0.25})  # type: ignore[arg-type]
+    clean = [messages_of(STRUCK, n, MonitorParameters()) for n in range(400)]
+    faulty = [messages_of(STRUCK, n, faults) for n in range(400)]
+    struck = [n for n in range(400) if clean[n] != faulty[n]]
+    assert len(struck) == pytest.approx(100, abs=30)
+    assert {len(faulty[n]) for n in struck} == {messages}
+    assert faulty == [messages_of(STRUCK, n, faults) for n in range(400)]
+    assert clean != [messages_of(STRUCK, n, MonitorParameters(seed=2)) for n in range(400)]
+
+
+def test_every_misread_shot_is_noticed_and_no_other() -> None:
+    for number in range(200):
+        assert told(STRUCK, number, MonitorParameters())[0].valid
+        assert not told(STRUCK, number, MonitorParameters(misread=1.0))[0].valid
+        (blind,) = told(STRUCK, number, MonitorParameters(no_spin=1.0))
+        assert "no spin" in blind.reason
+
+
+def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
+    p = MonitorParameters(missing=0.1, double=0.1, repeated=0.1, ghost=0.05)
+    swings, records, expected = [], [], Counter[Outcome]()
+    for n in range(300):
+        impact = 100.0 * n
+        swings.append(SwingImpact(f"shot {n}", impact))
+        planned = messages_of(STRUCK, n, p)
+        heard = [replace(record, time=impact + record.time) for record in told(STRUCK, n, p)]
+        records += heard
+        if not planned:
+            expected[Outcome.NO_LAUNCH] += 1
+            continue
+        expected[Outcome.MATCHED] += 1
+        for delay, message in planned[1:]:
+            kind = Outcome.REPEATED if message == planned[0].message else Outcome.DOUBLE
+            expected[Outcome.NO_SWING if delay > 8.0 else kind] += 1
+    decided = match(swings, records, 1e6, MatchWindow()).decided
+    assert Counter(m.outcome for m in decided) == expected
+    assert min(expected.values()) > 5  # each of them happened
+    for found in decided:
+        if found.outcome is Outcome.MATCHED and found.launch is not None and found.launch.number is not None:
+            assert found.shot == f"shot {found.launch.number // 2}"
+
+
+@pytest.mark.parametrize("pieces", [False, True])
+def test_over_the_wire(server: LaunchMonitorServer, pieces: bool) -> None:
+    monitor = SimulatedMonitor(replace(EXACT, pieces=pieces, delay=0.0), *server.address)
+    try:
+        monitor.see(STRUCK, 0.0)
+        monitor.see(STRUCK, 0.0)
+        records: list[LaunchRecord] = []
+        deadline = time.monotonic() + 10.0
+        while len(records) < 2 or monitor.answers.count(b"200") < 2:
+            assert time.monotonic() < deadline
+            monitor.step(1.0)
+            records += server.take()
+            time.sleep(0.001)
+        assert [record.number for record in records] == [2, 4]
+        assert (monitor.sent, monitor.waiting) == (2, 0)
+        assert server.link().counts.statuses == 1
+    finally:
+        monitor.close()
+
+
+def test_it_comes_again_when_the_server_was_away(server: LaunchMonitorServer) -> None:
+    address, now = server.address, 0.0
+    monitor = SimulatedMonitor(EXACT, *address)
+    again = LaunchMonitorServer(LaunchMonitorSettings(), port=address[1])
+    try:
+        deadline = time.monotonic() + 10.0
+        while not server.link().connected:
+            monitor.step(now)
+            assert time.monotonic() < deadline
+        server.close()
+        while monitor.connected:
+            monitor.step(now)
+            assert time.monotonic() < deadline
+        monitor.see(STRUCK, now)
+        again.open()
+        while not (records := again.take()):
+            now += RECONNECT / 2
+            monitor.step(now)
+            time.sleep(0.005)
+            assert time.monotonic() < deadline
+        assert records[0].number == 2
+    finally:
+        monitor.close()
+        again.close()
+
+
+def test_parameters_are_checked() -> None:
+    with pytest.raises(ValueError, match="missing"):
+        MonitorParameters(missing=1.5)
