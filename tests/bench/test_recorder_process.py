@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import random
 import resource
-import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,144 +16,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from bench.child_process import HEARTBEAT, Condition
+from bench.child_process import Condition
 from bench.lifecycle import Cause, State
-from bench.recorder_process import RecorderPlan
-from bench.swing.library import find_profile
-from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.recorder import read_swing
-from bench.telemetry.ring import RingWriter
-from bench.telemetry.snapshot import SNAPSHOT, read_snapshot
+from bench.telemetry.snapshot import read_snapshot
 from bench.telemetry.swing_metadata import read_profile, since
-from sim.shared_record import SharedRecord
+from tests.bench.recorded_bench import HURRY, RECORDER, Cycles
+from tests.bench.recorded_bench import RecordedBench as Bench
 
-Cycles = np.ndarray[Any, Any]
 S = State
 ONCE = [(S.READY, 300), (S.ARMED, 400), (S.SWINGING, 300), (S.RECOVERING, 200)]
 SWING = [*ONCE, (S.READY, 400)]
-HURRY = 10.0
-"""s that anything may take on a busy machine."""
-
-
-class Bench:
-    """A loop that writes what it is told to, and the recorder beside it."""
-
-    def __init__(self, folder: Path, capacity: int = 16384) -> None:
-        self.folder, self.data = folder, folder / "data"
-        self.writer = RingWriter(folder / "ring", capacity)
-        self.snapshots = SharedRecord.create(folder / "snapshot", SNAPSHOT)
-        self.heart = SharedRecord.create(folder / "heart", HEARTBEAT)
-        self.recorder: subprocess.Popen[bytes] | None = None
-        self.begun = time.monotonic() - 100.0
-        self.cycles: list[Cycles] = []
-        self._heard = b""
-
-    def plan(self, **changes: Any) -> RecorderPlan:
-        return RecorderPlan(
-            **{
-                "bench": "b1",
-                "data_dir": self.data,
-                "ring": self.folder / "ring",
-                "snapshot": self.folder / "snapshot",
-                "heartbeat": self.folder / "heart",
-                "snapshot_dtype": SNAPSHOT,
-                "profile": load_profile(find_profile("default")),
-                "configuration": {"loop": {"rate": 1000}},
-                "versions": {"golfbench": "test"},
-                "real_time": {"scheduling": "FIFO"},
-                "calibrations": {"date": "2026-11-21"},
-                "lead": 0.125,
-                "tail": 0.25,
-                **changes,
-            }
-        )
-
-    def start(self, **changes: Any) -> None:
-        self.start_anyhow(**changes)
-        assert self.event()["event"] == "ready"
-
-    def start_anyhow(self, **changes: Any) -> None:
-        self.kill()
-        self.recorder = subprocess.Popen(
-            [sys.executable, "-m", "bench.recorder_process"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        assert self.recorder.stdin is not None
-        self.recorder.stdin.write(pickle.dumps(self.plan(**changes)))
-        self.recorder.stdin.close()
-        self._heard = b""
-
-    def write(self, cycles: Cycles) -> None:
-        for i in range(len(cycles)):
-            self.writer(cycles[i : i + 1])
-        self.cycles.append(cycles)
-
-    def snapshot(self, tick: int) -> None:
-        record = np.zeros(1, SNAPSHOT)
-        record["tick"], record["time"] = tick, 0.5
-        record["control"]["swings"] = 77
-        self.snapshots.write(record)
-
-    def event(self) -> dict[str, Any]:
-        """Wait for the next event and return it."""
-        assert self.recorder is not None
-        assert self.recorder.stdout is not None
-        deadline = time.monotonic() + HURRY
-        while b"\n" not in self._heard and time.monotonic() < deadline:
-            if select.select([self.recorder.stdout], [], [], 0.1)[0]:
-                new = os.read(self.recorder.stdout.fileno(), 65536)
-                if not new:
-                    break
-                self._heard += new
-        line, _, self._heard = self._heard.partition(b"\n")
-        assert line, "it told nothing"
-        event: dict[str, Any] = json.loads(line)
-        return event
-
-    def heartbeat(self) -> Any:
-        record = np.zeros(1, HEARTBEAT)
-        self.heart.read(record)
-        return record[0]
-
-    def wait_for(self, reached: Callable[[], bool]) -> None:
-        deadline = time.monotonic() + HURRY
-        while not reached():
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
-
-    def read_up(self) -> None:
-        """Wait until the recorder has taken in all that is written."""
-        count = int(self.heartbeat()["count"])
-        self.wait_for(lambda: self.heartbeat()["count"] > count + 1)
-
-    def signal(self, number: int) -> None:
-        assert self.recorder is not None
-        self.recorder.send_signal(number)
-
-    def end(self) -> int:
-        """Ask the recorder to end and return its exit code."""
-        assert self.recorder is not None
-        self.recorder.terminate()
-        return self.recorder.wait(HURRY)
-
-    def files(self) -> list[Path]:
-        return sorted((self.data / "swings" / "b1").glob("*"))
-
-    def kill(self) -> None:
-        """End the recorder by force, if there is one."""
-        if self.recorder is not None:
-            self.recorder.kill()
-            self.recorder.wait()
-            if self.recorder.stdout is not None:
-                self.recorder.stdout.close()
-
-    def close(self) -> None:
-        self.kill()
-        for shared in (self.writer, self.snapshots, self.heart):
-            shared.close()
 
 
 @pytest.fixture
@@ -408,3 +283,109 @@ def test_without_a_ring_it_says_why_it_cannot_work(bench: Bench, tmp_path: Path)
     assert str(tmp_path / "absent") in told["place"]
     assert bench.recorder is not None
     assert bench.recorder.wait(HURRY) == 69
+
+
+# The disk itself -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(bench: Bench) -> Iterator[Callable[[int], None]]:
+    """Put the records on a disk of 1 MiB; return a function that makes it of so many MiB."""
+    bench.data.mkdir()
+
+    def mount(*options: str) -> bool:
+        command = ["mount", "-t", "tmpfs", "-o", ",".join(options), "tmpfs", str(bench.data)]
+        return shutil.which("mount") is not None and subprocess.run(command, check=False).returncode == 0
+
+    if os.geteuid() != 0 or not mount("size=1m"):
+        pytest.skip("only root may mount a small disk")
+
+    def make_room(size: int) -> None:
+        assert mount("remount", f"size={size}m")
+
+    yield make_room
+    bench.kill()
+    subprocess.run(["umount", str(bench.data)], check=True)
+
+
+def test_a_disk_that_fills_up_has_whole_files_and_what_does_not_fit_waits(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    """A swing takes over half of the disk."""
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both[:1600])
+    assert bench.event()["event"] == "stored"
+    bench.write(both[1600:])
+    told = bench.event()
+    assert told["event"] == "trouble"
+    assert "No space left" in told["text"]
+    assert "nothing was stored" in told["text"]
+    assert [path.name[0] != "." for path in bench.files()] == [True]
+    assert stored_cycles(bench.files()[0])[0] == both[300 - 128 : 1200 + 256].tobytes()
+    small_disk(4)
+    assert bench.event()["event"] == "stored"
+    assert bench.event() == {"event": "relieved"}
+    _, second = bench.files()
+    assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
+
+
+def test_killed_on_a_full_disk_it_leaves_no_rest(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both[:1600])
+    assert bench.event()["event"] == "stored"
+    bench.write(both[1600:])
+    assert bench.event()["event"] == "trouble"
+    bench.kill()
+    small_disk(4)
+    bench.start()
+    assert bench.event()["event"] == "stored"
+    assert len(bench.files()) == 2
+    assert {len(read_swing(path)[0]) for path in bench.files()} == {128 + 900 + 256}
+
+
+AS_ANYBODY = (
+    "-c",
+    "import ctypes, os, sys\n"
+    "ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE: root's right to any file\n"
+    f"os.execv(sys.executable, [sys.executable, *{RECORDER}])",
+)
+
+
+def test_a_folder_that_becomes_read_only_is_told_and_the_record_kept(tmp_path: Path, day: MakeDay) -> None:
+    bench = Bench(tmp_path, program=AS_ANYBODY)
+    try:
+        bench.start()
+        bench.wait_for((bench.data / "swings" / "b1").exists)
+        (bench.data / "swings" / "b1").chmod(0o500)
+        cycles = day(SWING)
+        bench.write(cycles)
+        told = bench.event()
+        assert told["event"] == "trouble"
+        assert "Permission denied" in told["text"] or "cannot be written to" in told["text"]
+        bench.wait_for(lambda: bench.heartbeat()["waiting"] == 1)
+        assert bench.heartbeat()["condition"] == Condition.TROUBLE
+        assert bench.files() == []
+        (bench.data / "swings" / "b1").chmod(0o700)
+        assert bench.event()["event"] == "stored"
+        assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
+        assert bench.event() == {"event": "relieved"}
+    finally:
+        bench.close()
+
+
+def test_a_folder_that_is_read_only_from_the_start_is_told_before_anything_moves(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, program=AS_ANYBODY)
+    try:
+        (bench.data / "swings" / "b1").mkdir(parents=True)
+        (bench.data / "swings" / "b1").chmod(0o500)
+        bench.start()
+        told = bench.event()
+        assert told["event"] == "trouble"
+        assert "cannot be written to" in told["text"]
+        bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    finally:
+        bench.close()

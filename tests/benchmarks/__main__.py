@@ -29,6 +29,7 @@ LONG = (
     "campaign_statistics",
     "reactions",
     "kills",
+    "recorder_kills",
     "soak",
     "campaign_kills",
     "campaign_speed",

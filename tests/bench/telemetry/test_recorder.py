@@ -136,3 +136,28 @@ def test_a_truncated_file_is_refused(tmp_path: Path, make_swing: Callable[[int],
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(BenchError, match="unreadable"):
         read_swing(path)
+
+
+def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a power cut at any of these steps leaves: nothing, a partial file, or the whole one."""
+    path, steps = tmp_path / "swing.parquet", []
+    real_sync, real_replace = os.fsync, Path.replace
+
+    def sync(descriptor: int) -> None:
+        place = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        kind = "folder" if place == tmp_path else "partial file" if ".partial" in place.name else place.name
+        size = 0 if place == tmp_path else place.stat().st_size
+        steps.append((f"sync {kind}", path.exists(), size))
+        real_sync(descriptor)
+
+    def rename(self: Path, target: Path) -> Path:
+        steps.append(("rename", path.exists(), self.stat().st_size))
+        return real_replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(Path, "replace", rename)
+    write_swing(path, np.zeros(100, CYCLE), METADATA)
+    size = path.stat().st_size
+    assert steps == [("sync partial file", False, size), ("rename", False, size), ("sync folder", True, 0)]
