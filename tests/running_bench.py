@@ -17,6 +17,7 @@ import numpy as np
 from bench.client import BenchClient, CommandRefused
 from bench.config import Configuration, load_configuration
 from bench.desk import Status
+from bench.errors import Refused
 from bench.lifecycle import Phase, State
 from bench.ownership import bench_folder
 from bench.plan import RING_FILE
@@ -28,7 +29,7 @@ LONGEST_START = 300.0
 """s; the first start compiles."""
 
 
-_RESTING = (State.READY, State.ESTOP, State.FAULT)
+_RESTING = (State.READY, State.SAFE, State.ESTOP, State.FAULT)
 
 
 class BenchProcess:
@@ -102,18 +103,26 @@ class BenchProcess:
         return self.wait_until(lambda record: record["phase"] == phase, longest)
 
     def make_ready(self) -> Status:
-        """Reset and home; the lease must be held."""
-        self.client.reset()
+        """Reset where that is asked for, and home; the lease must be held."""
+        if self.now()["state"] in (State.ESTOP, State.FAULT):
+            self.client.reset()
         if not self.client.status()["homed"]:
             self.client.home()
         return self.client.wait_for("READY")
 
-    def recover(self) -> Status:
-        """Wait until the robot rests, whatever happened; reset and home where that is asked for."""
-        self.wait_until(lambda record: record["state"] in _RESTING)
-        if self.now()["state"] in (State.ESTOP, State.FAULT):
-            return self.make_ready()
-        return self.client.wait_for("READY")
+    def recover(self, longest: float = 60.0) -> None:
+        """Come back to READY, whatever happened: reset and home as often as that is asked for."""
+        deadline = time.monotonic() + longest
+        while True:
+            try:
+                state = self.wait_until(lambda record: record["state"] in _RESTING)["state"]
+                if state == State.READY:
+                    return
+                self.make_ready()
+            except Refused:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.5)
 
     def take_address(self) -> Status:
         """Arm, and wait until the robot holds at its address."""

@@ -88,7 +88,7 @@ class PlantWatch:
     def letting_go(self, tick: float) -> tuple[float, float]:
         """Return the silence before the valves were let go (s), and the head's way in it (m)."""
         node = self.samples[-1]["node"]
-        if not node["watchdog_trips"]:
+        if node["watchdog_trips"] == self.samples[0]["node"]["watchdog_trips"]:
             return np.nan, np.nan
         begin, end = int(node["command_tick"]), int(node["passive_tick"])
         way, before = 0.0, None

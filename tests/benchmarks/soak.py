@@ -51,8 +51,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
                     bench.take_address()
                     bench.swing()
                     bench.client.wait_for("READY")
-                except Refused as error:
-                    stops.append(f"{since:.0f} s: {error.found}")
+                except (Refused, TimeoutError) as error:
+                    stops.append(f"{since:.0f} s: {error}")
                     bench.recover()
             swings = bench.client.status()["swings"]
             loop = bench.client.status()["loop"]
