@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -105,7 +105,7 @@ def run(
         typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
     ] = None,
 ) -> None:
-    """Run a campaign from its first shot to its end.
+    """Run a campaign from its first shot to its end: on the running bench, or with --sim without one.
 
     Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
     """
@@ -113,14 +113,14 @@ def run(
 
     from bench.campaign.baseline import read_baseline
     from bench.campaign.operate import new_entry
-    from bench.errors import BenchError
 
     plan, configuration = _checked(context, file)
-    if not sim:
-        raise BenchError("campaign run", "no --sim", "--sim", "Runs against a daemon are not there yet.")
+    facts = {} if sim else _bench_facts(plan, configuration)
     bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
-        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=sim)
+        entry = new_entry(
+            plan, configuration, datetime.now(UTC), simulated=sim or facts["driver"] == "sim", real_time=facts
+        )
         store.begin(entry)
         _run(store, entry, configuration, Outputs(json_, junit, report_to, bands))
 
@@ -139,6 +139,7 @@ def resume(
 ) -> None:
     """Go on with a campaign that was paused, stopped, suspended or cut off."""
     from bench.campaign.operate import ask, is_running, known, require_resumable
+    from bench.campaign.plan import plan_from_record
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
@@ -148,7 +149,18 @@ def resume(
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
             return
+        if entry.real_time:
+            _bench_facts(plan_from_record(entry.plan, f"campaign {entry.id}"), configuration)
         _run(store, entry, configuration, Outputs(json_, junit, None, []))
+
+
+def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
+    """Return what there is to note of the running bench, which can swing `plan`."""
+    from bench.campaign.operate import bench_facts
+    from bench.client import BenchClient
+
+    with BenchClient.connect(configuration) as client:
+        return bench_facts(plan, client.status())
 
 
 def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs) -> None:
@@ -159,7 +171,7 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.junit import junit_xml
-    from bench.campaign.operate import run_simulated
+    from bench.campaign.operate import run_live, run_simulated
     from bench.campaign.plan import plan_from_record
     from bench.campaign.screen import ProgressWatcher
     from bench.errors import ExitCode
@@ -171,7 +183,8 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt() as asked, progress_bar() as bar:
-        outcome = run_simulated(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set)
+        take = run_live if entry.real_time else run_simulated
+        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set)
     record = load_record(store, entry)
     found = findings(plan, record.shots)
     figures = findings_record(found)

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
@@ -134,6 +135,24 @@ class BenchClient:
                     time.sleep(0.01)
                     continue
                 due = time.monotonic() + timeout
+        finally:
+            subscriber.undeclare()
+
+    @contextmanager
+    def records(self) -> Iterator[Callable[[], Path | None]]:
+        """Yield a function that returns the path of the next swing's record stored since, None for none yet.
+
+        The path is one of the bench's machine.
+        """
+        channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(64)
+        subscriber = self._session.declare_subscriber(f"{self._root}/shot", channel)
+
+        def newest() -> Path | None:
+            sample = subscriber.try_recv()
+            return None if sample is None else _read_record(sample.payload.to_bytes())
+
+        try:
+            yield newest
         finally:
             subscriber.undeclare()
 
@@ -312,6 +331,17 @@ def _read_status(payload: bytes) -> Status:
     except (ValueError, RecursionError):
         raise _not_understood(payload[:40]) from None
     return _checked_status(read)
+
+
+def _read_record(payload: bytes) -> Path | None:
+    """Return the path in a message of the key `shot`; None where it tells of none."""
+    try:
+        match json.loads(payload):
+            case {"record": str(path)}:
+                return Path(path)
+    except (ValueError, RecursionError):
+        pass
+    return None
 
 
 def _checked_status(read: Any) -> Status:

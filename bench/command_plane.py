@@ -150,16 +150,14 @@ class CommandPlane:
         self._stops = _Lane("command stops", self._do_stops, QUEUE)
         self._requests = _Lane("command requests", self._do_request, 1)
         self._lookups = _Lane("command lookups", self._do_lookup, 1)
-        # Both drop what a receiver does not take.
-        self._state = session.declare_publisher(
-            f"{self._root}/state",
-            encoding=zenoh.Encoding.APPLICATION_JSON,
-            congestion_control=zenoh.CongestionControl.DROP,
-        )
-        self._event = session.declare_publisher(
-            f"{self._root}/event",
-            encoding=zenoh.Encoding.APPLICATION_JSON,
-            congestion_control=zenoh.CongestionControl.DROP,
+        # All drop what a receiver does not take.
+        self._state, self._event, self._shot = (
+            session.declare_publisher(
+                f"{self._root}/{name}",
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for name in ("state", "event", "shot")
         )
         # Called by the link's own thread: zenoh's own queue for Python would have no bound.
         self._queryable = session.declare_queryable(
@@ -185,6 +183,7 @@ class CommandPlane:
         with suppress(zenoh.ZError):
             self._state.undeclare()
             self._event.undeclare()
+            self._shot.undeclare()
         return all(ended)
 
     # What the supervisor asks and tells ----------------------------------------------------------
@@ -219,6 +218,15 @@ class CommandPlane:
         message = {"version": VERSION, "event": event, "time": self._clock(), **content}
         with suppress(zenoh.ZError):
             self._event.put(json.dumps(message, allow_nan=False))
+
+    def publish_shot(self, record: str, facts: Mapping[str, Any]) -> None:
+        """Publish that a swing's record is stored at the path `record`, with `facts` of it.
+
+        `shot` is None: what became of the ball is not the bench's to know; the record tells what can be told.
+        """
+        message = {"version": VERSION, "shot": None, "record": record, **facts}
+        with suppress(zenoh.ZError):
+            self._shot.put(json.dumps(message, allow_nan=False))
 
     # Receiving: in zenoh's threads, must neither wait nor raise ----------------------------------
 

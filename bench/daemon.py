@@ -212,7 +212,7 @@ class Daemon:
         stack.callback(session.close)
         self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
         self._support = [
-            Supporter("recorder", folder / "recorder-heart", self._start_recorder),
+            Supporter("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
             Supporter("publisher", folder / "publisher-heart", self._start_publisher),
         ]
         self._folder = folder
@@ -363,6 +363,12 @@ class Daemon:
             "phase": phase.name,
             "time_utc": self._now().isoformat(),
         }
+
+    def _note_record(self, stored: dict[str, Any]) -> None:
+        """Publish where a swing's record is."""
+        if self._plane is not None and stored["kind"] == "swing":
+            facts = ("number", "lost_records", "complete", "replayable", "cause")
+            self._plane.publish_shot(os.path.abspath(stored["path"]), {name: stored[name] for name in facts})
 
     def _publish(self, event: str, content: dict[str, Any]) -> None:
         if self._plane is not None:

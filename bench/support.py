@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,13 +37,16 @@ class Heart(NamedTuple):
 class Supporter:
     """One process of the support."""
 
-    def __init__(self, name: str, heart: Path, start: Callable[[], Child]) -> None:
-        """Make the file of its `heart`; `start` starts the process.
+    def __init__(
+        self, name: str, heart: Path, start: Callable[[], Child],
+        stored: Callable[[dict[str, Any]], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        """Make the file of its `heart`; `start` starts the process; `stored` hears of each stored record.
 
         Raises:
             SharedMemoryError: the file cannot be made.
         """
-        self.name, self._start = name, start
+        self.name, self._start, self._stored = name, start, stored
         self._shared = SharedRecord.create(heart, HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
         self._heart = Heart(Condition.STARTING, -1, -np.inf)
@@ -83,6 +86,8 @@ class Supporter:
         for event in self.child.take_events():
             if event["event"] in {"trouble", "dropped", "failed", "relieved"}:
                 _log.warning("%s: %s", self.name, event)
+            elif event["event"] == "stored":
+                self._stored(event)
 
     def _trouble(self, now: float) -> str:
         if self._heart.condition is Condition.STARTING:

@@ -186,8 +186,18 @@ def _reasons(found: Findings) -> list[tuple[str, int]]:
 
 def _limits(record: CampaignRecord) -> list[str]:
     limits = list(LIMITS)
-    if record.entry.simulated:
-        s = record.plan.simulation
+    s = record.plan.simulation
+    if record.entry.simulated and record.entry.real_time:
+        limits[:0] = [
+            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
+            "what the models do, not what balls do.",
+            "The robot swung in real time and its scatter is its own. What the ball does was computed from "
+            "the delivery that the encoders tell; on the robot acted the ball of its own configuration. From "
+            f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
+            f"from hit to hit and {100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} "
+            f"m/s, spin {s.spin_rpm:g} rpm.",
+        ]
+    elif record.entry.simulated:
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
             "what the models do, not what balls do.",

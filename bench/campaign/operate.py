@@ -15,13 +15,17 @@ from typing import Any
 from bench.campaign.analysis import decide
 from bench.campaign.course import Course, course
 from bench.campaign.gate import Centre, planned_delivery
+from bench.campaign.live import LiveShots, require_live
 from bench.campaign.plan import Plan, plan_from_record
 from bench.campaign.runner import Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import require_swings
+from bench.client import BenchClient
 from bench.config import Configuration
+from bench.desk import Status
 from bench.errors import BenchError, Refused
+from bench.lease import LONGEST_HOLDER
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from bench.swing.profile import Profile
 
@@ -29,8 +33,18 @@ PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "
 """Whose versions stand in the record."""
 
 
-def new_entry(plan: Plan, configuration: Configuration, now: datetime, *, simulated: bool) -> CampaignEntry:
-    """Return a campaign that begins `now`; its id is name and time."""
+def new_entry(
+    plan: Plan,
+    configuration: Configuration,
+    now: datetime,
+    *,
+    simulated: bool,
+    real_time: Mapping[str, Any] | None = None,
+) -> CampaignEntry:
+    """Return a campaign that begins `now`; its id is name and time.
+
+    `real_time` tells of the running bench that takes its shots; None: they are taken in lock-step.
+    """
     return CampaignEntry(
         id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
         bench=configuration.bench.id,
@@ -43,7 +57,7 @@ def new_entry(plan: Plan, configuration: Configuration, now: datetime, *, simula
         digest=plan.digest,
         configuration=configuration.effective(),
         versions={name: version(name) for name in PACKAGES} | {"python": platform.python_version()},
-        real_time={},
+        real_time=real_time or {},
         calibrations={},
     )
 
@@ -85,6 +99,49 @@ def run_simulated(
             watcher,
         )
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+
+
+def run_live(
+    entry: CampaignEntry,
+    configuration: Configuration,
+    store: CampaignStore,
+    watcher: Watcher,
+    interrupted: Callable[[], bool],
+) -> Outcome:
+    """Begin or go on with a campaign on the running bench; every shot is stored at once. Raises as above.
+
+    Raises:
+        NoAnswer: no bench is running. One that goes away later suspends the campaign.
+    """
+    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
+    profiles = require_swings(plan, configuration)
+    data_dir = configuration.bench.data_dir
+
+    def aborted() -> bool:
+        return store.standing(entry.id).requested == "abort"
+
+    with runner_lock(data_dir, entry.id), BenchClient.connect(configuration) as client:
+        shots = LiveShots(
+            plan,
+            client,
+            f"campaign {entry.id}"[:LONGEST_HOLDER],
+            simulated=entry.simulated,
+            interrupted=interrupted,
+            aborted=aborted,
+        )
+        with shots as source:
+            runner = Runner(entry, plan, store, data_dir, source, watcher, batch=1)
+            return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+
+
+def bench_facts(plan: Plan, status: Status) -> dict[str, Any]:
+    """Return what a campaign notes of the running bench that takes its shots.
+
+    Raises:
+        Refused: the bench cannot swing this plan by itself.
+    """
+    require_live(plan, status)
+    return {"driver": status["driver"], "profile": status["profile"], **status["real_time"]}
 
 
 def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:

@@ -29,6 +29,10 @@ _LOOK = 0.2
 """s between two looks at the database while paused."""
 
 
+class Suspended(Exception):
+    """The bench gives no more shots until a person has looked; the text says why."""
+
+
 class ShotSource(Protocol):
     """A bench as a campaign sees it."""
 
@@ -39,7 +43,16 @@ class ShotSource(Protocol):
         ...
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
-        """Take shot `number` with physical ball `sample`."""
+        """Take shot `number` with physical ball `sample`.
+
+        Raises:
+            Suspended: it was not taken, and none can be for now.
+            KeyboardInterrupt: somebody asked to stop before the swing.
+        """
+        ...
+
+    def rest(self) -> None:
+        """Leave nothing armed: it is not known when the next shot comes."""
         ...
 
 
@@ -164,6 +177,10 @@ class Runner:
                 taken = self._source.take(step, number, sample)
             except KeyboardInterrupt:
                 return CampaignState.STOPPED, "interrupted before the next shot"
+            except Suspended as why:
+                if self._store.standing(self._entry.id).requested == "abort":
+                    return CampaignState.ABORTED, "aborted by request"
+                return CampaignState.SUSPENDED, str(why)
             if taken.stopped:  # by Ctrl-C: as if it had not been begun
                 return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
             shot = self._gated(step, taken)
@@ -206,6 +223,7 @@ class Runner:
                 case "pause":
                     if not paused:
                         self._commit()
+                        self._source.rest()
                         self._store.change(campaign, state=CampaignState.PAUSED, reason="paused by request")
                         self._watcher.say("paused")
                     paused = True

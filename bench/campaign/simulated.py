@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 
 from bench.campaign.course import Step
-from bench.campaign.plan import Plan
+from bench.campaign.plan import Plan, Simulation
 from bench.campaign.shot import Shot, Status
 from bench.config import Configuration
 from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
@@ -43,6 +43,30 @@ class Taken(NamedTuple):
     """The robot was stopped within the swing."""
 
 
+def random_of(plan: Plan, number: int) -> np.random.Generator:
+    """Return the random numbers of shot `number`; the first six are normal: ball, supply, launch monitor."""
+    return np.random.default_rng((plan.design.seed, _SHOTS, number))
+
+
+def ball_as_hit(plan: Plan, name: str, sample: int, number: int, draw: float) -> Ball:
+    """Return ball `sample` of a model as it is at shot `number`."""
+    s, ball = plan.simulation, plan.balls[name]
+    own = np.random.default_rng((plan.design.seed, _SAMPLES, crc32(name.encode()), sample))
+    factor = 1 + s.sample * float(own.standard_normal()) + s.restitution * draw + s.drift * number / 1000
+    return replace(ball, restitution_factor=ball.restitution_factor * factor)
+
+
+def monitored(s: Simulation, launch: Launch, noise: np.ndarray) -> Launch:
+    """Return `launch` as the simulated launch monitor sees it; `noise` are four normal numbers."""
+    return Launch(
+        speed=launch.speed + s.ball_speed * float(noise[0]),
+        launch_angle=launch.launch_angle + s.launch_angle * float(noise[1]),
+        direction=launch.direction + s.direction * float(noise[2]),
+        spin=launch.spin + s.spin_rpm * pi / 30 * float(noise[3]),
+        spin_axis=launch.spin_axis,
+    )
+
+
 class SimulatedShots:
     """The simulated bench as a campaign sees it."""
 
@@ -62,6 +86,9 @@ class SimulatedShots:
     def time_of(self, number: int) -> datetime:
         """Return when shot `number` is."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
+
+    def rest(self) -> None:
+        """Nothing is to be done: its time stands still between two shots."""
 
     def arm_all(self) -> None:
         """Arm with every swing and club, which otherwise happens at the first shot of each.
@@ -91,9 +118,9 @@ class SimulatedShots:
             )
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
-        random = np.random.default_rng((self._plan.design.seed, _SHOTS, number))
+        random = random_of(self._plan, number)
         draws = random.standard_normal(6)
-        ball = self._ball(arm.ball, sample, number, float(draws[0]))
+        ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
         c = self._configuration
         supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
         plant = replace(self._nominal(arm.club), ball=ball, supply=supply, seed=int(random.integers(2**31)))
@@ -119,14 +146,7 @@ class SimulatedShots:
             launch, status = None, Status.EXCLUDED
             reason = reason or "the launch monitor saw no ball"
         if launch is not None:
-            s, c = self._plan.simulation, self._configuration
-            launch = Launch(
-                speed=launch.speed + s.ball_speed * float(noise[0]),
-                launch_angle=launch.launch_angle + s.launch_angle * float(noise[1]),
-                direction=launch.direction + s.direction * float(noise[2]),
-                spin=launch.spin + s.spin_rpm * pi / 30 * float(noise[3]),
-                spin_axis=launch.spin_axis,
-            )
+            c, launch = self._configuration, monitored(self._plan.simulation, launch, noise)
             try:
                 flight = fly(launch, c.air, ball, c.wind, c.turf)
             except ValueError as error:
@@ -192,10 +212,3 @@ class SimulatedShots:
             robot=replace(plant.robot, club=self._plan.clubs[club]),
             encoders=replace(plant.encoders, noise=noise),
         )
-
-    def _ball(self, name: str, sample: int, number: int, draw: float) -> Ball:
-        """Return ball `sample` of a model as it is at shot `number`."""
-        s, ball = self._plan.simulation, self._plan.balls[name]
-        own = np.random.default_rng((self._plan.design.seed, _SAMPLES, crc32(name.encode()), sample))
-        factor = 1 + s.sample * float(own.standard_normal()) + s.restitution * draw + s.drift * number / 1000
-        return replace(ball, restitution_factor=ball.restitution_factor * factor)

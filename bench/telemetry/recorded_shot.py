@@ -172,7 +172,7 @@ def shot_of_cycles(
     trips = cycles["trip"][cycles["trip"] != 0]
     delivery = delivery_of_cycles(cycles, plant)
     launch = flight = None
-    if delivery is not None and _struck(cycles):
+    if delivery is not None and ball_struck(cycles):
         try:
             launch = strike(delivery, plant.robot.club, plant.ball)
         except ValueError:
@@ -230,7 +230,7 @@ def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | Non
         return None
 
 
-def _struck(cycles: Cycles) -> bool:
+def ball_struck(cycles: Cycles) -> bool:
     """Tell whether a ball lay on the tee until the head came."""
     swung = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))
     after = cycles["phase"] == Phase.FOLLOW_THROUGH

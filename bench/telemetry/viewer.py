@@ -276,7 +276,7 @@ class LiveView:
                 self._loop = message
             case "event":
                 self._show_event(message)
-            case "shot":
+            case "shot" if message.get("shot", message) is not None:  # None: a record is stored, no more
                 try:
                     shot = shot_from_json(message.get("shot", message), "shot message")
                 except BenchError as error:

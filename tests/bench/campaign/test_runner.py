@@ -55,6 +55,9 @@ class Scripted:
     def time_of(self, number: int) -> datetime:
         return NOW + timedelta(seconds=48 * number)
 
+    def rest(self) -> None:
+        pass
+
     def take(self, step: Step, number: int, sample: int) -> Taken:
         self.taken.append((number, step, sample))
         arm, trial = step.trial.arm, step.trial
