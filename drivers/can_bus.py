@@ -99,8 +99,8 @@ class LocalSocketBus(can.BusABC):
 
     # Raw frames ----------------------------------------------------------------------------------
 
-    def send_frame(self, frame: bytes) -> None:
-        """Send `frame` (FRAME) to all others; never waits.
+    def send_frame(self, frame: bytes) -> float:
+        """Send `frame` (FRAME) to all others; never waits. Return when that was, s of CLOCK_MONOTONIC.
 
         Raises:
             OSError: ENETDOWN, the bus is switched off.
@@ -109,7 +109,8 @@ class LocalSocketBus(can.BusABC):
             self._look()
         if self._down:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
-        stamped = frame + time.monotonic_ns().to_bytes(_STAMP, "big")
+        now = time.monotonic_ns()
+        stamped = frame + now.to_bytes(_STAMP, "big")
         for name, peer in list(self._peers.items()):
             try:
                 peer.send(stamped)
@@ -119,6 +120,7 @@ class LocalSocketBus(can.BusABC):
                 self._peers.pop(name).close()
         if self._own:
             self._waiting.append(stamped)
+        return 1e-9 * now
 
     def receive_frame(self, timeout: float | None) -> bytes | None:
         """Return the next frame (FRAME) that passes the filters; None when there is none for `timeout` s."""

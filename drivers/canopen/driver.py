@@ -97,7 +97,8 @@ class CanopenDriver:
     ) -> None:
         """`period` (s) is the loop's, `watchdog` (s) the silence after which the valve node lets go.
 
-        `counts_per_revolution` is what the encoders must have. `clock` bounds waiting and nothing else.
+        `counts_per_revolution` is what the encoders must have. `clock` bounds waiting and nothing else. The
+        loop's time is the bus's, CLOCK_MONOTONIC.
         """
         self.settings = settings or CanopenSettings()
         self.period, self.watchdog = period, watchdog
@@ -149,7 +150,10 @@ class CanopenDriver:
         self._count = [0, 0, 0]
         self._sampled: list[float] = [ABSENT] * 3
         self._seen, self._faulty = [False] * 3, [False] * 3
-        self._awaited = 0
+        self._awaited = self._came = 0
+        """Encoders (bits) whose answer to the last SYNC has not come; who answered anything since."""
+        self._owed = [0, 0, 0]
+        """Answers to earlier SYNCs that an encoder may still send."""
         self._sync_time = ABSENT
         self._in_time = False
         """Answers that come now are those of this tick's SYNC."""
@@ -306,8 +310,8 @@ class CanopenDriver:
     def read(self, time: float) -> Readings:
         """Let the encoders sample now and return what they and the inputs show.
 
-        Takes up to `answer_time` when a sample is missing. A sample's time is that of its SYNC: `time`, and
-        what it took to get there.
+        Takes up to `answer_time` when a sample is missing. A sample's time is when its SYNC went out, a
+        little after `time`: microseconds count, for they become errors of velocity and acceleration.
 
         Raises:
             DriverError: not open, or `time` is not finite or before the last one.
@@ -323,7 +327,6 @@ class CanopenDriver:
         self._listened += min(time - self._time, _LONGEST_STEP * self.period)
         self._time = time
         counters, clock = self.counters, self.clock
-        begin = clock()
         self._in_time = False
         try:
             for _ in range(_MOST_WAITING):  # what came since the last tick
@@ -334,12 +337,11 @@ class CanopenDriver:
             else:
                 counters.floods += 1
             if self._awaited:
-                counters.missing += self._awaited.bit_count()
-                self._awaited = 0
-            sync = clock()
-            if self._send(link, self._sync):
+                self._note_missing()
+            sent = self._send(link, self._sync)
+            if not math.isnan(sent):
                 counters.syncs += 1
-                self._sync_time, self._awaited, self._in_time = time + (sync - begin), _ALL, True
+                self._sync_time, self._awaited, self._came, self._in_time = sent, _ALL, 0, True
                 end = clock() + self.settings.answer_time
                 while self._awaited and (left := end - clock()) > 0.0:
                     waiting = link.receive_frame(left)
@@ -365,7 +367,8 @@ class CanopenDriver:
         if self._time - self._beaten >= self._beat_period:
             self._beaten = self._time
             self._send(link, self._beat)
-        if self._send(link, self._passive_frame if applied is PASSIVE else self._packed(applied)):
+        sent = self._send(link, self._passive_frame if applied is PASSIVE else self._packed(applied))
+        if not math.isnan(sent):
             self.applied, self._room_since = applied, ABSENT
         elif math.isnan(self._room_since):
             self._room_since = self._time
@@ -391,18 +394,17 @@ class CanopenDriver:
             | (bits[4] if tee else 0),
         )
 
-    def _send(self, link: FrameLink, whole: bytes) -> bool:
-        """Send a frame; return whether that was possible."""
+    def _send(self, link: FrameLink, whole: bytes) -> float:
+        """Send a frame; return when that was, not a number when it could not be."""
         try:
-            link.send_frame(whole)
+            return link.send_frame(whole)
         except OSError as error:
             if error.errno in (errno.ENOBUFS, errno.EAGAIN):
                 self.counters.no_room += 1
             else:
                 self.counters.send_failures += 1
                 self._note_trouble(f"sending failed: {error}")
-            return False
-        return True
+            return math.nan
 
     def _readings(self, time: float) -> Readings:
         inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
@@ -455,10 +457,27 @@ class CanopenDriver:
         else:
             counters.foreign += 1
 
+    def _note_missing(self) -> None:
+        """Count the answers that have not come before the next SYNC; they may still come.
+
+        An encoder that held one back owes it: what comes then is not taken for an answer to a later SYNC.
+        Once something has come, whatever else it owes was lost.
+        """
+        for joint in range(3):
+            if self._awaited >> joint & 1:
+                self.counters.missing += 1
+                self._owed[joint] = 0 if self._came >> joint & 1 else self._owed[joint] + 1
+        self._awaited = 0
+
     def _take_position(self, joint: int, data: bytes) -> None:
         counters, bit = self.counters, 1 << joint
         if len(data) != POSITION_LENGTH:
             counters.wrong_length += 1
+            return
+        self._came |= bit
+        if self._owed[joint]:  # the order tells: this one answers an earlier SYNC, if none was lost
+            self._owed[joint] -= 1
+            counters.late += 1
             return
         if not self._awaited & bit:
             counters.duplicates += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import select
 import socket
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -28,8 +29,8 @@ _RECEIVE_BUFFER = 8 * 2**20
 class FrameLink(Protocol):
     """One opened interface."""
 
-    def send_frame(self, frame: bytes) -> None:
-        """Send; OSError when that fails."""
+    def send_frame(self, frame: bytes) -> float:
+        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
 
     def receive_frame(self, timeout: float) -> bytes | None:
         """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
@@ -46,9 +47,11 @@ class SocketcanLink:
         with suppress(OSError):  # needs CAP_NET_ADMIN
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
 
-    def send_frame(self, frame: bytes) -> None:
-        """Send; OSError when that fails."""
+    def send_frame(self, frame: bytes) -> float:
+        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
+        now = time.monotonic()
         self._socket.send(frame, socket.MSG_DONTWAIT)
+        return now
 
     def receive_frame(self, timeout: float) -> bytes | None:
         """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
@@ -70,12 +73,15 @@ class MessageLink:
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
 
-    def send_frame(self, frame: bytes) -> None:
-        """Send; OSError when that fails."""
+    def send_frame(self, frame: bytes) -> float:
+        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
+        message = message_of(frame, "")
+        now = time.monotonic()
         try:
-            self._bus.send(message_of(frame, ""))
+            self._bus.send(message)
         except can.CanError as error:
             raise OSError(error.error_code or errno.EIO, str(error)) from error
+        return now
 
     def receive_frame(self, timeout: float) -> bytes | None:
         """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""

@@ -49,9 +49,10 @@ class MemoryLink:
     def __init__(self) -> None:
         self.frames: list[bytes] = []
 
-    def send_frame(self, whole: bytes) -> None:
+    def send_frame(self, whole: bytes) -> float:
         if FRAME.unpack(whole)[0] == 0x80:
             self.frames = _ANSWERS.copy()
+        return time.monotonic()
 
     def receive_frame(self, timeout: float) -> bytes | None:
         return self.frames.pop() if self.frames else None

@@ -59,7 +59,7 @@ class FuzzedLink:
         self.commands: set[bytes] = set()
         self._waiting: list[bytes] = []
 
-    def send_frame(self, whole: bytes) -> None:
+    def send_frame(self, whole: bytes) -> float:
         identifier, chance = FRAME.unpack(whole)[0], self._random
         if chance.random() < _FAILURES:
             raise OSError(chance.choice((errno.ENOBUFS, errno.ENETDOWN, errno.EIO)), "fuzz")
@@ -72,6 +72,7 @@ class FuzzedLink:
             chance.shuffle(self._waiting)
         elif identifier == 0x20A:
             self.commands.add(whole)
+        return 0.0
 
     def receive_frame(self, timeout: float) -> bytes | None:
         if self._random.random() < _FAILURES:

@@ -1,6 +1,7 @@
 """Driver and simulated nodes in one process, in step: the wire is a queue, the clock counts.
 
-Every SYNC is a tick: the plant moves on by one period. Waiting for a frame that does not come takes its time.
+Before every reading time moves on to the loop's next tick, and with it the plant on a grid of its own.
+Waiting for a frame that does not come takes its time.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.base import Command
+from drivers.base import Command, Readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
@@ -23,6 +24,8 @@ PERIOD = 0.001
 PLANT = PlantParameters()
 START = (0.2, 4.3, 6.0)
 SETTINGS = CanopenSettings(interface="local_socket")
+_NEAR = 1e-9
+"""s within which two instants are one, for rounding."""
 
 Meddler = Callable[[int, bytes], list[tuple[int, bytes]]]
 """What becomes of a node's frame on its way to the driver."""
@@ -40,6 +43,17 @@ class Wire:
         self.sent: list[tuple[int, bytes]] = []
         self.frame_time = 0.0
         """s that taking a frame lasts."""
+        self.lead = 0.0
+        """s by which the plant's ticks come before the loop's."""
+        self.delay = 0.0
+        """s from the driver's sending to the nodes' hearing."""
+        self.stamp_error: Callable[[], float] = lambda: 0.0
+        """s by which the driver mistakes the instant of its sending."""
+        self._tick = (0.0, 0.0)
+        """When the loop's last tick began, s: as it calls that instant, and on the wire's clock."""
+        self._ticks = 0
+        """Of the plant."""
+        self._under_way: deque[tuple[float, int, bytes]] = deque()
         self.deaf = False
         """The driver's frames do not reach the nodes."""
         self.refuse: OSError | None = None
@@ -51,37 +65,65 @@ class Wire:
 
     # The driver's side
 
-    def send_frame(self, frame: bytes) -> None:
+    def send_frame(self, frame: bytes) -> float:
         if self.refuse is not None:
             raise self.refuse
         identifier, length, data = FRAME.unpack(frame)
         self.sent.append((identifier, data[:length]))
-        if identifier == 0x80:
-            self.pass_time(PERIOD)
         if not self.deaf:
-            self.nodes.hear(identifier, data[:length], self.now)
+            self._under_way.append((self.now + self.delay, identifier, data[:length]))
+            self._deliver()
+        called, begun = self._tick
+        return called + (self.now - begun) + self.stamp_error()
 
     def receive_frame(self, timeout: float) -> bytes | None:
         if self.break_receiving is not None:
             raise self.break_receiving
         self.now += self.frame_time
-        if not self.queue and timeout:
-            self.pass_time(max(timeout, 1e-6))
+        end = self.now + max(timeout, 1e-6)
+        while timeout and not self.queue and self.now < end - _NEAR:
+            self._pass_until(end)
         return self.queue.popleft() if self.queue else None
 
     def shutdown(self) -> None:
         self.open = False
 
+    def opened(self, settings: CanopenSettings, identifiers: list[int]) -> Wire:
+        """Be the link that the driver asks for."""
+        self.open = True
+        self.queue.clear()
+        return self
+
     # The world's side
 
+    def wait(self, time: float) -> None:
+        """Let time pass until the loop's next tick, which it calls `time` (s)."""
+        self.pass_time(PERIOD - (self.now - self.lead + _NEAR) % PERIOD + _NEAR)
+        self._tick = time, self.now
+
     def pass_time(self, duration: float) -> None:
-        """Let the plant move and the nodes' timers run."""
+        """Let the plant move, frames arrive and the nodes' timers run."""
         end = self.now + duration
-        while self.now < end - 1e-9:
-            self.now = min(end, self.now + PERIOD)
-            self.nodes.move(self.now)
-            self.nodes.tell(self.now)
-            self.nodes.run_timers(self.now)
+        while self.now < end - _NEAR:
+            self._pass_until(end)
+
+    def _pass_until(self, end: float) -> None:
+        """Let time pass up to what happens next, at the longest until `end`."""
+        tick = (self._ticks + 1) * PERIOD
+        arrival = max(self._under_way[0][0], self.now) if self._under_way else end
+        self.now = min(end, tick, arrival)
+        if self.now == tick:
+            self._ticks += 1
+            self.nodes.move(tick)
+            self.nodes.tell(tick)
+        self.nodes.run_timers(self.now)
+        self._deliver()
+
+    def _deliver(self) -> None:
+        """Let the nodes hear what has arrived."""
+        while self._under_way and self._under_way[0][0] <= self.now:
+            _, identifier, data = self._under_way.popleft()
+            self.nodes.hear(identifier, data, self.now)
 
     def put(self, identifier: int, data: bytes = b"", length: int | None = None) -> None:
         """Put a frame on the wire, past all nodes."""
@@ -122,19 +164,20 @@ def nodes_plan(plant: PlantParameters = PLANT, settings: CanopenSettings = SETTI
     )  # fmt: skip
 
 
+class DriverInStep(CanopenDriver):
+    """The driver, waiting for its tick when it is read."""
+
+    def __init__(self, wire: Wire, settings: CanopenSettings) -> None:
+        super().__init__(settings, period=PERIOD, clock=lambda: wire.now, open_bus=wire.opened)
+        self.wire = wire
+
+    def read(self, time: float) -> Readings:
+        if self.operational or self.trouble:
+            self.wire.wait(time)
+        return super().read(time)
+
+
 def make(settings: CanopenSettings = SETTINGS, **changes: object) -> tuple[CanopenDriver, Wire]:
     """Return a closed driver and its wire."""
     wire = Wire()
-    driver = CanopenDriver(
-        replace(settings, **changes),  # type: ignore[arg-type]
-        period=PERIOD,
-        clock=lambda: wire.now,
-        open_bus=lambda settings, identifiers: _opened(wire),
-    )
-    return driver, wire
-
-
-def _opened(wire: Wire) -> Wire:
-    wire.open = True
-    wire.queue.clear()
-    return wire
+    return DriverInStep(wire, replace(settings, **changes)), wire  # type: ignore[arg-type]

@@ -173,6 +173,37 @@ def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
     assert bench.driver.counters.missing == 0
 
 
+def test_an_answer_later_than_the_next_sync_is_not_taken_for_one_to_that(bench: Bench) -> None:
+    bench.run(5)
+    held: list[tuple[int, bytes]] = []
+
+    def hold(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        if identifier == 0x283:
+            held.append((identifier, data))
+            return []
+        return [(identifier, data)]
+
+    bench.wire.meddle = hold
+    bench.run(3)  # a node that stands still, then answers all SYNCs at once
+    bench.wire.meddle = lambda identifier, data: (
+        [*held, (identifier, data)] if identifier == 0x283 else [(identifier, data)]
+    )
+    readings = bench.run(1)
+    assert readings.encoder_age == (0.0, 0.0, 0.0)
+    assert readings.encoder_count == bench.wire.nodes.readings.encoder_count
+    assert (bench.driver.counters.late, bench.driver.counters.duplicates) == (3, 0)
+
+
+def test_after_a_lost_answer_the_next_one_is_left_out_as_it_may_be_the_lost_one(bench: Bench) -> None:
+    bench.run(5)
+    bench.wire.meddle = lambda identifier, data: [] if identifier == 0x282 else [(identifier, data)]
+    bench.run(3)
+    bench.wire.meddle = lambda identifier, data: [(identifier, data)]
+    ages = [bench.run(1).encoder_age[1] for _ in range(4)]
+    assert ages == pytest.approx([4 * PERIOD, 0.0, 0.0, 0.0])
+    assert bench.driver.counters.missing == 4
+
+
 def test_a_second_answer_to_one_sync_is_not_believed(bench: Bench) -> None:
     bench.run(5)
     count = bench.readings[-1].encoder_count[0]
