@@ -30,6 +30,7 @@ LONG = (
     "reactions",
     "kills",
     "recorder_kills",
+    "telemetry_age",
     "soak",
     "campaign_kills",
     "campaign_speed",

@@ -30,8 +30,12 @@ PLAN = (
     (State.RECOVERING, 200),
     (State.READY, 400),
 )
-STORED = 128 + 900 + 256
-"""Cycles of a whole record: lead, swing, tail."""
+LENGTH = sum(ticks for _, ticks in PLAN)
+BEGIN, END = 301, 1200 + 256
+"""First and last tick that a record must have: swing and tail. Of the lead before it a recorder started anew
+has what came after the one before it was done."""
+LEAD = 128
+"""Cycles of a whole lead."""
 _STORING = 0.9
 """s after a recorder's start within which it has stored a swing that waits for it."""
 _IN_A_ROW = 5
@@ -58,8 +62,13 @@ def damage(path: Path) -> str:
         cycles, metadata = read_swing(path)
     except Exception as error:  # whatever it is, it is what a user would meet
         return f"{path.name}: {error}"
-    if len(cycles) != STORED or not metadata["complete"] or np.any(np.diff(cycles["tick"].astype(int)) != 1):
-        return f"{path.name}: {len(cycles)} cycles, complete: {metadata['complete']}"
+    ticks = cycles["tick"].astype(int)
+    first = int(ticks[0]) - 1
+    first, last = first % LENGTH + 1, first % LENGTH + len(ticks)
+    if not (BEGIN - LEAD <= first <= BEGIN and last == END and metadata["complete"]) or np.any(
+        np.diff(ticks) != 1
+    ):
+        return f"{path.name}: ticks {first} to {last} of its swing, {len(ticks)} cycles"
     return ""
 
 
@@ -79,7 +88,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         try:
             for kill in track(range(options.kills), "kills", transient=True):
                 cycles = once.copy()
-                cycles["tick"] += kill * len(once)
+                cycles["tick"] += kill * LENGTH
                 cycles["time"] += 10.0 * kill
                 before = {path for path in bench.files() if path.name[0] != "."}
                 bench.start()
@@ -104,18 +113,20 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             left = bench.files()
             damaged |= {text: None for path in left if path.name[0] != "." and (text := damage(path))}
             rest = [path for path in left if path.name[0] == "."]
-            first = Counter(int(read_swing(path)[0]["tick"][0]) for path in left if path not in rest)
+            swings = Counter(
+                (int(read_swing(path)[0]["tick"][0]) - 1) // LENGTH for path in left if path not in rest
+            )
         finally:
             bench.close()
     for text in damaged:
         print(text)
     title = f"{options.kills} kills of the recorder"
-    missing = sum(first[300 - 128 + 1 + k * len(once)] == 0 for k in range(options.kills))
+    missing = sum(swings[kill] == 0 for kill in range(options.kills))
     told = ", ".join(f"{count} {name}" for name, count in outcome.items())
     return [
         Row(title, "records that are not whole", len(damaged), "", f"at the kills: {told}", at_most=0),
         Row(title, "swings without a record after the next start", missing, "", at_most=0),
-        Row(title, "swings recorded twice", sum(count > 1 for count in first.values()), ""),
+        Row(title, "swings recorded twice", sum(count > 1 for count in swings.values()), ""),
         Row(title, "half-written files left after the next start", len(rest), "", at_most=0),
         Row(title, "exit codes of those that were not killed", max(endings), "", at_most=0),
     ]
