@@ -160,7 +160,7 @@ def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
     from bench.client import BenchClient
 
     with BenchClient.connect(configuration) as client:
-        return bench_facts(plan, client.status())
+        return bench_facts(plan, configuration, client.status())
 
 
 def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs) -> None:

@@ -11,7 +11,7 @@ time is an event of the campaign.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,6 +28,7 @@ from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.client import LATCHED, BenchClient, CommandRefused
 from bench.desk import Status as BenchStatus
 from bench.errors import BenchError, Refused
+from bench.swing.profile import Profile
 from bench.telemetry.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.telemetry.recorder import read_swing
 from sim.flight import fly
@@ -39,6 +40,8 @@ _LOOK = 0.05
 """s between two looks at the bench."""
 _READY = 60.0
 """s that it may take to rest at its address, or until the lease of a runner that died is over."""
+_HOLD = 1.0
+"""s at the address before a swing: the air in the chambers comes to rest later than the robot."""
 _SWING = 60.0
 """s that a swing may take, until the robot is back or stands."""
 _STORED = 30.0
@@ -56,14 +59,14 @@ class _Record(NamedTuple):
     metadata: dict[str, Any]
 
 
-def require_live(plan: Plan, status: BenchStatus) -> None:
+def require_live(plan: Plan, profiles: Mapping[str, Profile], status: BenchStatus) -> None:
     """Refuse a plan that the running bench cannot swing by itself.
 
     Raises:
         Refused: it asks for another swing, for several clubs, or for what nobody measures.
     """
     design, profile = plan.design, status["profile"]
-    if design.swings != (profile,):
+    if [profiles[swing].name for swing in design.swings] != [profile]:
         raise Refused(
             f"plan {plan.campaign.name}: design.swings",
             ", ".join(design.swings),
@@ -153,7 +156,7 @@ class LiveShots:
 
     def _swing(self, events: list[tuple[str, str]]) -> int:
         """Swing as soon as the robot rests at its address; return a tick before."""
-        deadline, resets = time.monotonic() + _READY, 0
+        deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
         while True:
             status = self._client.status()
             lease = status["lease"]
@@ -161,9 +164,13 @@ class LiveShots:
                 raise Suspended("the bench was started anew, or its lease given to somebody else")
             try:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
-                    self._client.tee()
-                    self._client.swing()
-                    return status["tick"]
+                    held_since = min(held_since, status["time"])
+                    if status["time"] - held_since >= _HOLD:
+                        self._client.tee()
+                        self._client.swing()
+                        return status["tick"]
+                else:
+                    held_since = np.inf
                 if status["state"] in LATCHED and resets >= _RESETS:
                     raise Suspended(f"{_words(status)}: it came back {resets} times")
                 if self._bring_nearer(status):

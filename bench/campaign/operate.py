@@ -134,13 +134,13 @@ def run_live(
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
-def bench_facts(plan: Plan, status: Status) -> dict[str, Any]:
+def bench_facts(plan: Plan, configuration: Configuration, status: Status) -> dict[str, Any]:
     """Return what a campaign notes of the running bench that takes its shots.
 
     Raises:
         Refused: the bench cannot swing this plan by itself.
     """
-    require_live(plan, status)
+    require_live(plan, require_swings(plan, configuration), status)
     return {"driver": status["driver"], "profile": status["profile"], **status["real_time"]}
 
 

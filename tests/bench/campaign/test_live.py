@@ -1,0 +1,191 @@
+"""Campaigns on a running bench: the real daemon with its robot in step, and what is left to a person."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bench.campaign.course import Step
+from bench.campaign.gate import Centre
+from bench.campaign.live import LiveShots, require_live
+from bench.campaign.plan import Plan, load_plan
+from bench.campaign.runner import Suspended
+from bench.campaign.sequence import Arm, Role, Trial
+from bench.campaign.shot import Status
+from bench.campaign.swings import require_swings
+from bench.config import load_configuration
+from bench.errors import ExitCode, Refused
+from bench.lifecycle import Phase
+from bench.simulate import never
+from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.database import database_url, open_database
+from bench.telemetry.recorder import read_swing
+from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+PLAN = """
+[campaign]
+name = "live"
+[design]
+balls = ["tour", "range"]
+blocks = 1
+[warm_up]
+at_most = 0
+[gate]
+centre = "planned"
+"""
+
+
+@contextmanager
+def campaign(file: Path, *arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """Run `golfbench campaign ...` beside the test."""
+    command = [sys.executable, "-m", "bench", "--config", str(file), "campaign", *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def in_swing(bench: BenchProcess, swings: int) -> None:
+    """Wait until the robot is in its `swings`-th swing since the bench's start."""
+    while bench.client.status()["swings"] < swings:
+        time.sleep(0.02)
+        assert bench.process.poll() is None
+    bench.wait_phase(Phase.BACKSWING)
+
+
+@pytest.mark.timeout(400)
+def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    data_dir = load_configuration(file).bench.data_dir
+    with running_bench(file) as bench, open_database(database_url("", data_dir)) as engine:
+        store = CampaignStore(engine)
+        with campaign(file, "run", tmp_path / "plan.toml") as process:
+            in_swing(bench, 1)
+            bench.client.stop()  # shot 1 fails; the simulated bench goes on by itself
+            in_swing(bench, 2)
+            in_swing(bench, 3)
+            process.kill()
+        ((entry, standing, counts),) = store.entries()
+        assert (standing.state, counts) == (CampaignState.RUNNING, {"failed": 1, "valid": 1})
+        with campaign(file, "resume", entry.id) as process:
+            output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.OK, output
+        shots = [stored.shot for stored in store.shots(entry.id)]
+        assert [(s.shot, s.status, s.attempt) for s in shots] == [
+            (1, Status.FAILED, 1), (2, Status.VALID, 2), (3, Status.VALID, 1),
+        ]  # fmt: skip
+        assert shots[0].reason == "stopped by the operator"
+        assert {shots[1].ball, shots[2].ball} == {"tour", "range"}
+        assert shots[0].time_utc < shots[1].time_utc < shots[2].time_utc
+        for shot, stored in zip(shots[1:], store.shots(entry.id)[1:], strict=True):
+            assert (shot.delivery_source, shot.carry_source) == ("encoders+model", "model")
+            assert (shot.club_speed_mps or 0.0) > 40.0
+            cycles, metadata = read_swing(data_dir / stored.file)
+            recorded, original = read_swing(Path(metadata["record"]))
+            assert cycles.tobytes() == recorded.tobytes()
+            assert metadata["number"] == original["number"]
+            assert metadata["shot"]["ball"] == shot.ball
+        assert bench.client.status()["swings"] == 4  # the one that was cut off is taken again
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "reset"]
+        assert (entry.simulated, entry.real_time["driver"]) == (True, "sim")
+
+        with campaign(file, "run", tmp_path / "plan.toml") as process:  # the bench goes away
+            in_swing(bench, 5)
+            bench.end()
+            output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.REFUSED, output
+        assert "no answer" in store.entries()[0][1].reason
+        assert store.entries()[0][1].state is CampaignState.SUSPENDED
+
+
+class StandingBench:
+    """A bench that stays as it is; notes what it is asked."""
+
+    def __init__(self, **status: Any) -> None:
+        self.asked: list[str] = []
+        self._status = {
+            "state": "READY", "phase": "STANDING", "cause": None, "lease": {"holder": "me"}, "tick": 1,
+            **status,
+        }  # fmt: skip
+
+    def status(self) -> dict[str, Any]:
+        return self._status
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float) -> Iterator[None]:
+        yield
+
+    @contextmanager
+    def records(self) -> Iterator[Any]:
+        yield lambda: None
+
+    def __getattr__(self, verb: str) -> Any:
+        return lambda: self.asked.append(verb)
+
+
+@pytest.fixture
+def plan() -> Plan:
+    return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
+
+
+def take(plan: Plan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
+    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    shots = LiveShots(plan, bench, "me", simulated=simulated, interrupted=interrupted, aborted=never)
+    with shots as source:
+        return source.take(step, 1, 1)
+
+
+@pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
+def test_after_a_stop_only_a_person_goes_on_with_a_real_bench(plan: Plan, state: str) -> None:
+    bench = StandingBench(state=state, cause={"name": "GUARD", "text": "guard open"})
+    with pytest.raises(Suspended, match=r"resume"):
+        take(plan, bench, simulated=False)
+    assert bench.asked == []
+
+
+def test_a_simulated_bench_that_comes_back_in_a_stop_is_left_to_a_person(plan: Plan) -> None:
+    bench = StandingBench(state="FAULT", cause={"name": "GUARD", "text": "guard open"})
+    with pytest.raises(Suspended, match=r"guard open.*3 times"):
+        take(plan, bench, simulated=True)
+    assert bench.asked == ["reset"] * 3
+
+
+def test_a_lease_that_is_somebody_elses_suspends(plan: Plan) -> None:
+    bench = StandingBench(lease={"holder": "Ann"})
+    with pytest.raises(Suspended, match=r"lease"):
+        take(plan, bench, simulated=True)
+    assert bench.asked == []
+
+
+def test_who_asks_to_stop_before_the_swing_gets_none(plan: Plan) -> None:
+    bench = StandingBench()
+    with pytest.raises(KeyboardInterrupt):
+        take(plan, bench, simulated=True, interrupted=lambda: True)
+    assert bench.asked == ["arm"]
+
+
+def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -> None:
+    status: Any = SimpleNamespace(driver="sim", profile="default", bench="b").__dict__
+    configuration = load_configuration(Path("shipped"))
+    profiles = require_swings(plan, configuration)
+    require_live(plan, profiles, status)
+    with pytest.raises(Refused, match=r"profile"):
+        require_live(plan, profiles, status | {"profile": "thesis"})
+    with pytest.raises(Refused, match=r"clubs"):
+        require_live(replace(plan, design=replace(plan.design, clubs=("driver", "thesis"))), profiles, status)
+    with pytest.raises(Refused, match=r"launch monitor"):
+        require_live(plan, profiles, status | {"driver": "canopen"})
+    of_clubs = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
+    require_live(of_clubs, profiles, status | {"driver": "canopen"})
