@@ -27,6 +27,8 @@ from bench.control.settings import (
 from bench.errors import BenchError
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
 from drivers.canopen.settings import CanopenSettings
+from drivers.daq.settings import DaqSettings
+from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Wind
@@ -123,6 +125,8 @@ class Configuration:
     loop: LoopSettings
     driver: DriverSettings
     canopen: CanopenSettings
+    daq: DaqSettings
+    launch_monitor: LaunchMonitorSettings
     network: NetworkSettings
     swing: SwingSettings
     plant: PlantParameters
@@ -153,10 +157,11 @@ class Configuration:
 
     def driver_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments that the factory of the driver `driver.name` takes."""
-        if self.driver.name != "canopen":
+        settings = {"canopen": self.canopen, "daq": self.daq}.get(self.driver.name)
+        if settings is None:
             return {}
         return {
-            "settings": self.canopen,
+            "settings": settings,
             "period": 1.0 / self.loop.rate,
             "watchdog": self.driver.watchdog,
             "counts_per_revolution": self.plant.encoders.counts_per_revolution,
@@ -347,6 +352,9 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.driver.name not in drivers:
         cure = "Choose one, or install the plug-in that brings it."
         yield "driver.name", shown(c.driver.name), f"one of {', '.join(drivers)}", cure
+    if c.driver.name == "daq" and c.homing.method != "index":
+        cure = "The card's counters know no angle until the index has passed."
+        yield "homing.method", shown(c.homing.method), 'with driver "daq" "index"', cure
     phases = EnvelopeSettings().following.keys()
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"

@@ -129,7 +129,7 @@ def test_pins_lie_within_the_declared_bounds() -> None:
 # What is installed -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["mock", "sim"])
+@pytest.mark.parametrize("name", ["canopen", "daq", "mock", "sim"])
 def test_drivers_are_found_by_entry_point(name: str) -> None:
     (entry,) = entry_points(group="golfbench.drivers", name=name)
     contract = [name for name in dir(Driver) if not name.startswith("_")]

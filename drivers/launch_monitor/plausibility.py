@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import degrees, pi, radians
+from math import degrees, pi
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
@@ -18,10 +18,10 @@ class PlausibleFigures:
     least_speed: Annotated[float, Ge(0.0), Le(120.0)] = 5.0
     """m/s of the ball."""
     greatest_speed: Annotated[float, Gt(0.0), Le(120.0)] = 100.0
-    greatest_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = radians(60.0)
-    """rad; the least is just above 0, which is what misreads say."""
-    greatest_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = radians(30.0)
-    """rad to either side."""
+    greatest_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = 1.0472
+    """rad (60 deg); the least is just above 0, which is what misreads say."""
+    greatest_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = 0.5236
+    """rad (30 deg) to either side."""
     greatest_spin: Annotated[float, Gt(0.0), Le(2500.0)] = 1570.0
     """rad/s; 15,000 rpm."""
     least_smash: Annotated[float, Ge(0.0), Le(1.6)] = 0.8

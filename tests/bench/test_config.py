@@ -24,6 +24,8 @@ from bench.config import (
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.errors import BenchError
 from drivers.canopen.settings import CanopenSettings
+from drivers.daq.settings import DaqSettings
+from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Wind
@@ -111,6 +113,8 @@ def test_the_shipped_configuration_equals_the_defaults_of_the_code(default: Conf
         ("clubs.driver", default.clubs["driver"], Club.driver()),
         ("clubs.thesis", default.clubs["thesis"], Club.thesis()),
         ("canopen", default.canopen, CanopenSettings()),
+        ("daq", default.daq, DaqSettings()),
+        ("launch_monitor", default.launch_monitor, LaunchMonitorSettings()),
         ("air", default.air, Air()),
         ("wind", default.wind, Wind()),
         ("turf", default.turf, Turf()),
@@ -329,7 +333,14 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ('[clubs.x]\nlike = "thesis"', "clubs.x.like", '"thesis"', "one of driver"),
         ('[bench]\nid = "a/b"', "bench.id", '"a/b"', "letters"),
         ('[swing]\nclub = "putter"', "swing.club", '"putter"', "one of driver, thesis, iron7"),
-        ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of canopen, mock, sim"),
+        ('[driver]\nname = "smi"', "driver.name", '"smi"', "one of canopen, daq, mock, sim"),
+        (
+            '[driver]\nname = "daq"\n[homing]\nmethod = "absolute"',
+            "homing.method", '"absolute"', 'with driver "daq" "index"',
+        ),  # fmt: skip
+        ('[launch_monitor]\naddress = "0.0.0.0"', "launch_monitor", "values", "open to the network"),
+        ('[launch_monitor]\nclients = ["here"]', "launch_monitor", "values", "an IP address"),
+        ('[daq]\nwatchdog_relay = "K1"', "daq", "values", "the line feeds the relay"),
         ("[plant.shoulder]\nlower = 2.9", "plant.shoulder.lower", "2.9, with upper 2.7", "less than upper"),
         ("[plant.shoulder]\nupper = 4.5", "plant.shoulder.upper", "rad of travel", "less than one turn"),
         ("[plant.wrist.friction]\nstatic = 20.0", "plant.wrist.friction.static", "20", "at least coulomb"),

@@ -1,0 +1,436 @@
+"""The bench's hardware on a data-acquisition card behind the driver contract.
+
+Three counters take the quadrature encoders, which count from where they are switched on until their index
+has passed. They are preset to PRESET, far from any count of the travel, and the index sets them to 0: so the
+count itself tells whether it is absolute. Three analogue outputs drive the valves; a command leaves in the
+tick it is decided in. Digital lines carry interlocks, air, tee.
+
+The card's own watchdog puts the valves at their centre and every line low when commands stop; it is read back
+and made to strike once in `open`. A card without one is refused unless an external relay is named. It starts
+with the first command. 0 V is full stroke and is never written as safe: whatever ends a connection writes the
+centre first, and when that cannot be written waits for the watchdog.
+
+A counter that does not answer keeps its last sample, which ages. Inputs or outputs that fail, and a watchdog
+that has struck, end it: the driver is no longer `operational`, `trouble` says why, and the watchdog is fed no
+more. A broken wire between encoder and card cannot be seen from here.
+"""
+
+from __future__ import annotations
+
+import math
+import time as wall
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from drivers.base import ABSENT, JOINTS, PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.daq.package import load_nidaqmx, told
+from drivers.daq.settings import DaqSettings
+from drivers.daq.watchdog import CardWatchdog
+
+PRESET = 1 << 30
+"""Count at which the counters begin; the index sets them to 0."""
+FULL_SCALE = 10.0
+"""V of the analogue channels."""
+_WRAP = 1 << 32
+
+
+class DaqDriver:
+    """See the module's text. `trouble`, `missing` and `hardware_timed` are open to whoever asks."""
+
+    def __init__(
+        self,
+        settings: DaqSettings | None = None,
+        *,
+        period: float = 0.001,
+        watchdog: float = 0.02,
+        counts_per_revolution: int = 2**17,
+        clock: Callable[[], float] = wall.monotonic,
+        sleep: Callable[[float], None] = wall.sleep,
+    ) -> None:
+        """`period` (s) is the loop's, `watchdog` (s) the silence after which the card lets go.
+
+        `counts_per_revolution` is what the encoders have, four for each line.
+
+        Raises:
+            DriverError: `counts_per_revolution` is no multiple of four.
+        """
+        if counts_per_revolution % 4 or not 4 <= counts_per_revolution < PRESET // 4:
+            raise DriverError(
+                f"daq: found {counts_per_revolution} counts a revolution, expected a multiple of four below "
+                f"{PRESET // 4}: quadrature counts each line four times; correct "
+                "plant.encoders.counts_per_revolution"
+            )
+        self.settings = settings or DaqSettings()
+        self.period, self.watchdog = period, watchdog
+        self.clock, self._sleep, self._counts = clock, sleep, counts_per_revolution
+        self.trouble = ""
+        """Why it is not operational; empty while it is."""
+        self.missing = 0
+        """Samples that did not come."""
+        self.hardware_timed = False
+        """One edge latches all counters."""
+        self.applied = PASSIVE
+        """The command written last."""
+        self._tasks: list[Any] = []
+        self._watchdog: CardWatchdog | None = None
+        self._is_open = False
+        self._daq: Any = None
+        self._forget()
+
+    def _forget(self) -> None:
+        """Start without any knowledge of the card."""
+        s = self.settings
+        self._time = -math.inf
+        self._count, self._indexed = [0, 0, 0], [False] * 3
+        self._sampled: list[float] = [ABSENT] * 3
+        self._ticks = 0
+        self._inputs = np.zeros(len(vars(s.inputs)), bool)
+        self._pressures = np.full(len(s.analogue_inputs), np.nan)
+        self._volts = np.array(s.centre)
+        self._lines = np.zeros(len(s.output_lines), bool)
+        own = len(vars(s.outputs))
+        self._sync = own if s.sync_line else -1
+        self._beat = own + bool(s.sync_line) if s.watchdog_line else -1
+        self.hardware_timed, self.trouble, self.applied = False, "", PASSIVE
+
+    @property
+    def operational(self) -> bool:
+        """Whether commands are obeyed, as far as is known here."""
+        return self._is_open and not self.trouble
+
+    # Opening and closing -------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Find the card, prove its watchdog, set everything passive, read everything once.
+
+        Raises:
+            DriverError: open already, no package, no driver of NI's, no such card, or something it cannot do;
+                the text says which and what to do.
+        """
+        if self._is_open:
+            raise DriverError("daq driver: open() found it open already; call close() first")
+        self._daq = load_nidaqmx()
+        self._forget()
+        try:
+            device = self._find_device()
+            self._prove_watchdog()
+            self._make_outputs()
+            self._make_inputs(device)
+            self._first_reading()
+        except BaseException as error:
+            self._detach()
+            if isinstance(error, self._daq.errors.Error):
+                raise DriverError(
+                    f"daq: {self.settings.device}: {told(error)}; see the channels of [daq] and NI MAX"
+                ) from error
+            raise
+        self._is_open = True
+
+    def _find_device(self) -> Any:
+        """Return the card.
+
+        Raises:
+            DriverError: NI's driver or the card is missing, or it is another one.
+        """
+        errors, s = self._daq.errors, self.settings
+        try:
+            devices = self._daq.system.System.local().devices
+            names = list(devices.device_names)
+        except (errors.DaqNotFoundError, errors.DaqNotSupportedError) as error:
+            raise DriverError(
+                f"daq driver: found no NI-DAQmx driver on this machine ({told(error)}), expected it; "
+                "install it from ni.com/downloads (it comes beside the Python package)"
+            ) from error
+        if s.device not in names:
+            known = ", ".join(names) or "none"
+            raise DriverError(
+                f"daq: found the devices {known}, expected {s.device}; correct daq.device, or see NI MAX"
+            )
+        device = devices[s.device]
+        if s.serial not in (0, device.serial_num):
+            raise DriverError(
+                f"daq: {s.device}: found serial number {device.serial_num}, expected {s.serial}; it is "
+                "another card: correct daq.device or daq.serial"
+            )
+        return device
+
+    def _full(self, channel: str) -> str:
+        return f"{self.settings.device}/{channel}"
+
+    def _prove_watchdog(self) -> None:
+        """Make the card's watchdog and let it strike.
+
+        Raises:
+            DriverError: the card has none that centres the valves, and no relay is named.
+        """
+        s = self.settings
+        valves = [(self._full(channel), centre) for channel, centre in zip(s.valves, s.centre, strict=True)]
+        try:
+            self._watchdog = CardWatchdog(
+                self._daq, s.device, self.watchdog, valves, [self._full(line) for line in s.output_lines]
+            )
+            self._watchdog.prove(self.clock, self._sleep)
+        except (self._daq.errors.Error, DriverError) as error:
+            watchdog, self._watchdog = self._watchdog, None
+            if watchdog is not None:
+                watchdog.close()
+            if s.watchdog_relay:
+                return
+            raise DriverError(
+                f"daq: {s.device}: found no watchdog that centres the valves ({told(error)}), expected one: "
+                "0 V is full stroke; use a card with fallback voltages, or fit an external watchdog relay "
+                "and name it in daq.watchdog_relay"
+            ) from error
+
+    def _task(self) -> Any:
+        task = self._daq.Task()
+        self._tasks.append(task)
+        return task
+
+    def _make_outputs(self) -> None:
+        writers, s = self._daq.stream_writers, self.settings
+        valves = self._task()
+        for channel in s.valves:
+            valves.ao_channels.add_ao_voltage_chan(self._full(channel), min_val=0.0, max_val=FULL_SCALE)
+        self._valves = writers.AnalogMultiChannelWriter(valves.out_stream, auto_start=False)
+        lines = self._task()
+        for line in s.output_lines:
+            lines.do_channels.add_do_chan(self._full(line))
+        self._outputs = writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=False)
+        for task in (valves, lines):
+            task.start()
+        self._write(PASSIVE)  # the shapes are checked once, with what is harmless
+        self._valves.verify_array_shape = self._outputs.verify_array_shape = False
+
+    def _make_inputs(self, device: Any) -> None:
+        readers, s = self._daq.stream_readers, self.settings
+        single_point = self._daq.constants.AcquisitionType.HW_TIMED_SINGLE_POINT
+        self.hardware_timed = bool(
+            s.sync_line and device.ci_samp_clk_supported and single_point in device.ci_samp_modes
+        )
+        phase = "A" + s.index_phase.upper().replace(" ", "_B")
+        self._counters = []
+        for counter in s.counters:
+            task = self._task()
+            task.ci_channels.add_ci_ang_encoder_chan(
+                self._full(counter),
+                decoding_type=self._daq.constants.EncoderType.X_4,
+                zidx_enable=True,
+                zidx_val=0.0,
+                zidx_phase=self._daq.constants.EncoderZIndexPhase[phase],
+                units=self._daq.constants.AngleUnits.TICKS,
+                pulses_per_rev=self._counts // 4,
+                initial_angle=float(PRESET),
+            )
+            if self.hardware_timed:
+                task.timing.cfg_samp_clk_timing(
+                    1.0 / self.period, source=f"/{self._full(s.sync_terminal)}", sample_mode=single_point
+                )
+            task.start()
+            self._counters.append(readers.CounterReader(task.in_stream))
+        lines = self._task()
+        for line in vars(s.inputs).values():
+            lines.di_channels.add_di_chan(self._full(line))
+        lines.start()
+        self._interlocks = readers.DigitalMultiChannelReader(lines.in_stream)
+        self._analogue = None
+        if s.analogue_inputs:
+            pressures = self._task()
+            for channel in s.analogue_inputs:
+                pressures.ai_channels.add_ai_voltage_chan(
+                    self._full(channel), min_val=0.0, max_val=FULL_SCALE
+                )
+            pressures.start()
+            self._analogue = readers.AnalogMultiChannelReader(pressures.in_stream)
+
+    def _first_reading(self) -> None:
+        """Read everything once, so that what does not answer is refused here.
+
+        Raises:
+            DriverError: a counter does not.
+        """
+        self._read_inputs()
+        self._read_pressures()
+        self._interlocks.verify_array_shape = False
+        if self._analogue is not None:
+            self._analogue.verify_array_shape = False
+        self._read_counters(0.0)
+        for joint, sampled in enumerate(self._sampled):
+            if math.isnan(sampled):
+                how = "after an edge at the sync line; see its wire" if self.hardware_timed else ""
+                raise DriverError(
+                    f"daq: {self._full(self.settings.counters[joint])} (encoder of the {JOINTS[joint]}): "
+                    f"found no count {how or 'when asked'}, expected one; see the counter in NI MAX"
+                )
+        self._sampled = [ABSENT] * 3  # the loop's time has not begun
+
+    def close(self) -> None:
+        """Leave the outputs passive and the card free. Allowed in any state, also twice."""
+        self._detach()
+        self._is_open = False
+        self.applied = PASSIVE
+
+    def _detach(self) -> None:
+        """Write the passive command, or let the watchdog do it; then give up all tasks."""
+        watchdog, self._watchdog = self._watchdog, None
+        if not self._try_passive() and watchdog is not None:
+            with suppress(Exception):
+                watchdog.await_strike(self.clock, self._sleep)
+        tasks, self._tasks = self._tasks, []
+        for task in reversed(tasks):
+            with suppress(Exception):  # whatever became of the card
+                task.close()
+        if watchdog is not None:
+            with suppress(Exception):
+                watchdog.close()
+
+    def make_passive(self) -> None:
+        """Write the passive command if the card is open; else it is passive already. Never raises."""
+        self.applied = PASSIVE
+        if self._is_open and not self._try_passive():
+            self.trouble = self.trouble or "the passive command could not be written"
+
+    def _try_passive(self) -> bool:
+        """Write the passive command, valves first; tell whether all of it was written."""
+        if len(self._tasks) < 2:
+            return True
+        written = True
+        for write in (self._write_valves, self._write_lines):
+            try:
+                write(PASSIVE)
+            except Exception:  # whatever became of the card
+                written = False
+        return written
+
+    # The tick ------------------------------------------------------------------------------------
+
+    def read(self, time: float) -> Readings:
+        """Read counters and inputs now, pressures every few ticks.
+
+        A sample's time is that of its reading, or of the edge that latched it: `time`, and what it took to
+        get there.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or before the last one.
+        """
+        if not self._is_open:
+            raise DriverError("daq driver: read() found it closed, expected it open; call open() first")
+        if not self._time <= time < math.inf:
+            raise DriverError(
+                f"daq driver: read() found time {time} s, expected a finite one from {self._time} s on; give "
+                "it CLOCK_MONOTONIC"
+            )
+        self._time = time
+        try:
+            self._read_counters(time)
+            self._read_inputs()
+            if self._ticks % self.settings.pressure_ticks == 0:
+                self._read_pressures()
+        except self._daq.errors.Error as error:
+            self._inputs[:] = False
+            self._pressures[:] = np.nan
+            self._note_trouble(f"reading failed: {told(error)}")
+        self._ticks += 1
+        return self._readings(time)
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` within the card's limits; return what is applied, PASSIVE when not operational.
+
+        Raises:
+            DriverError: not open.
+        """
+        if not self._is_open:
+            raise DriverError("daq driver: write() found it closed, expected it open; call open() first")
+        applied = PASSIVE if self.trouble else device_limited(command)
+        if self._beat >= 0 and not self.trouble:
+            self._lines[self._beat] ^= True
+        try:
+            self._write(applied)
+            if self._watchdog is not None and not self.trouble and not self._watchdog.feed():
+                self._note_trouble("the card's watchdog has struck: no command came in time")
+        except self._daq.errors.Error as error:
+            self._note_trouble(f"writing failed: {told(error)}")
+            self._try_passive()
+        self.applied = PASSIVE if self.trouble else applied
+        return self.applied
+
+    def _note_trouble(self, text: str) -> None:
+        """Stop obeying commands; the first reason stands."""
+        self.trouble = self.trouble or text
+
+    def _write(self, command: Command) -> None:
+        self._write_valves(command)
+        self._write_lines(command)
+
+    def _write_valves(self, command: Command) -> None:
+        volts, (a, b, c), s = self._volts, command.valve, self.settings
+        first, second, third = s.centre
+        volts[0], volts[1], volts[2] = first + s.span * a, second + s.span * b, third + s.span * c
+        self._valves.write_one_sample(volts, s.answer_time)
+
+    def _write_lines(self, command: Command) -> None:
+        lines = self._lines
+        lines[0], lines[1] = command.supply_enable, command.exhaust_closed
+        lines[2], lines[3], lines[4] = not command.guard_lock, command.beacon, command.tee
+        if self._sync >= 0:
+            lines[self._sync] = False
+        self._outputs.write_one_sample_one_line(lines, self.settings.answer_time)
+
+    def _read_counters(self, time: float) -> None:
+        """Take a sample of each encoder; one that does not come leaves the last."""
+        clock, longest = self.clock, self.settings.answer_time
+        begin = latched = clock()
+        if self.hardware_timed:
+            if self._lines[self._sync]:  # no command came in between
+                self._lines[self._sync] = False
+                self._outputs.write_one_sample_one_line(self._lines, longest)
+            self._lines[self._sync] = True
+            self._outputs.write_one_sample_one_line(self._lines, longest)
+            latched = clock()
+        for joint, counter in enumerate(self._counters):
+            try:
+                value = counter.read_one_sample_double(longest)
+            except self._daq.errors.DaqError:
+                self.missing += 1
+                continue
+            if not abs(value) < _WRAP:
+                self.missing += 1
+                continue
+            # Counters have 32 bits; whether below zero is told as such is the card's choice.
+            count = (round(value) + _WRAP // 2) % _WRAP - _WRAP // 2
+            self._indexed[joint] = abs(count) < PRESET // 2
+            self._count[joint] = count % self._counts
+            self._sampled[joint] = time + ((latched if self.hardware_timed else clock()) - begin)
+
+    def _read_inputs(self) -> None:
+        self._interlocks.read_one_sample_one_line(self._inputs, self.settings.answer_time)
+
+    def _read_pressures(self) -> None:
+        if self._analogue is not None:
+            self._analogue.read_one_sample(self._pressures, self.settings.answer_time)
+
+    def _readings(self, time: float) -> Readings:
+        s, inputs = self.settings, self._inputs.tolist()
+        scale = (s.pressure_at_full_scale - s.pressure_at_zero) / FULL_SCALE
+        pressures = iter([s.pressure_at_zero + scale * volts for volts in self._pressures.tolist()])
+        supply = next(pressures) if s.supply_pressure else ABSENT
+        p1, p2, p3, p4, p5, p6 = (next(pressures) if name else ABSENT for name in s.chamber_pressures)
+        a, b, c = self._sampled
+        return Readings(
+            time,
+            (self._count[0], self._count[1], self._count[2]),
+            (a, b, c),
+            (not math.isnan(a), not math.isnan(b), not math.isnan(c)),
+            (time - a, time - b, time - c),
+            inputs[0],
+            inputs[1],
+            inputs[2],
+            supply,
+            inputs[3],
+            inputs[4],
+            (p1, p2, p3, p4, p5, p6),
+            (self._indexed[0], self._indexed[1], self._indexed[2]),
+        )

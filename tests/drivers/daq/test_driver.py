@@ -1,0 +1,364 @@
+from __future__ import annotations
+
+import builtins
+import inspect
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import nidaqmx._base_interpreter
+import nidaqmx._library_interpreter
+import pytest
+
+from drivers.base import PASSIVE, Command, DriverError
+from drivers.daq.driver import PRESET, DaqDriver
+from drivers.daq.settings import DaqSettings, OutputLines
+from tests.drivers.daq.system import Card, System
+
+MOVING = Command((0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, guard_lock=False, tee=True)
+FULL = DaqSettings(supply_pressure="ai0", chamber_pressures=("ai1", "ai2", "", "ai3", "ai4", "ai5"))
+SYNC = replace(FULL, sync_line="port0/line5")
+RELAY = replace(FULL, watchdog_relay="K1", watchdog_line="port0/line6")
+
+
+@pytest.fixture
+def system(monkeypatch: pytest.MonkeyPatch) -> System:
+    made = System()
+    made.cards["Dev1"] = Card()
+    monkeypatch.setattr(nidaqmx._library_interpreter, "LibraryInterpreter", lambda: made)
+    return made
+
+
+@pytest.fixture
+def card(system: System) -> Card:
+    return system.cards["Dev1"]
+
+
+class Bench:
+    """Makes drivers whose clock is the card's, and closes them."""
+
+    def __init__(self, card: Card) -> None:
+        self._card = card
+        self.made: list[DaqDriver] = []
+
+    def __call__(self, settings: DaqSettings = FULL, **more: Any) -> DaqDriver:
+        def sleep(duration: float) -> None:
+            self._card.now += duration
+
+        driver = DaqDriver(settings, clock=lambda: self._card.now, sleep=sleep, **more)
+        self.made.append(driver)
+        return driver
+
+
+@pytest.fixture
+def bench(card: Card, system: System) -> Iterator[Bench]:
+    made = Bench(card)
+    yield made
+    for driver in made.made:
+        driver.close()
+    assert system.tasks == []  # nothing is left on the card
+
+
+@pytest.fixture
+def driver(bench: Bench) -> DaqDriver:
+    made = bench()
+    made.open()
+    return made
+
+
+def valves(card: Card) -> tuple[float, float, float]:
+    return card.volts["ao0"], card.volts["ao1"], card.volts["ao2"]
+
+
+def outputs(card: Card) -> list[bool]:
+    return [card.lines[line] for line in vars(OutputLines()).values()]
+
+
+def test_the_stand_in_has_the_signatures_of_the_real_one() -> None:
+    for name, method in vars(System).items():
+        real = getattr(nidaqmx._base_interpreter.BaseInterpreter, name, None)
+        if real is not None and inspect.isfunction(method) and not name.startswith("_"):
+            if method.__qualname__.startswith("System."):
+                assert list(inspect.signature(method).parameters) == list(inspect.signature(real).parameters)
+
+
+def test_opening_centres_the_valves_and_never_writes_anything_else(driver: DaqDriver, card: Card) -> None:
+    assert valves(card) == (5.0, 5.0, 5.0)
+    assert set(card.written) == {(5.0, 5.0, 5.0)}
+    assert outputs(card) == [False] * 5
+    assert driver.operational
+
+
+def test_the_watchdog_comes_before_all_outputs_and_is_made_to_strike(driver: DaqDriver, card: Card) -> None:
+    calls = card.calls
+    assert calls.index("cfg_watchdog_ao") < calls.index("expired") < calls.index("create_ao")
+    assert card.now >= 0.02
+
+
+def test_a_command_reaches_the_card(driver: DaqDriver, card: Card) -> None:
+    driver.read(0.0)
+    assert driver.write(MOVING) == MOVING
+    assert valves(card) == pytest.approx((6.5, 4.0, 5.5))
+    assert outputs(card) == [True, True, True, False, True]
+
+
+def test_readings(driver: DaqDriver, card: Card) -> None:
+    card.motion |= {"ctr0": 1000, "ctr1": -1, "ctr2": 3 * 2**17 + 5}
+    card.lines |= {"port0/line0": True, "port0/line2": True, "port0/line4": True}
+    card.levels["ai0"], card.levels["ai3"] = 5.0, 2.5
+    seen = driver.read(0.25)
+    assert seen.encoder_count == (1000, 2**17 - 1, 5)
+    assert seen.encoder_time == (0.25, 0.25, 0.25)
+    assert seen.encoder_valid == (True, True, True)
+    assert seen.encoder_indexed == (True, True, True)
+    assert (seen.emergency_stop_clear, seen.guard_closed, seen.guard_locked) == (True, False, True)
+    assert (seen.local_reset, seen.ball_present) == (False, True)
+    assert seen.supply_pressure == pytest.approx(8e5)
+    assert math.isnan(seen.chamber_pressure[2])
+    assert seen.chamber_pressure[0] == pytest.approx(0.8e5)
+    driver.read(0.26)
+    card.levels["ai0"] = 6.0
+    assert driver.read(0.27).supply_pressure == pytest.approx(8e5)  # of the last time they were read
+    for tick in range(10):
+        seen = driver.read(0.28 + tick / 1000)
+    assert seen.supply_pressure == pytest.approx(9.6e5)
+
+
+@pytest.mark.parametrize("unsigned", [False, True])
+def test_the_count_itself_tells_whether_the_index_has_passed(
+    bench: Bench, card: Card, unsigned: bool
+) -> None:
+    card.unsigned = unsigned
+    card.indexed["ctr1"] = False
+    driver = bench()
+    driver.open()
+    for motion in (0, 50_000, -50_000):
+        card.motion["ctr1"] = motion
+        seen = driver.read(0.0)
+        assert seen.encoder_indexed == (True, False, True)
+        assert seen.encoder_count[1] == (PRESET + motion) % 2**17
+    card.indexed["ctr1"], card.motion["ctr1"] = True, -7
+    seen = driver.read(0.0)
+    assert seen.encoder_indexed == (True, True, True)
+    assert seen.encoder_count[1] == 2**17 - 7
+
+
+def test_the_counters_are_set_up_as_the_encoders_are(driver: DaqDriver, system: System) -> None:
+    counters = [task for task in system.tasks if task.kind == "ci"]
+    assert [task.channels for task in counters] == [["Dev1/ctr0"], ["Dev1/ctr1"], ["Dev1/ctr2"]]
+    for task in counters:
+        assert task.arguments == {
+            "index": True, "value": 0.0, "phase": 10040, "pulses": 2**15, "initial": float(PRESET),
+        }  # fmt: skip
+
+
+def test_a_lost_counter_keeps_its_last_sample_which_ages(driver: DaqDriver, card: Card) -> None:
+    card.motion["ctr1"] = 77
+    driver.read(1.0)
+    card.stuck.add("ctr1")
+    card.motion["ctr1"] = 99
+    seen = driver.read(1.5)
+    assert seen.encoder_count[1] == 77
+    assert seen.encoder_age == (0.0, 0.5, 0.0)
+    assert driver.missing == 1
+    assert driver.operational
+    card.stuck.clear()
+    assert driver.read(1.6).encoder_count[1] == 99
+
+
+def test_silence_makes_the_watchdog_strike_and_that_is_noticed(driver: DaqDriver, card: Card) -> None:
+    for tick in range(5):
+        card.now += 0.019
+        driver.read(tick * 0.019)
+        assert driver.write(MOVING) == MOVING
+    card.now += 0.021
+    assert driver.write(MOVING) == PASSIVE
+    assert valves(card) == (5.0, 5.0, 5.0)
+    assert outputs(card) == [False] * 5
+    assert "watchdog" in driver.trouble
+    assert driver.write(MOVING) == PASSIVE
+    driver.close()
+    driver.open()
+    assert driver.operational
+    assert driver.write(MOVING) == MOVING
+
+
+def test_a_pause_before_the_first_command_is_no_silence(driver: DaqDriver, card: Card) -> None:
+    card.now += 100.0
+    assert driver.write(MOVING) == MOVING
+
+
+def test_a_card_that_is_pulled_out(driver: DaqDriver, card: Card) -> None:
+    driver.write(MOVING)
+    card.gone = True
+    card.lines["port0/line0"] = True
+    seen = driver.read(1.0)
+    assert not seen.emergency_stop_clear
+    assert math.isnan(seen.supply_pressure)
+    assert driver.trouble
+    assert driver.write(MOVING) == PASSIVE
+    driver.make_passive()
+    driver.close()
+    with pytest.raises(DriverError, match=r"found the devices none, expected Dev1"):
+        driver.open()
+    card.gone = False
+
+
+def test_what_cannot_be_set_passive_is_left_to_the_watchdog(
+    driver: DaqDriver, card: Card, monkeypatch: pytest.MonkeyPatch, system: System
+) -> None:
+    driver.write(MOVING)
+
+    def fail(*_: Any) -> int:
+        raise OSError("a mistake of the driver")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(System, "write_analog_f64", fail)
+        driver.make_passive()
+        assert not driver.operational
+        driver.close()
+    assert valves(card) == (5.0, 5.0, 5.0)  # by the watchdog, for which it has waited
+    assert system.tasks == []
+
+
+@pytest.mark.parametrize("lacks", ["has_watchdog", "watchdog_works"])
+def test_a_card_that_cannot_centre_the_valves_is_refused_unless_a_relay_does(
+    bench: Bench, card: Card, lacks: str
+) -> None:
+    setattr(card, lacks, False)
+    with pytest.raises(DriverError, match=r"0 V is full stroke.*daq\.watchdog_relay"):
+        bench().open()
+    assert card.written == []
+    driver = bench(RELAY)
+    driver.open()
+    beats = []
+    for tick in range(4):
+        driver.read(tick / 1000)
+        assert driver.write(MOVING) == MOVING
+        beats.append(card.lines["port0/line6"])
+    assert beats == [True, False, True, False]
+    driver.make_passive()
+    assert valves(card) == (5.0, 5.0, 5.0)
+
+
+def test_the_relay_is_not_fed_once_there_is_trouble(bench: Bench, card: Card) -> None:
+    driver = bench(RELAY)
+    driver.open()
+    driver.trouble = "of a test"
+    before = card.lines["port0/line6"]
+    for _ in range(3):
+        driver.write(MOVING)
+        assert card.lines["port0/line6"] == before
+
+
+def test_a_fallback_that_reads_back_otherwise_is_refused(bench: Bench, card: Card) -> None:
+    card.coarse = -5.0
+    with pytest.raises(DriverError, match=r"Dev1/ao0: found a fallback of 0 V \(VOLTAGE\), expected 5 V"):
+        bench().open()
+    card.coarse = 0.01
+    bench().open()
+
+
+def test_one_edge_latches_all_counters(bench: Bench, card: Card) -> None:
+    driver = bench(SYNC)
+    driver.open()
+    assert driver.hardware_timed
+    card.motion |= {"ctr0": 1, "ctr1": 2, "ctr2": 3}
+    assert driver.read(0.0).encoder_count == (1, 2, 3)
+    driver.write(MOVING)
+    assert not card.lines["port0/line5"]
+    card.motion["ctr0"] = 4
+    assert driver.read(0.001).encoder_count == (4, 2, 3)
+
+
+def test_a_card_without_single_point_reads_one_after_the_other(bench: Bench, card: Card) -> None:
+    card.single_point = False
+    driver = bench(SYNC)
+    driver.open()
+    assert not driver.hardware_timed
+    assert driver.read(0.0).encoder_valid == (True, True, True)
+
+
+def test_a_sync_wire_that_is_missing_is_noticed_at_the_start(bench: Bench, card: Card) -> None:
+    card.wire = ""
+    with pytest.raises(DriverError, match=r"ctr0 \(encoder of the shoulder\).*sync line; see its wire"):
+        bench(SYNC).open()
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (replace(FULL, device="Dev7"), r"found the devices Dev1, expected Dev7"),
+        (replace(FULL, serial=1), r"found serial number 4711, expected 1"),
+        (replace(FULL, counters=("ctr0", "ctr1", "ctr9")), r"not found: Dev1/ctr9 \(-\d+\)"),
+        (replace(FULL, valves=("ao0", "ao1", "ao9")), r"not found: Dev1/ao9"),
+        (replace(FULL, supply_pressure="ai77"), r"not found: Dev1/ai77"),
+    ],
+)
+def test_what_does_not_fit_the_card_is_refused_by_name(
+    bench: Bench, settings: DaqSettings, says: str
+) -> None:
+    with pytest.raises(DriverError, match=says):
+        bench(settings).open()
+
+
+def test_a_card_in_use_is_told(bench: Bench, driver: DaqDriver) -> None:
+    with pytest.raises(DriverError, match=r"watchdog|reserved"):
+        bench().open()
+    with pytest.raises(DriverError, match="open already"):
+        driver.open()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"counters": ("ctr0", "ctr0", "ctr1")}, "counters"),
+        ({"valves": ("ao0", "ao1", "ao1")}, "valves"),
+        ({"sync_line": "port0/line0"}, "inputs and outputs"),
+        ({"chamber_pressures": ("ai1", "ai1", "", "", "", "")}, "chamber_pressures"),
+        ({"centre": (0.0, 5.0, 5.0)}, "full stroke"),
+        ({"watchdog_relay": "K1"}, "the line feeds the relay"),
+        ({"watchdog_line": "port0/line6"}, "the line feeds the relay"),
+        ({"pressure_at_zero": 2e5, "pressure_at_full_scale": 1e5}, "pressure"),
+    ],
+)
+def test_settings_that_contradict_themselves(wrong: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        DaqSettings(**wrong)
+
+
+@pytest.mark.parametrize("counts", [131_071, 2, 0, 2**29])
+def test_counts_that_quadrature_cannot_make(counts: int) -> None:
+    with pytest.raises(DriverError, match="multiple of four"):
+        DaqDriver(counts_per_revolution=counts)
+
+
+def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = builtins.__import__
+
+    def without(name: str, *arguments: Any) -> Any:
+        if name.split(".", maxsplit=1)[0] == "nidaqmx":
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return whole(name, *arguments)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    driver = DaqDriver()
+    with pytest.raises(DriverError, match=r'pip install "golfbench\[daq\]"'):
+        driver.open()
+    driver.make_passive()
+    driver.close()
+
+
+def test_without_ni_s_driver_it_says_where_to_get_it() -> None:
+    """The real package, all of it: there is no NI driver where this test runs."""
+    try:
+        nidaqmx._library_interpreter.LibraryInterpreter()
+    except nidaqmx.errors.DaqNotFoundError:
+        pass
+    else:
+        pytest.skip("this machine has NI's driver")
+    driver = DaqDriver()
+    with pytest.raises(DriverError, match=r"found no NI-DAQmx driver.*ni\.com"):
+        driver.open()
+    driver.close()
