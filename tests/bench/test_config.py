@@ -337,7 +337,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         (
             '[driver]\nname = "daq"\n[homing]\nmethod = "absolute"',
             "homing.method", '"absolute"', 'with driver "daq" "index"',
-        ),  # fmt: skip
+        ),
         ('[launch_monitor]\naddress = "0.0.0.0"', "launch_monitor", "values", "open to the network"),
         ('[launch_monitor]\nclients = ["here"]', "launch_monitor", "values", "an IP address"),
         ('[daq]\nwatchdog_relay = "K1"', "daq", "values", "the line feeds the relay"),
