@@ -17,7 +17,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c const
 help:  ## show this text
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
 
-demo: $(VENV)/.runtime  ## ten swings of the simulated robot at a ball, and their report
+demo: $(VENV)/.runtime  ## ten swings of the simulated robot in real time at two balls, and their report
 	@$(BIN)/golfbench demo
 
 test: $(VENV)/.dev lint coverage  ## lint, types, import contracts, branches of the safety code and all tests

@@ -132,17 +132,27 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Of the small differences between shots.")] = 1,
     swings: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 10,
     engine: Annotated[
-        Literal["python", "compiled"],
-        typer.Option(help="The bench's cycle around the simulated driver, or the compiled loop."),
-    ] = "python",
+        Literal["bench", "python", "compiled"],
+        typer.Option(
+            help="A running bench in real time; or lock-step in this process: the bench's cycle around the "
+            "simulated driver, or the compiled loop."
+        ),
+    ] = "bench",
 ) -> None:
     """Swing the simulated robot at two balls in turn, show what happens and leave report and records.
 
-    Ends with 1 when a swing gave no valid shot.
+    Ends with 1 when the test did not come to its end, in lock-step when a swing gave no valid shot.
     """
-    from bench.demo import run_demo
+    configuration = context.ensure_object(Session).configuration()
+    if engine == "bench":
+        from bench.demo_live import run_live_demo
 
-    if not run_demo(context.ensure_object(Session).configuration(), output, swings, seed, engine):
+        valid = run_live_demo(configuration, output, swings, seed)
+    else:
+        from bench.demo import run_demo
+
+        valid = run_demo(configuration, output, swings, seed, engine)
+    if not valid:
         raise typer.Exit(ExitCode.REFUSED)
 
 

@@ -1,4 +1,4 @@
-"""`golfbench demo`: ten swings of the simulated robot at two balls, and the files a test leaves behind.
+"""`golfbench demo --engine python|compiled`: the demo in lock-step, in this process and ten times as fast.
 
 A swing of the simulated robot repeats bit for bit. So that the report has something to judge, small
 things differ from shot to shot as they do on a real bench; they are drawn from a seed and named.
@@ -171,7 +171,7 @@ def run_demo(
     """
     series = plan_series(configuration, swings, seed, engine)
     begin = datetime.now(UTC)
-    files = Files.within(_new_folder(output, configuration, begin))
+    files = Files.within(new_folder(output, configuration, begin))
     setup, records = series.setup(), list[ShotRecord]()
     with Screen(series.words, swings) as screen:
         screen.say("arming (the first time the model is compiled: half a minute)")
@@ -197,7 +197,9 @@ def run_demo(
                 )
                 screen.step()
             written = [path for path in files if path.exists()]
-            screen.finish(str(series.scatter), seed, written, asked.is_set())
+            rest = "brought to rest and its air let out; no report, no recording"
+            stopped = f"Ctrl-C: the robot was {rest}" if asked.is_set() else ""
+            screen.finish(str(series.scatter), seed, written, stopped)
     return len(records) == swings and all(record.valid for record in records)
 
 
@@ -237,7 +239,7 @@ def _stored(
     return record
 
 
-def _new_folder(output: Path | None, configuration: Configuration, begin: datetime) -> Path:
+def new_folder(output: Path | None, configuration: Configuration, begin: datetime) -> Path:
     """Return the folder to write to, which is made.
 
     Raises:

@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from bench.campaign.comparison import Verdict
 from bench.campaign.report import MPH, robot_words, verdicts
 from bench.campaign.report_plots import YARD
 from bench.campaign.shot import Shot, Status
@@ -100,23 +101,32 @@ class Screen:
         if self._live is not None:
             self._live.refresh()
 
-    def finish(self, scatter: str, seed: int, files: Sequence[Path], interrupted: bool) -> None:
-        """Print the result: table, what was varied, verdict, and where the `files` are."""
+    def finish(
+        self,
+        scatter: str,
+        seed: int,
+        files: Sequence[Path],
+        stopped: str,
+        found: Sequence[Verdict] | None = None,
+    ) -> None:
+        """Print the result: table, what was varied, verdict, and where the `files` are.
+
+        `stopped`: why it ended early, else empty; `found`: the verdicts, by default those of the valid shots.
+        """
         self._open.close()
         console = Console(highlight=False)
         console.print(self._table())
         left = self._swings - len(self._shots)
-        if interrupted:
-            rest = "brought to rest and its air let out; no report, no recording"
-            console.print(f"Ctrl-C: the robot was {rest}, {left} swings not begun.", style="bold red")
-        elif left:
+        if stopped:
+            console.print(f"{stopped}, {left} swings not begun.", style="bold red")
+        elif left > 0:
             console.print(f"{left} swings not begun: after a stop nothing arms by itself.", style="bold red")
         console.print(
             f"Everything is simulated. From shot to shot differ, drawn from seed {seed}: {scatter}."
         )
         valid = [shot for shot in self._shots if shot.status is Status.VALID]
         console.print()
-        for verdict in verdicts(valid):
+        for verdict in verdicts(valid) if found is None else found:
             console.print(verdict.headline, style="bold")
             console.print(verdict.detail)
         console.print(robot_words(valid))

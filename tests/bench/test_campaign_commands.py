@@ -97,3 +97,17 @@ def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
 @pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report"])
 def test_an_unknown_campaign_is_told(call: Call, verb: str) -> None:
     assert "no such campaign" in str(call(verb, "xyz").exception)
+
+
+def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path) -> None:
+    gate = Path(__file__).parents[2] / ".github"
+    assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()
+    for restitution, expected in ((0.83, ExitCode.OK), (0.82, ExitCode.REFUSED)):
+        (tmp_path / "bench.toml").write_text(
+            f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n'
+            f"[clubs.driver]\nrestitution = {restitution}\n"
+        )
+        options = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", "two-balls", "--sim"]
+        done = CliRunner().invoke(app, [*options, "--check", str(gate / "two-balls.baseline.toml")])
+        assert done.exit_code == expected, done.output
+        assert ("OUTSIDE" in done.stdout) == (expected is ExitCode.REFUSED)
