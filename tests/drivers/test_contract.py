@@ -144,7 +144,10 @@ _SYSTEM = System()
 
 
 def on_card() -> Driver:
-    return driver_on(_SYSTEM)
+    driver = driver_on(_SYSTEM)
+    driver.open()  # a card that was never opened is at 0 V, which is full stroke
+    driver.close()
+    return driver
 
 
 def command_on_card(driver: Driver) -> Command:
