@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.metadata import distribution, entry_points, packages_distributions, requires
 from pathlib import Path
 
@@ -73,21 +73,31 @@ def test_a_forbidden_import_breaks_the_contracts(module: str, line: str, tmp_pat
 # Dependencies ----------------------------------------------------------------------------------------
 
 
-def test_every_imported_package_is_a_declared_dependency() -> None:
-    imported = set()
-    for path in _sources():
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                imported.add(node.module.split(".")[0])
-    outside = imported - set(sys.stdlib_module_names) - set(PACKAGES)
-    declared = {canonicalize_name(Requirement(line).name) for line in PROJECT["project"]["dependencies"]}
+def _imports(nodes: Iterable[ast.AST]) -> set[str]:
+    found = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+    return found - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def test_every_imported_package_is_a_declared_dependency_and_extras_are_not_imported_at_once() -> None:
+    trees = [ast.parse(path.read_text()) for path in _sources()]
+    extras = PROJECT["project"]["optional-dependencies"]
+    needed = PROJECT["project"]["dependencies"]
+    optional = [line for name, lines in extras.items() if name not in ("dev", "benchmark") for line in lines]
     owners = packages_distributions()
-    undeclared = {
-        name for name in outside if declared.isdisjoint(canonicalize_name(owner) for owner in owners[name])
-    }
-    assert undeclared == set()
+
+    def undeclared(imported: set[str], lines: list[str]) -> set[str]:
+        declared = {canonicalize_name(Requirement(line).name) for line in lines}
+        return {n for n in imported if declared.isdisjoint(canonicalize_name(owner) for owner in owners[n])}
+
+    everywhere = set().union(*(_imports(ast.walk(tree)) for tree in trees))
+    at_once = set().union(*(_imports(tree.body) for tree in trees))
+    assert undeclared(everywhere, [*needed, *optional]) == set()
+    assert undeclared(at_once, needed) == set()
 
 
 def _needed(line: str, seen: set[str]) -> None:
