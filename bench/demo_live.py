@@ -124,10 +124,11 @@ def run_live_demo(configuration: Configuration, output: Path | None, swings: int
     folder = new_folder(output, configuration, begin)
     c = demo_configuration(configuration, folder / "bench")
     plan = demo_plan(c, swings, seed)
-    title = f"{' and '.join(plan.design.balls)}: {plan.design.clubs[0]}, profile {plan.design.swings[0]}"
+    d = plan.design
+    title = f"{d.clubs[0]}, profile {d.swings[0]}, balls {' and '.join(d.balls)}"
     shots = len(plan.design.balls) * plan.design.blocks
     with ExitStack() as stack:
-        screen = stack.enter_context(Screen(f"{shots} swings in real time, simulated: {title}", shots))
+        screen = stack.enter_context(Screen(f"{shots} swings in real time: {title}", shots))
         store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
         screen.say("starting the bench (the first time it is compiled: half a minute)")
         running = stack.enter_context(ExitStack())
