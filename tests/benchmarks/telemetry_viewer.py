@@ -24,8 +24,10 @@ from tests.benchmarks.row import Row
 from tests.benchmarks.telemetry_age import swing_on
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
-_SETTLING = 8.0
-"""s in which the viewer starts and compiles."""
+_START = 180.0
+"""s in which the viewer starts; the first time it compiles."""
+_FIRST = 200_000
+"""Bytes of its file when it has shown something of the bench."""
 _TOLD = re.compile(
     r"(\d+) batches, (\d+) lost, (\d+) cycles lost in the ring; age at the subscriber p50 ([\d.]+) ms, "
     r"p99 ([\d.]+) ms, in Rerun p50 ([\d.]+) ms, p99 ([\d.]+) ms"
@@ -52,7 +54,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         )  # fmt: skip
         stack.callback(viewer.communicate)
         stack.callback(viewer.kill)
-        time.sleep(_SETTLING)
+        deadline = time.monotonic() + _START
+        while not saved.exists() or saved.stat().st_size < _FIRST:
+            if viewer.poll() is not None or time.monotonic() > deadline:
+                raise RuntimeError("the viewer does not start")
+            time.sleep(0.2)
         processes = {
             "viewer": psutil.Process(viewer.pid),
             "publisher": psutil.Process(bench.pid("publisher")),
