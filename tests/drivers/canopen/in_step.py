@@ -49,6 +49,8 @@ class Wire:
         """s from the driver's sending to the nodes' hearing."""
         self.stamp_error: Callable[[], float] = lambda: 0.0
         """s by which the driver mistakes the instant of its sending."""
+        self.each_tick: Callable[[Wire], None] = lambda wire: None
+        """What happens at the begin of every tick."""
         self._tick = (0.0, 0.0)
         """When the loop's last tick began, s: as it calls that instant, and on the wire's clock."""
         self._ticks = 0
@@ -100,6 +102,7 @@ class Wire:
         """Let time pass until the loop's next tick, which it calls `time` (s)."""
         self.pass_time(PERIOD - (self.now - self.lead + _NEAR) % PERIOD + _NEAR)
         self._tick = time, self.now
+        self.each_tick(self)
 
     def pass_time(self, duration: float) -> None:
         """Let the plant move, frames arrive and the nodes' timers run."""

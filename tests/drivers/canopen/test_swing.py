@@ -1,0 +1,68 @@
+"""A whole swing over CANopen, in step: the delivery is the one of the `sim` driver."""
+
+from __future__ import annotations
+
+import random
+from functools import partial
+
+import numpy as np
+import pytest
+
+from bench.config import Configuration, load_configuration
+from bench.lifecycle import Cause, Phase
+from sim.truth import Contact, contact_in
+from tests.drivers.canopen.swing_in_step import SwingBench, on_canopen, on_plant
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(None)
+
+
+@pytest.fixture(scope="module")
+def by_sim(configuration: Configuration) -> Contact:
+    return swung(on_plant(configuration))
+
+
+def swung(bench: SwingBench) -> Contact:
+    """Swing; return how the ball was struck."""
+    record = bench.swing()
+    cause = Cause(int(bench.cycle.state.control["cause"][0]))
+    assert (cause, bench.cycle.phase) == (Cause.NONE, Phase.HOLD)
+    # The shoulder is what a bad estimate of its acceleration holds back.
+    fast = record[np.isin(record["phase"], (Phase.COMMITTED, Phase.IMPACT))]
+    assert np.abs(fast["reference_angle"] - fast["angle"])[:, 0].max() < 0.06
+    contact = contact_in(bench.state)
+    assert contact is not None
+    return contact
+
+
+def assert_alike(found: Contact, expected: Contact, speed: float) -> None:
+    """Compare speed (relative), strike (m, along and across the plane) and the face's angle (rad)."""
+    assert np.hypot(*found.head_velocity[:2]) == pytest.approx(
+        np.hypot(*expected.head_velocity[:2]), rel=speed
+    )
+    assert found.head == pytest.approx(expected.head, abs=0.01)
+
+
+def test_the_delivery_is_that_of_the_sim_driver(configuration: Configuration, by_sim: Contact) -> None:
+    bench, driver, _ = on_canopen(configuration)
+    assert_alike(swung(bench), by_sim, speed=0.03)
+    counters = driver.counters
+    assert (counters.missing, counters.late, counters.duplicates, driver.trouble) == (0, 0, 0, "")
+
+
+def test_lost_answers_do_not_spoil_it(configuration: Configuration, by_sim: Contact) -> None:
+    bench, driver, wire = on_canopen(configuration)
+    chance = random.Random(5)
+    wire.meddle = lambda identifier, data: (
+        [] if identifier in (0x281, 0x282, 0x283) and chance.random() < 1e-3 else [(identifier, data)]
+    )
+    assert_alike(swung(bench), by_sim, speed=0.1)
+    assert driver.counters.missing > 10
+
+
+def test_nor_do_stamps_that_are_microseconds_wrong(configuration: Configuration, by_sim: Contact) -> None:
+    bench, _, wire = on_canopen(configuration)
+    wire.stamp_error = partial(random.Random(5).gauss, 0.0, 2e-6)
+    assert_alike(swung(bench), by_sim, speed=0.06)
