@@ -3,10 +3,10 @@
     python -m tests.benchmarks launch_monitor_fuzz --fragments 100000 --seed 1
 
 Fragments are shots and heartbeats whole, cut, with bytes turned, with absurd values, nested too deep or too
-long, or random bytes, sent over connections that are cut off now and then. The server must keep serving: after
-each thousand a proper shot over a new connection is answered and comes out unchanged. Figures that come out are
-finite and possible. The server has no way to the robot, so there is no motion to watch for; that its package
-cannot reach a driver is checked by what it imports.
+long, or random bytes, sent over connections that are cut off now and then. The server must keep serving:
+after each thousand a proper shot over a new connection is answered and comes out unchanged. Figures that come
+out are finite and possible. The server has no way to the robot, so there is no motion to watch for; that its
+package cannot reach a driver is checked by what it imports.
 """
 
 from __future__ import annotations

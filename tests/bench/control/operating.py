@@ -33,7 +33,8 @@ Act = Callable[[Puppet], None]
 def at_power_up(**settings: Any) -> Puppet:
     """Return a bench just switched on, its supervisor alive, everything granted."""
     puppet = Puppet(
-        SHORT, CONTROL, lifecycle=replace(TIMES, **settings), homing=HomingSettings(reference="pose", time=HOMING),
+        SHORT, CONTROL, lifecycle=replace(TIMES, **settings),
+        homing=HomingSettings(reference="pose", time=HOMING),
         state=State.STARTING,
     )  # fmt: skip
     for name in PERMISSIONS:
