@@ -121,7 +121,8 @@ class LoopProcess:
             granted = stack.enter_context(
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
-            self._revive()  # compiling may have outlasted the device's watchdog
+            self.driver.close()  # compiling may have outlasted the device's watchdog, and its heartbeats
+            self.driver.open()
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
             tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
