@@ -81,14 +81,15 @@ def running(folder: Path, **changes: Any) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @pytest.fixture(scope="module")
-def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[bytes]]:
-    with running(tmp_path_factory.mktemp("plant")) as process:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("plant")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plant(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Keep a plant running in `folder`."""
+    with running(folder) as process:
         yield process
-
-
-@pytest.fixture
-def folder(plant: subprocess.Popen[bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return next(tmp_path_factory.getbasetemp().glob("plant0"))
 
 
 @pytest.fixture
