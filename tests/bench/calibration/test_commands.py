@@ -7,6 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from math import radians
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -239,14 +240,14 @@ def test_no_bench_no_counts(tmp_path: Path) -> None:
         standing_counts(tmp_path / "ring", 4096)
 
 
-def test_the_pose_takes_the_counts_of_the_running_bench(
-    golfbench: Run, ticking: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def test_the_pose_takes_the_counts_of_the_running_bench(golfbench: Run, ticking: Any) -> None:
     folder = bench_folder("testbench")
     folder.mkdir()
-    ticking([[100, 200, 300]] * 50, path=folder / "ring")
-    code, text, _ = golfbench("calibrate", *POSE, "--json")
+    try:
+        ticking([[100, 200, 300]] * 50, path=folder / "ring")
+        code, text, _ = golfbench("calibrate", *POSE, "--json")
+    finally:
+        rmtree(folder)
     entry = json.loads(text)
     assert (code, entry["method"]) == (0, "locked at the mechanical reference, counts read")
     assert entry["values"]["zero_count"][0] == pytest.approx(100.5 + 30 * 131072 / 360)

@@ -41,7 +41,11 @@ blocks = 1
 at_most = 0
 [gate]
 centre = "planned"
+club_speed = 4.0
+strike_x = 0.03
+strike_y = 0.03
 """
+"""The first swing after arming differs from the others; here it counts."""
 
 
 @contextmanager
