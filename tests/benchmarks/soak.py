@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import psutil
 
 from bench.errors import Refused
 from bench.telemetry.recorder import read_swing
@@ -23,12 +23,14 @@ _SETTLING = 0.25
 
 
 def memory(bench: BenchProcess) -> dict[str, float]:
-    """Return the private memory (MiB) of each process of `bench`."""
+    """Return the anonymous memory (MiB) of each process of `bench`; files that others map too come and go."""
     pids = {name: child["pid"] for name, child in bench.client.status()["processes"].items()}
-    return {
-        name: psutil.Process(pid).memory_full_info().uss / 2**20
-        for name, pid in {"supervisor": bench.process.pid, **pids}.items()
-    }
+    return {name: _anonymous(pid) for name, pid in {"supervisor": bench.process.pid, **pids}.items()}
+
+
+def _anonymous(pid: int) -> float:
+    (line,) = re.findall(r"RssAnon:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    return int(line) / 1024
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
