@@ -50,12 +50,8 @@ def main() -> int:
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     try:
         Daemon(plan.configuration).run(lambda: tell("ready"))
-    except BenchError as error:
+    except (BenchError, DriverError) as error:
         return tell_failure(error)
-    except DriverError as error:
-        tell("failed", place="driver", found=str(error), expected="a device that does its work",
-             cure="Mend it, then start again.", exit_code=int(ExitCode.DEVICE))  # fmt: skip
-        return ExitCode.DEVICE
     return ExitCode.OK
 
 

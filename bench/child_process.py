@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError, ExitCode
+from drivers.base import DriverError
 from sim.shared_record import SharedMemoryError, SharedRecord
 
 
@@ -121,9 +122,13 @@ def tell(event: str, **details: Any) -> None:
         os.write(descriptor, line.encode())  # below PIPE_BUF it is written whole or not at all
 
 
-def tell_failure(error: BenchError | SharedMemoryError) -> int:
+def tell_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
     """Tell the parent that this process cannot work because of `error`, and return its exit code."""
-    place, found, expected, cure = error.args
+    if isinstance(error, DriverError):
+        place, found = "driver", str(error)
+        expected, cure = "a device that does its work", "Mend it, then start again."
+    else:
+        place, found, expected, cure = error.args
     code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
     tell("failed", place=place, found=found, expected=expected, cure=cure, exit_code=int(code))
     return int(code)

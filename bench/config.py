@@ -88,6 +88,11 @@ class DriverSettings:
     watchdog: Annotated[float, Range(0.005, 0.5, "s")]
     """Silence after which the device itself goes passive."""
 
+    @property
+    def paced(self) -> bool:
+        """Whether a simulated plant runs in step with the loop's ticks; else time is the wall's."""
+        return self.name == "sim" and self.time == "paced"
+
 
 @dataclass(frozen=True)
 class NetworkSettings:
@@ -154,6 +159,13 @@ class Configuration:
         if club is not None:
             plant = replace(plant, robot=replace(plant.robot, club=_choice(self, "clubs", club)))
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
+
+    @property
+    def is_machine(self) -> bool:
+        """Whether something real moves; a bus of processes of this machine has only simulated nodes on it."""
+        if self.driver.name == "canopen":
+            return self.canopen.interface != "local_socket"
+        return self.driver.name not in {"sim", "mock"}
 
     def driver_arguments(self) -> dict[str, Any]:
         """Return the keyword arguments that the factory of the driver `driver.name` takes."""

@@ -91,8 +91,7 @@ class Daemon:
         self.calibration = calibration_of(configuration, now())
         self.configuration = apply(self.calibration, configuration)
         self.profile = load_profile(find_profile(self.configuration.swing.profile))
-        driver = configuration.driver
-        self.wall = not (driver.name == "sim" and driver.time == "paced")
+        self.wall = not configuration.driver.paced
         """The loop's clock is the wall's."""
         self.children: dict[str, Child] = {}
         self._support: list[Supporter] = []

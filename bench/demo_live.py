@@ -7,7 +7,6 @@ campaign does. Everything that is started here ends here, also after Ctrl-C.
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -29,6 +28,7 @@ from bench.client import BenchClient
 from bench.config import Configuration
 from bench.demo import Files, new_folder
 from bench.demo_screen import Screen
+from bench.free_port import free_port
 from bench.interrupt import deferred_interrupt
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
 from bench.store.database import database_url, open_database
@@ -55,15 +55,12 @@ class _ScreenWatcher(Watcher):
 
 def demo_configuration(configuration: Configuration, data_dir: Path) -> Configuration:
     """Return the configuration of a simulated bench of its own, which stays armed from swing to swing."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
     c = configuration
     return replace(
         c,
         bench=replace(c.bench, id=f"demo-{os.getpid()}", data_dir=data_dir, database=""),
         driver=replace(c.driver, name="sim", time="paced"),
-        network=replace(c.network, endpoint=f"tcp/127.0.0.1:{port}", beyond="", router=""),
+        network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
         lifecycle=replace(c.lifecycle, series=True, local_reset=False),
     )
 

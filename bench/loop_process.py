@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.child_process import Parent, read_plan, tell
+from bench.child_process import Parent, read_plan, tell, tell_failure
 from bench.clock import GridClock, PacedClock
 from bench.control.settings import build_controller
-from bench.errors import BenchError, ExitCode
+from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
 from bench.ownership import adopt
@@ -82,7 +82,7 @@ class LoopProcess:
         self.period = 1.0 / c.loop.rate
         self._period_ns = round(1e9 / c.loop.rate)
         self.driver = open_driver(plan)
-        self.paced = c.driver.name == "sim" and c.driver.time == "paced"
+        self.paced = c.driver.paced
         self.parameters = build_controller(
             c.plant, plan.profile, c.control, c.envelope, c.estimator, c.lifecycle, c.homing,
             read_only=plan.read_only,
@@ -121,8 +121,7 @@ class LoopProcess:
             granted = stack.enter_context(
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
-            self.driver.close()  # compiling may have outlasted the device's watchdog, and its heartbeats
-            self.driver.open()
+            self._open_anew()  # compiling may have outlasted the device's watchdog, and its heartbeats
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
             tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
@@ -228,8 +227,11 @@ class LoopProcess:
             DriverError: it is unfit.
         """
         if not self.driver.operational:
-            self.driver.close()
-            self.driver.open()
+            self._open_anew()
+
+    def _open_anew(self) -> None:
+        self.driver.close()
+        self.driver.open()
 
     def _make_passive(self) -> None:
         """Send the passive command several times: a frame on a bus may be lost."""
@@ -244,18 +246,8 @@ def main() -> int:
     parent.listen()
     try:
         reason = LoopProcess(plan, parent).run()
-    except BenchError as error:
-        tell("failed", place=error.place, found=error.found, expected=error.expected, cure=error.cure,
-             exit_code=int(error.exit_code))  # fmt: skip
-        return int(error.exit_code)
-    except SharedMemoryError as error:
-        tell("failed", place="shared memory", found=str(error), expected="the files of a running bench",
-             cure="Let `golfbench run` start the loop.", exit_code=int(ExitCode.DEVICE))  # fmt: skip
-        return int(ExitCode.DEVICE)
-    except DriverError as error:
-        tell("failed", place="driver", found=str(error), expected="a device that does its work",
-             cure="Mend it, then start again.", exit_code=int(ExitCode.DEVICE))  # fmt: skip
-        return int(ExitCode.DEVICE)
+    except (BenchError, SharedMemoryError, DriverError) as error:
+        return tell_failure(error)
     tell("ended", reason=reason)
     return 0
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import errno
 import gc
-import json
 import os
 import pickle
 import signal
@@ -35,7 +34,7 @@ from sim.node_encoder import EncoderNode
 from sim.node_plan import NodesPlan
 from sim.node_valve import ValveNode401
 from sim.plant_exchange import PLANT_SURROUNDINGS
-from sim.plant_process import PlantFiles, ask_for_scheduling
+from sim.plant_process import PlantFiles, ask_for_scheduling, tell
 from sim.shared_record import SharedMemoryError
 from sim.wall_grid import WallGrid
 from sim.wall_plant import WallPlant
@@ -316,21 +315,14 @@ def main() -> int:
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
         if not isinstance(plan, NodesPlan):
             raise TypeError(f"plan: found {type(plan).__name__}, expected a NodesPlan")
-        run_nodes(plan, lambda scheduling: _tell("ready", pid=os.getpid(), scheduling=scheduling), wish)
-        _tell("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
+        run_nodes(plan, lambda scheduling: tell("ready", pid=os.getpid(), scheduling=scheduling), wish)
+        tell("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
         return 0
     except (
         ValueError, TypeError, pickle.UnpicklingError, EOFError, OSError, can.CanError, SharedMemoryError,
     ) as error:  # fmt: skip
-        _tell("failed", reason=f"{error}")
+        tell("failed", reason=f"{error}")
     return 1
-
-
-def _tell(event: str, **fields: object) -> None:
-    """Tell the parent, if it still listens."""
-    with suppress(OSError):
-        sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
-        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -129,14 +129,14 @@ def main() -> int:
             gc.collect()
             gc.freeze()
             gc.disable()
-            _tell("ready", pid=os.getpid(), scheduling=scheduling)
+            tell("ready", pid=os.getpid(), scheduling=scheduling)
             reason = _live(plan, plant, files, lambda: _is_orphan(parent))
-        _tell("stopped", reason=reason)
+        tell("stopped", reason=reason)
         return 0
     except (ValueError, TypeError, pickle.UnpicklingError, EOFError, SharedMemoryError) as error:
-        _tell("failed", reason=f"{error}")
+        tell("failed", reason=f"{error}")
     except Exception as error:
-        _tell("failed", reason=f"{type(error).__name__}: {error}")
+        tell("failed", reason=f"{type(error).__name__}: {error}")
         raise
     return 1
 
@@ -265,7 +265,7 @@ def _is_orphan(parent: int) -> bool:
     return os.getppid() != parent
 
 
-def _tell(event: str, **fields: object) -> None:
+def tell(event: str, **fields: object) -> None:
     """Tell the parent, if it still listens."""
     with suppress(OSError):
         sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")

@@ -18,12 +18,12 @@ from bench.client import BenchClient, CommandRefused
 from bench.config import Configuration, load_configuration
 from bench.desk import Status
 from bench.errors import Refused
+from bench.free_port import free_port
 from bench.lifecycle import Phase, State
 from bench.ownership import bench_folder
 from bench.plan import RING_FILE
 from bench.telemetry.ring import RingReader
 from bench.zenoh_session import NoAnswer
-from tests.bench.fake_desk import free_port
 
 LONGEST_START = 300.0
 """s; the first start compiles."""

@@ -14,9 +14,6 @@ from bench.errors import BenchError
 from bench.store.database import database_url, is_there, open_database
 from bench.store.tables import CalibrationRow
 
-SIMULATED = frozenset({"sim", "mock"})
-"""Drivers without a machine behind them: there nominal values are right."""
-
 
 def add_calibration(
     database: Engine,
@@ -116,9 +113,7 @@ def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
         BenchError: the database cannot be read.
     """
     c = configuration
-    # A bus of processes of this machine has only simulated nodes on it.
-    simulated_nodes = c.driver.name == "canopen" and c.canopen.interface == "local_socket"
-    required = c.driver.name not in SIMULATED and not simulated_nodes
+    required = c.is_machine  # elsewhere nominal values are right
     url = database_url(c.bench.database, c.bench.data_dir)
     if not is_there(url):
         return Calibration(c.bench.id, c.swing.club, when, (), required)

@@ -22,6 +22,7 @@ from typing import Literal, Self
 from urllib.parse import quote
 
 from bench.errors import BenchError, ExitCode
+from bench.free_port import free_port
 from bench.telemetry.viewer_page import LOOPBACK, ViewerPage
 
 Kind = Literal["window", "web", "headless"]
@@ -212,13 +213,6 @@ def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
         raise BenchError(
             f"--port {port}", error.strerror or str(error), "a free port", "Name another one, or none."
         ) from None
-
-
-def free_port() -> int:
-    """Return a port of the loopback where nobody listens now."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
 
 
 def _listens(port: int) -> bool:

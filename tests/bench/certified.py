@@ -8,7 +8,8 @@ from pathlib import Path
 
 from bench.certificates import AUTHORITY, Identity, make_authority, make_certificate, write_identity
 from bench.config import Configuration, NetworkSettings
-from tests.bench.fake_desk import free_port, loopback_configuration
+from bench.free_port import free_port
+from tests.bench.fake_desk import loopback_configuration
 
 HERE = ("127.0.0.1", "localhost")
 

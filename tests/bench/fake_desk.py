@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ import zenoh
 from bench.command_plane import CommandPlane
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
 from bench.desk import CauseStatus, CountStatus, LoopStatus, ProcessStatus, Reply, Status
+from bench.free_port import free_port
 from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
 from bench.zenoh_session import open_daemon
 
@@ -118,12 +118,6 @@ class RunningPlane(NamedTuple):
     configuration: Configuration
     session: zenoh.Session
     """The daemon's."""
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def loopback_configuration(port: int | None = None) -> Configuration:

@@ -19,9 +19,10 @@ from rich.console import Console
 
 from bench.cli import main
 from bench.errors import ExitCode
+from bench.free_port import free_port
 from bench.lifecycle import Request, State
 from bench.status_table import status_table
-from tests.bench.fake_desk import FakeDesk, RunningPlane, free_port, loopback_configuration, running_plane
+from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
 class Outcome(NamedTuple):

@@ -17,8 +17,8 @@ from urllib.request import urlopen
 import psutil
 import pytest
 
+from bench.free_port import free_port
 from tests.bench.certified import Folder
-from tests.bench.fake_desk import free_port
 from tests.running_bench import running_bench, write_configuration
 
 pytestmark = pytest.mark.timeout(400)  # the first start compiles

@@ -15,9 +15,10 @@ from bench.cli import main
 from bench.client import BenchClient
 from bench.config import Configuration, NetworkSettings
 from bench.errors import BenchError, ExitCode
+from bench.free_port import free_port
 from bench.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
-from tests.bench.fake_desk import FakeDesk, RunningPlane, free_port, running_plane
+from tests.bench.fake_desk import FakeDesk, RunningPlane, running_plane
 
 PUBLISHED = ("telemetry", "state", "event", "shot", "loop")
 

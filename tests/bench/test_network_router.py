@@ -19,10 +19,11 @@ from bench.access_control import access_control
 from bench.client import BenchClient
 from bench.config import VARIANTS, Configuration
 from bench.errors import BenchError
+from bench.free_port import free_port
 from bench.lifecycle import Request
 from bench.zenoh_session import NoAnswer, open_client
 from tests.bench.certified import Folder, client_of
-from tests.bench.fake_desk import FakeDesk, RunningPlane, free_port, loopback_configuration, running_plane
+from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 EXAMPLE = VARIANTS / "router.json5"
 HURRY = 20.0

@@ -21,6 +21,7 @@ import zenoh
 
 from bench.child_process import HEARTBEAT, Condition
 from bench.config import NetworkSettings
+from bench.free_port import free_port
 from bench.lifecycle import State
 from bench.publisher_process import PublisherPlan
 from bench.telemetry.batches import Batch, decode_batch
@@ -28,7 +29,6 @@ from bench.telemetry.ring import RingWriter
 from bench.tick_timing import TickTiming, create_timing
 from bench.zenoh_session import open_client, open_daemon
 from sim.shared_record import SharedRecord
-from tests.bench.fake_desk import free_port
 
 Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 import random
 import subprocess
 import sys
@@ -30,22 +29,20 @@ import zenoh
 
 from bench.client import BenchClient
 from bench.command import LAST_SEQUENCE, LONGEST_MESSAGE, Verb, encode_command, parse_answer, parse_error
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.desk import CountStatus, Status
 from bench.lease import new_key
-from bench.ownership import bench_folder
 from bench.plan import TIMING_FILE
 from bench.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
-from bench.zenoh_session import NoAnswer, open_client
-from tests.bench.fake_desk import FakeDesk, free_port, loopback_configuration, running_plane
+from bench.zenoh_session import open_client
+from tests.bench.fake_desk import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.row import Row
+from tests.running_bench import running_bench, write_configuration
 
 MESSAGES = 100_000
 WINDOW = 512
 """Messages under way at once: more than a lane of the plane takes."""
 
-LONGEST_START = 300.0
-"""s until a bench must answer: the first start compiles."""
 
 VERBS = tuple(map(str, Verb))
 _LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789-_é"
@@ -317,45 +314,6 @@ class Timing:
         return percentile(self.count[SEGMENTS.index(segment)], share) / 1000
 
 
-@contextmanager
-def running_bench(folder: Path) -> Iterator[Configuration]:
-    """Yield the configuration of a bench that runs with the simulated plant on its own clock, in ESTOP."""
-    file = folder / "bench.toml"
-    file.write_text(
-        f'base = "shipped"\n[bench]\nid = "fuzz{os.getpid()}"\ndata_dir = "{folder / "data"}"\n'
-        f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n'
-    )
-    configuration = load_configuration(file)
-    with (folder / "log").open("w+") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bench", "--config", str(file), "run"], stdout=log, stderr=log
-        )
-        try:
-            deadline = time.monotonic() + LONGEST_START
-            while not _is_up(configuration):
-                if process.poll() is not None or time.monotonic() > deadline:
-                    log.seek(0)
-                    raise RuntimeError(f"the bench did not start: {log.read()[-2000:]}")
-                time.sleep(0.2)
-            yield configuration
-        finally:
-            process.terminate()
-            try:
-                process.wait(60.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-def _is_up(configuration: Configuration) -> bool:
-    try:
-        with BenchClient.connect(configuration) as client:
-            status = client.status()
-            return status["support_ready"] and status["state"] != "STARTING"
-    except NoAnswer:
-        return False
-
-
 def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
     """Fuzz a running bench with `count` messages in `windows`, between as many without."""
     timings = {condition: Timing() for condition in CONDITIONS}
@@ -363,12 +321,12 @@ def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
     name = "running bench under fuzz"
     with (
         TemporaryDirectory() as folder,
-        running_bench(Path(folder)) as c,
+        running_bench(write_configuration(Path(folder), "fuzz"), clock="wall") as bench,
         plane_process() as (other, _),
-        BenchClient.connect(c) as client,
-        open_client(c.network, c.bench.id) as session,
+        BenchClient.connect(bench.configuration) as client,
+        open_client(bench.configuration.network, bench.configuration.bench.id) as session,
         open_client(other.network, other.bench.id) as other_session,
-        TimingReader(bench_folder(c.bench.id) / TIMING_FILE) as reader,
+        TimingReader(bench.folder / TIMING_FILE) as reader,
     ):
         key = use_up(client)
         began, before, missing = client.status(), client.status()["counts"], 0
@@ -385,7 +343,9 @@ def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
                     case "other":
                         fuzz(other_session, other.bench.id, count // windows, key, seed=window)
                     case _:
-                        tally = fuzz(session, c.bench.id, count // windows, key, seed=window)
+                        tally = fuzz(
+                            session, bench.configuration.bench.id, count // windows, key, seed=window
+                        )
                         sent.update(tally.answered)
                         length = tally.seconds
                         after = client.status()["counts"]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
+from bench.free_port import free_port
 from bench.ownership import MEMORY
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingWriter
@@ -75,12 +75,6 @@ def _network(role: str, endpoint: str) -> str:
     return json.dumps({"mode": "peer", "scouting": scouting, "transport": transport, **ends})
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _paced(ways: dict[str, Callable[[np.ndarray[Any, Any]], object]]) -> dict[str, NDArray[np.float64]]:
     """Return the time (us) of each call, in blocks of each way in turn, one call a period."""
     record = np.zeros(1, CYCLE)
@@ -101,7 +95,7 @@ def _paced(ways: dict[str, Callable[[np.ndarray[Any, Any]], object]]) -> dict[st
 
 def _measure(folder: Path) -> tuple[dict[str, NDArray[np.float64]], dict[str, int], str]:
     """Return the times (us) of each way, what the reader got by each, and the scheduling."""
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     ring, record = RingWriter(folder / "ring"), SharedRecord.create(folder / "record", CYCLE)
     with zenoh.open(zenoh.Config.from_json5(_network("listen", endpoint))) as session:
         publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.DROP)

@@ -12,9 +12,9 @@ import numpy as np
 import zenoh
 
 from bench.config import NetworkSettings
+from bench.free_port import free_port
 from bench.telemetry.batches import encode_batch
 from bench.zenoh_session import open_daemon
-from tests.bench.fake_desk import free_port
 
 Cycles = np.ndarray[Any, Any]
 BENCH = "b1"

@@ -18,6 +18,7 @@ import pytest
 import rerun as rr
 
 from bench.errors import BenchError
+from bench.free_port import free_port
 from bench.telemetry.rerun_blueprint import live_blueprint
 from bench.telemetry.rerun_scene import log_static_scene
 from bench.telemetry.rerun_signals import bench_time, log_styles, send_scalars
@@ -25,7 +26,6 @@ from bench.telemetry.viewer_page import LOOPBACK
 from bench.telemetry.viewer_window import (
     RerunWindow,
     checked_memory,
-    free_port,
     quiet_environment,
     rerun_program,
 )
