@@ -42,12 +42,18 @@ HEARTBEAT = np.dtype(
         ("done", "i8"),
         ("waiting", "i8"),
         ("tick", "i8"),
+        ("resume", "i8"),
+        ("storing", "i8"),
+        ("storing_began", "f8"),
+        ("storing_tick", "i8"),
     ],
     align=True,
 )
 """What a child tells many times a second: beats so far, CLOCK_MONOTONIC of this one (s), `Condition`, ring
 records lost by this process, work done (files stored, batches sent) and kept for later, and the last tick
-that is done with. The supervisor makes the file, so that a child started anew goes on in it."""
+that is done with. For the recorder after this one: the tick after which it is to read, which spares the lead
+of a record to come, and of the record that is being stored the number, its begin (s, UTC) and its last tick.
+The supervisor makes the file, so that a child started anew goes on in it."""
 
 
 class Heart:
@@ -69,7 +75,7 @@ class Heart:
         """What was told last, also by the process before this one."""
         self._shared.read(self.last)
 
-    def beat(self, time: float, condition: Condition, **figures: int) -> None:
+    def beat(self, time: float, condition: Condition, **figures: float) -> None:
         """Tell `condition` and any of `figures` (fields of HEARTBEAT) at `time` (s)."""
         self.last["count"] += 1
         self.last["time"], self.last["condition"] = time, condition

@@ -113,8 +113,8 @@ class Recorder:
         for folder in self._folders:
             remove_partial(folder)
         self._number = int(self._heart.last["done"][0])
-        self._done_tick = self._resume()
-        self._tick = self._done_tick
+        self._done_tick = self._tick = self._segment_tick = 0
+        self._resume()
         self._lost, self._past_lost = 0, 0
         self._started = False
         self._utc_less_loop = 0.0
@@ -122,10 +122,20 @@ class Recorder:
         self._folder_trouble = ""
         self._told_trouble, self._told_dropped = False, 0
 
-    def _resume(self) -> int:
-        """Return the last tick that a recorder before this one was done with, 0 when there was none."""
-        done, newest = int(self._heart.last["tick"][0]), self._ring.newest()
-        return done if newest is not None and done <= newest["tick"][0] else 0
+    def _resume(self) -> None:
+        """Go on where a recorder before this one ended, if there was one beside this ring."""
+        last, newest = self._heart.last[0], self._ring.newest()
+        if newest is None or last["tick"] > newest["tick"][0]:
+            return
+        self._done_tick = int(last["resume"])
+        self._segment_tick = int(last["tick"])
+        # It may have been killed between the file's new name and the next beat of its heart.
+        number = int(last["storing"])
+        began = datetime.fromtimestamp(float(last["storing_began"]), UTC)
+        if number > self._number and record_path(self._swings, began, number).exists():
+            self._number = number
+            self._done_tick = max(self._done_tick, int(last["storing_tick"]))
+        self._tick = self._done_tick
 
     @property
     def moving(self) -> bool:
@@ -200,11 +210,12 @@ class Recorder:
             cut, self._entries, number=self._number, begin=begin, time_utc=began, snapshots=self._snapshots
         )
         path = record_path(folder, began, self._number)
-        self._queue.put(Record(path, since(cut.cycles, begin), metadata))
+        self._queue.put(Record(path, began, since(cut.cycles, begin), metadata))
 
     def _continue(self, cycles: Cycles, lost: int) -> None:
         """Add `cycles` to the segment under way; end it when it is long enough."""
         self._segment_lost += lost
+        cycles = cycles[np.searchsorted(cycles["tick"], self._segment_tick, side="right") :]
         if len(cycles):
             self._segment.append(cycles)
             length = cycles["time"][-1] - self._segment[0]["time"][0]
@@ -218,6 +229,17 @@ class Recorder:
 
     def _store(self, now: float, *, at_once: bool) -> None:
         """Try to store the oldest record that waits."""
+        due = self._queue.due(now, at_once=at_once)
+        if due is None:
+            return
+        if due.path.parent == self._swings:
+            self._heart.beat(
+                now,
+                Condition(int(self._heart.last["condition"][0])),
+                storing=due.metadata["number"],
+                storing_began=due.began.timestamp(),
+                storing_tick=int(due.cycles["tick"][-1]),
+            )
         stored = self._queue.store(now, at_once=at_once)
         if stored is None:
             return
@@ -249,15 +271,17 @@ class Recorder:
             tell("dropped", count=self._told_dropped)
         if trouble and condition is Condition.WORKING:
             condition = Condition.TROUBLE
-        if not self._cutter.moving and not len(self._queue):
-            self._done_tick = self._tick
+        idle = not self._cutter.moving and not len(self._queue)
+        if idle:
+            self._done_tick = max(self._done_tick, self._cutter.before_lead)
         self._heart.beat(
             now,
             condition,
             lost=self._lost,
-            done=self._number,
+            done=self._number - len(self._queue),
             waiting=len(self._queue),
-            tick=self._done_tick,
+            tick=self._tick if idle else self._done_tick,
+            resume=self._done_tick,
         )
 
 

@@ -19,6 +19,7 @@ class Record(NamedTuple):
     """One record and where it is to stand."""
 
     path: Path
+    began: datetime
     cycles: Cycles
     """As stored: `time` from the record's begin."""
     metadata: Mapping[str, Any]
@@ -52,11 +53,15 @@ class RecordQueue:
             del self._waiting[[r is segment for r in self._waiting].index(True)]
         self._waiting.append(record)
 
+    def due(self, now: float, *, at_once: bool = False) -> Record | None:
+        """Return the oldest record, unless a pause is to be kept at `now` (s)."""
+        return self._waiting[0] if self._waiting and (at_once or now >= self._next_try) else None
+
     def store(self, now: float, *, at_once: bool = False) -> Record | None:
-        """Store the oldest record, unless a pause is to be kept at `now` (s); return it when it is stored."""
-        if not self._waiting or (now < self._next_try and not at_once):
+        """Store what is due; return it when it is stored."""
+        record = self.due(now, at_once=at_once)
+        if record is None:
             return None
-        record = self._waiting[0]
         try:
             record.path.parent.mkdir(parents=True, exist_ok=True)
             write_swing(record.path, record.cycles, record.metadata)

@@ -67,6 +67,8 @@ class SwingCutter:
         self._past = _Past(room)
         self._state = State.STARTING
         self._tick: int | None = None
+        self._lead_from = 0
+        """Number of the first cycle that a record which begins now would hold."""
         self._open: _Part | None = None
         self._closing: list[_Part] = []
         self._missing = 0
@@ -82,6 +84,12 @@ class SwingCutter:
     def worth_waiting(self) -> bool:
         """Whether one in the making will be kept."""
         return bool(self._closing) or (self._open is not None and bool(self._open.kind))
+
+    @property
+    def before_lead(self) -> int:
+        """The last tick that a record which begins later will not hold; 0 when it would hold all."""
+        past = self._past
+        return past.tick(self._lead_from) - 1 if past.first <= self._lead_from < past.end else 0
 
     def take(self, cycles: Cycles, lost: int = 0) -> list[Cut]:
         """Take the next `cycles`, of which `lost` are missing before or between; return what is complete."""
@@ -113,6 +121,7 @@ class SwingCutter:
             cuts += self._close(float(cycles["time"][index]))
             self._change(first + int(index), State(int(states[index])), float(cycles["time"][index]))
         self._tick = int(cycles["tick"][-1])
+        self._lead_from = self._before(self._past.end, float(cycles["time"][-1]), self._lead_from)
         cuts += self._close(float(cycles["time"][-1]))
         return cuts
 
@@ -176,9 +185,9 @@ class SwingCutter:
         tripped = bool(np.any(cycles["trip"][_MOVING[cycles["state"]]]))
         return Cut(cycles, part.kind or ("stop" if tripped else ""), lost, ended, part.continued)
 
-    def _before(self, number: int, time: float) -> int:
-        """Return the number of the first cycle within `lead` before `time`."""
-        return min(self._past.number_at(self._past.first, time - self._lead), number)
+    def _before(self, number: int, time: float, begin: int = 0) -> int:
+        """Return the number, from `begin` on, of the first cycle within `lead` before `time`."""
+        return min(self._past.number_at(max(self._past.first, begin), time - self._lead), number)
 
 
 class _Past:
@@ -215,6 +224,10 @@ class _Past:
         data[:straight] = self._bytes[place : place + straight]
         data[straight:] = self._bytes[: len(found) - straight]
         return found
+
+    def tick(self, number: int) -> int:
+        """Return the tick of cycle `number`."""
+        return int(self._cycles["tick"][number % self.room])
 
     def number_at(self, begin: int, time: float) -> int:
         """Return the number, from `begin` on, of the first cycle at `time` or later; `end` when none is."""

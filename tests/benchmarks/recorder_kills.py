@@ -32,10 +32,9 @@ PLAN = (
 )
 LENGTH = sum(ticks for _, ticks in PLAN)
 BEGIN, END = 301, 1200 + 256
-"""First and last tick that a record must have: swing and tail. Of the lead before it a recorder started anew
-has what came after the one before it was done."""
+"""First tick of the swing and last of its tail."""
 LEAD = 128
-"""Cycles of a whole lead."""
+"""Cycles that a record has before."""
 _STORING = 0.9
 """s after a recorder's start within which it has stored a swing that waits for it."""
 _IN_A_ROW = 5
@@ -65,9 +64,7 @@ def damage(path: Path) -> str:
     ticks = cycles["tick"].astype(int)
     first = int(ticks[0]) - 1
     first, last = first % LENGTH + 1, first % LENGTH + len(ticks)
-    if not (BEGIN - LEAD <= first <= BEGIN and last == END and metadata["complete"]) or np.any(
-        np.diff(ticks) != 1
-    ):
+    if not (first == BEGIN - LEAD and last == END and metadata["complete"]) or np.any(np.diff(ticks) != 1):
         return f"{path.name}: ticks {first} to {last} of its swing, {len(ticks)} cycles"
     return ""
 
@@ -126,7 +123,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     return [
         Row(title, "records that are not whole", len(damaged), "", f"at the kills: {told}", at_most=0),
         Row(title, "swings without a record after the next start", missing, "", at_most=0),
-        Row(title, "swings recorded twice", sum(count > 1 for count in swings.values()), ""),
+        Row(title, "swings recorded twice", sum(count > 1 for count in swings.values()), "", at_most=0),
         Row(title, "half-written files left after the next start", len(rest), "", at_most=0),
         Row(title, "exit codes of those that were not killed", max(endings), "", at_most=0),
     ]

@@ -16,7 +16,9 @@ from bench.telemetry.recorder import read_swing
 def record(path: Path, number: int = 1, kind: str = "swing") -> Record:
     cycles = np.zeros(5, CYCLE)
     cycles["tick"] = number
-    return Record(path / f"{number}.parquet", cycles, {"kind": kind, "number": number})
+    return Record(
+        path / f"{number}.parquet", datetime.fromtimestamp(0.0, UTC), cycles, {"kind": kind, "number": number}
+    )
 
 
 @contextmanager
