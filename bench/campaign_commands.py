@@ -66,7 +66,7 @@ def check(
 
 def _checked(context: typer.Context, file: Path) -> tuple[Plan, Configuration]:
     """Return the plan in `file`, whose swings fit its clubs, and the configuration."""
-    from bench.campaign.plan import load_plan
+    from bench.campaign.plan_file import load_plan
     from bench.campaign.swings import require_swings
 
     configuration = context.ensure_object(Session).configuration()
@@ -139,7 +139,7 @@ def resume(
 ) -> None:
     """Go on with a campaign that was paused, stopped, suspended or cut off."""
     from bench.campaign.operate import ask, is_running, known, require_resumable
-    from bench.campaign.plan import plan_from_record
+    from bench.campaign.plan_file import plan_from_record
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
@@ -172,7 +172,7 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.junit import junit_xml
     from bench.campaign.operate import run_live, run_simulated
-    from bench.campaign.plan import plan_from_record
+    from bench.campaign.plan_file import plan_from_record
     from bench.campaign.screen import ProgressWatcher
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt

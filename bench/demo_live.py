@@ -18,7 +18,8 @@ from bench.bench_process import BenchPlan
 from bench.campaign.campaign_report import load_record, write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.operate import bench_facts, new_entry, run_live
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome, Watcher
 from bench.campaign.shot import Shot
 from bench.campaign.shot_table import write_shot_table

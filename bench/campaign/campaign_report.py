@@ -13,7 +13,8 @@ from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.findings import Findings
 from bench.campaign.mixed_model import MixedModel
-from bench.campaign.plan import Plan, plan_from_record
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
 from bench.campaign.report import TABLE, figure_text, flat, page_template
 from bench.campaign.report_plots import COLOURS

@@ -16,7 +16,8 @@ from bench.campaign.analysis import decide
 from bench.campaign.course import Course, course
 from bench.campaign.gate import Centre, planned_delivery
 from bench.campaign.live import LiveShots, require_live
-from bench.campaign.plan import Plan, plan_from_record
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots

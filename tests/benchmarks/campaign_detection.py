@@ -18,7 +18,8 @@ import numpy as np
 from bench.campaign.analysis import analyse, values_of
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
-from bench.campaign.plan import Plan, Simulation, load_plan
+from bench.campaign.plan import Plan, Simulation
+from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import all_trials
 from bench.campaign.shot import Shot

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.campaign.operate import course_of, new_entry, runner_lock
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Runner, Watcher
 from bench.campaign.shot_table import shot_table_text
 from bench.campaign.simulated import BEGIN, SimulatedShots

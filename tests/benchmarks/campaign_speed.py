@@ -18,7 +18,8 @@ from pathlib import Path
 from bench.campaign.campaign_report import load_record, write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry, run_simulated
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.shot import Shot
 from bench.campaign.simulated import BEGIN, SimulatedShots

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.campaign.analysis import analyse
-from bench.campaign.plan import Plan, levels, load_plan
+from bench.campaign.plan import Plan, levels
+from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import Role, block_trials, sections
 from bench.campaign.shot import Shot, Status

@@ -16,7 +16,8 @@ from bench.campaign.analysis import analyse, decide, spread
 from bench.campaign.block_model import fit_blocks, holm
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.mixed_model import fit_reml, mixed_model
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.repeatability import repeatability, variance_components
 from bench.campaign.shot import Shot, Status
 from bench.config import load_configuration

@@ -19,7 +19,7 @@ from bench.campaign.campaign_report import CampaignRecord, render_campaign_repor
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.junit import junit_xml
 from bench.campaign.operate import new_entry
-from bench.campaign.plan import load_plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome
 from bench.campaign.shot import Status
 from bench.config import load_configuration

@@ -17,7 +17,8 @@ import pytest
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Suspended
 from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.shot import Status

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.campaign.plan import EXAMPLES, Plan, campaign_names, find_plan, load_plan, plan_from_record
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
 from bench.campaign.power import (
     block_freedom,
     power_of_difference,

@@ -25,7 +25,8 @@ from bench.campaign.operate import (
     require_resumable,
     runner_lock,
 )
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome, Runner, Watcher, sample_for
 from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken

@@ -10,7 +10,8 @@ import pytest
 
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
-from bench.campaign.plan import Plan, load_plan
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import all_trials
 from bench.campaign.shot import Status
 from bench.campaign.simulated import SimulatedShots, Taken

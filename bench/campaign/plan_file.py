@@ -1,0 +1,196 @@
+"""The plan of a campaign in a TOML file, checked before anything moves.
+
+A file gives only what differs from `defaults.toml` beside this module, where every key, its unit and its
+meaning stand. `[balls.x]` and `[clubs.x]` add to those of the configuration; `like` names the one they
+resemble.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.campaign.plan import Plan, levels
+from bench.campaign.rules import rule_names
+from bench.campaign.sequence import hits_needed
+from bench.config import Configuration
+from bench.errors import BenchError
+from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
+from sim.ball import Ball
+from sim.robot import Club
+
+DEFAULTS = Path(__file__).with_name("defaults.toml")
+EXAMPLES = Path(__file__).parent.parent / "campaigns"
+"""Folder of the campaigns that come with golfbench; their names stand for their paths."""
+
+
+def campaign_names() -> list[str]:
+    """Return the names of the campaigns that come with golfbench."""
+    return sorted(path.stem for path in EXAMPLES.glob("*.toml"))
+
+
+def find_plan(wanted: Path) -> Path:
+    """Return the file of a campaign: a path, or the name of one that comes with golfbench.
+
+    Raises:
+        BenchError: there is none; the text names the known ones.
+    """
+    if wanted.is_file():
+        return wanted
+    if len(wanted.parts) == 1 and wanted.name in campaign_names():
+        return EXAMPLES / f"{wanted.name}.toml"
+    near = get_close_matches(wanted.stem, campaign_names(), n=1)
+    cure = f"Did you mean {near[0]}?" if near else "Correct the path."
+    known = f"a path, or one of {', '.join(campaign_names())}"
+    raise BenchError(f"campaign {wanted}", "no such file", known, cure)
+
+
+def load_plan(path: Path, configuration: Configuration) -> Plan:
+    """Return the checked plan at `path` (as `find_plan` takes it).
+
+    Raises:
+        BenchError: the file is missing, cannot be read, or is no TOML.
+        ExceptionGroup: of BenchErrors, one for each mistake in it.
+    """
+    file = find_plan(path)
+    faults: list[BenchError] = []
+    given = as_tree(read_toml(file, "a campaign's plan", "Correct the path."), file, faults)
+    known: dict[str, Mapping[str, Any]] = {"balls": configuration.balls, "clubs": configuration.clubs}
+    entries = {name: _completed(name, given.pop(name, {}), known[name], file, faults) for name in known}
+    base = as_tree(read_toml(DEFAULTS, "defaults", "Install golfbench anew."), DEFAULTS, faults)
+    plan = _build({**laid_over(base, given), **entries}, file, faults)
+    if plan is not None:
+        balls, clubs = {**configuration.balls, **plan.balls}, {**configuration.clubs, **plan.clubs}
+        for key, found, wanted, cure in _mistakes(plan, balls, clubs):
+            faults.append(BenchError(place_of(given, file, key), found, wanted, cure))
+        plan = replace(
+            plan,
+            balls={name: balls[name] for name in plan.ball_names if name in balls},
+            clubs={name: clubs[name] for name in plan.design.clubs if name in clubs},
+        )
+    if plan is None or faults:
+        raise ExceptionGroup(f"{file} does not hold", faults)
+    return plan
+
+
+def plan_from_record(record: Mapping[str, Any], place: str) -> Plan:
+    """Return the plan that `Plan.record` gave.
+
+    Raises:
+        ExceptionGroup: of BenchErrors; it is one of another version of golfbench, or damaged.
+    """
+    faults: list[BenchError] = []
+    tables = json.loads(json.dumps(record))
+    for name in ("balls", "clubs"):
+        for entry in tables.get(name, {}).values():
+            entry.pop("name", None)
+    plan = _build(as_tree(tables, Path(place), faults), Path(place), faults)
+    if plan is None:
+        raise ExceptionGroup(f"{place} does not hold", faults)
+    return plan
+
+
+def _build(tree: Tree, file: Path, faults: list[BenchError]) -> Plan | None:
+    builder = Builder(
+        tree, file, f"Correct it; keys and units: {DEFAULTS.name}.", "Add it.", frozenset(), faults
+    )
+    plan: Plan | None = builder.build(Plan)
+    return plan
+
+
+def _completed(
+    section: str, node: Tree | Leaf, known: Mapping[str, Any], file: Path, faults: list[BenchError]
+) -> Tree:
+    """Return a section's entries, those that say `like` completed from the one it names."""
+    if isinstance(node, Leaf):
+        faults.append(BenchError(f"{file}: {section}", shown(node.value), "tables", "Write [balls.name]."))
+        return {}
+    done: Tree = {}
+    for name, entry in node.items():
+        if isinstance(entry, dict) and isinstance(like := entry.get("like"), Leaf):
+            rest = {key: value for key, value in entry.items() if key != "like"}
+            if like.value not in known:
+                place = f"{file}: {section}.{name}.like"
+                faults.append(
+                    BenchError(place, shown(like.value), f"one of {', '.join(known)}", "Name one of them.")
+                )
+                continue
+            other = known[like.value]
+            values = {f.name: getattr(other, f.name) for f in fields(other) if f.init and f.name != "name"}
+            done[name] = laid_over(as_tree(values, file, faults), rest)
+        else:
+            done[name] = entry
+    return done
+
+
+class Mistake(NamedTuple):
+    """What several keys together do not hold."""
+
+    key: str
+    found: str
+    expected: str
+    cure: str
+
+
+def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
+    d, stop, analysis = plan.design, plan.stop, plan.analysis
+    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
+        yield Mistake(
+            "campaign.name", shown(plan.campaign.name), "small letters, digits and -", "It names files."
+        )
+    for key, names, known in (
+        ("design.balls", d.balls, balls),
+        ("control.ball", filter(None, (plan.control.ball,)), balls),
+        ("design.clubs", d.clubs, clubs),
+    ):
+        for name in names:
+            if name not in known:
+                near = get_close_matches(name, list(known), n=1)
+                cure = f"Did you mean {near[0]}?" if near else f"Add [{key.split('.')[1]}.{name}]."
+                yield Mistake(key, f"{shown(name)}, unknown", f"one of {', '.join(known)}", cure)
+    for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
+        if not names or len(set(names)) < len(names):
+            yield Mistake(f"design.{key}", shown(list(names)), "at least one, each once", "Correct it.")
+    if stop.rule != "fixed" and stop.blocks_at_least > d.blocks:
+        yield Mistake(
+            "stop.blocks_at_least", str(stop.blocks_at_least), f"up to design.blocks, {d.blocks}", "Lower it."
+        )
+    if stop.rule != "fixed" and stop.looks < 2:
+        yield Mistake(
+            "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
+        )
+    if stop.rule == "width" and not stop.width:
+        yield Mistake("stop.width", "0", "a half width above 0 for the rule width", "Set it.")
+    if stop.rule == "equivalence" and not analysis.margin:
+        yield Mistake("analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it.")
+    if stop.rule != "fixed" and len(levels(plan)) < 2:
+        yield Mistake("stop.rule", shown(stop.rule), '"fixed": there is one level only', "Correct it.")
+    if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
+        yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
+    if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
+        found = str(plan.warm_up.at_most)
+        yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
+    yield from _hits(plan)
+    for name in plan.rules.apply:
+        if name not in rule_names():
+            yield Mistake("rules.apply", shown(name), f"of {', '.join(rule_names())}", "Correct it.")
+
+
+def _hits(plan: Plan) -> Iterator[Mistake]:
+    """Tell of balls that would be hit more often than they may, repeats left out."""
+    handling = plan.ball_handling
+    allowed = handling.samples * handling.hits
+    for name, needed in hits_needed(plan).items():
+        if needed > allowed:
+            samples = -(-needed // handling.hits)
+            yield Mistake(
+                "ball_handling.samples",
+                f"{handling.samples}; {needed} hits of {shown(name)} are planned",
+                f"at most {handling.samples} x {handling.hits} = {allowed} hits",
+                f"Take {samples} samples of each ball, or fewer blocks.",
+            )
