@@ -1,8 +1,9 @@
 """Who may do what over the network: roles by the name in a certificate, as zenoh's access control wants them.
 
-A viewer hears what the bench tells and asks for its status; an operator commands as well. Whoever may connect
-at all, which takes a certificate of the bench's authority, may stop it. What comes without TLS comes from
-this machine (the configuration takes nothing else) and is not restricted. What is denied is dropped silently.
+A viewer hears what bench and campaigns tell and asks for their status; an operator commands and runs
+campaigns as well. Whoever may connect at all, which takes a certificate of the bench's authority, may stop
+it. What comes without TLS comes from this machine (the configuration takes nothing else) and is not
+restricted. What is denied is dropped silently.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ from typing import Any
 
 _ALL = "golfbench/**"
 _COMMANDS = "golfbench/*/command/**"
+_CAMPAIGNS = "golfbench/*/campaign/**"
 _STATUS = "golfbench/*/command/status"
 _STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
+_READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered")
+"""Rules of everybody with a role."""
 _MESSAGES = (
     "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
     "liveliness_query", "declare_liveliness_subscriber",
@@ -35,6 +39,9 @@ def access_control(
         *_asks("status", _STATUS),
         *_asks("command", _COMMANDS),
         *_asks("stop", *_STOPS),
+        *_asks("campaign", _CAMPAIGNS),
+        _allow("campaign told", "ingress", ("put", "declare_queryable", "reply"), _CAMPAIGNS),
+        _allow("campaign offered", "egress", ("query", "declare_queryable"), _CAMPAIGNS),
         # A client asks without knowing whether somebody answers; a router passes on what it knows of.
         _allow("command offered", "egress", "declare_queryable", _COMMANDS),
     ]
@@ -45,10 +52,10 @@ def access_control(
         rules.append(_allow("anything", "both", _MESSAGES, "**"))
         policies.append(_policy("this machine", ["anything"], link_protocols=["tcp"]))
     if viewers:
-        may = ["reads", "hears", "status", "status answered"]
+        may = [*_READS, "status", "status answered"]
         policies.append(_policy("viewers", may, cert_common_names=sorted(viewers)))
     if operators:
-        may = ["reads", "hears", "command", "command answered", "command offered"]
+        may = [*_READS, "command", "command answered", "command offered", "campaign told"]
         policies.append(_policy("operators", may, cert_common_names=sorted(operators)))
     for name in sorted(benches):
         own = f"golfbench/{name}/**"

@@ -28,6 +28,12 @@ Id = Annotated[
     str,
     typer.Argument(metavar="ID", help="Id of a campaign or its beginning; the newest that fits is meant."),
 ]
+Ask = Annotated[
+    bool,
+    typer.Option(
+        "--ask", help="Have a person change clubs and fill the feeder also where the bench is simulated."
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
@@ -104,6 +110,7 @@ def run(
         Path | None,
         typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
     ] = None,
+    ask: Ask = False,
 ) -> None:
     """Run a campaign from its first shot to its end: on the running bench, or with --sim without one.
 
@@ -122,7 +129,7 @@ def run(
             plan, configuration, datetime.now(UTC), simulated=sim or facts["driver"] == "sim", real_time=facts
         )
         store.begin(entry)
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands))
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask)
 
 
 @app.command()
@@ -136,6 +143,7 @@ def resume(
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
     ] = None,
+    ask_: Ask = False,
 ) -> None:
     """Go on with a campaign that was paused, stopped, suspended or cut off."""
     from bench.campaign.operate import ask, is_running, known, require_resumable
@@ -151,7 +159,7 @@ def resume(
             return
         if entry.real_time:
             _bench_facts(plan_from_record(entry.plan, f"campaign {entry.id}"), configuration)
-        _run(store, entry, configuration, Outputs(json_, junit, None, []))
+        _run(store, entry, configuration, Outputs(json_, junit, None, []), ask=ask_)
 
 
 def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
@@ -163,17 +171,21 @@ def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
         return bench_facts(plan, configuration, client.status())
 
 
-def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs) -> None:
+def _run(
+    store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs, *, ask: bool
+) -> None:
     """Run `entry` with a progress bar and tell what came of it."""
     import json
 
     from bench.campaign.baseline import check_baseline
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
+    from bench.campaign.fitting import Kind
     from bench.campaign.junit import junit_xml
     from bench.campaign.operate import run_live, run_simulated
     from bench.campaign.plan_file import plan_from_record
     from bench.campaign.screen import ProgressWatcher
+    from bench.campaign.terminal import TerminalOperator
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt
     from bench.progress import progress_bar
@@ -184,7 +196,9 @@ def _run(store: CampaignStore, entry: CampaignEntry, configuration: Configuratio
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt() as asked, progress_bar() as bar:
         take = run_live if entry.real_time else run_simulated
-        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set)
+        asked_for = frozenset(Kind) if ask or not entry.simulated else frozenset({Kind.BENCH})
+        operator = TerminalOperator(bar, entry.id, asked_for)
+        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set, operator)
     record = load_record(store, entry)
     found = findings(plan, record.shots)
     figures = findings_record(found)
@@ -260,6 +274,27 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
     with _store(configuration) as store:
         entry = known(store, campaign)
         typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request)}")
+
+
+@app.command()
+def answer(
+    context: typer.Context,
+    campaign: Id,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who did it [default: user@host].")] = "",
+) -> None:
+    """Say that what a campaign asks for is done: a club is mounted, the feeder is filled."""
+    from datetime import UTC, datetime
+
+    from bench.campaign.operate import answer, known
+    from bench.campaign.terminal import user_name
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        now = datetime.now(UTC)
+        text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now)
+    after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
+    typer.echo(f"done: {text}\n{entry.id} {after}")
 
 
 @app.command()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -155,6 +155,26 @@ class BenchClient:
             yield newest
         finally:
             subscriber.undeclare()
+
+    @contextmanager
+    def campaign_told(self, campaign: str) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+        """Yield a function that publishes where `campaign` stands; who asks later is told what was last."""
+        key, last = f"{self._root}/campaign/{campaign}", [b""]
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                query.reply(key, last[0], encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        queryable = self._session.declare_queryable(key, answer)
+
+        def tell(message: Mapping[str, Any]) -> None:
+            last[0] = json.dumps(message).encode()
+            self._session.put(key, last[0], encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        try:
+            yield tell
+        finally:
+            queryable.undeclare()
 
     def wait_for(self, state: str, *, phase: str | None = None, timeout: float = 30.0) -> Status:
         """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.

@@ -132,6 +132,7 @@ class Daemon:
             read_only=self.read_only,
             driver=self.configuration.driver.name,
             profile=self.profile.name,
+            club=self.configuration.swing.club,
             support_ready=self._support_ready,
             loop=self._statistics,
             real_time=self._real_time,

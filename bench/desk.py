@@ -94,6 +94,8 @@ class Status(TypedDict):
     read_only: bool
     driver: str
     profile: str
+    club: str
+    """That the bench was started with."""
     joints_deg: list[float | None]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None
@@ -102,6 +104,8 @@ class Status(TypedDict):
     emergency_stop_clear: bool
     guard_closed: bool
     guard_locked: bool
+    ball_present: bool
+    """A ball lies on the tee."""
     support_ready: bool
     """Recorder and publisher are running."""
     processes: dict[str, ProcessStatus]

@@ -51,6 +51,7 @@ def status_of(
         "emergency_stop_clear": bool(r["emergency_stop_clear"]),
         "guard_closed": bool(r["guard_closed"]),
         "guard_locked": bool(r["guard_locked"]),
+        "ball_present": bool(r["ball_present"]),
         "processes": {
             name: ProcessStatus(pid=child.pid, alive=child.alive, note=child.ending or notes.get(name, ""))
             for name, child in children.items()

@@ -70,6 +70,12 @@ def course(plan: Plan, planned: Planned, decide: Decide) -> Course:
     return Ending(True, "; ".join(words))
 
 
+def is_settled(plan: Plan, shot: Shot) -> bool:
+    """Tell whether a planned shot is done with after `shot`: it is valid, or was repeated often enough."""
+    tried = shot.status is Status.VALID or shot.attempt > plan.design.repeats
+    return tried and shot.role != Role.WARM_UP
+
+
 def looks_after(plan: Plan) -> frozenset[int]:
     """Return the blocks of a section after which the plan's stopping rule is asked; never the last one."""
     stop, blocks = plan.stop, plan.design.blocks

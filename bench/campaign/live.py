@@ -11,8 +11,9 @@ time is an event of the campaign.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -21,19 +22,24 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from bench.campaign.course import Step
+from bench.campaign.fitting import Kind, Wish
 from bench.campaign.plan import Plan
 from bench.campaign.runner import Suspended
 from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
+from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.client import LATCHED, BenchClient, CommandRefused
 from bench.desk import Status as BenchStatus
 from bench.errors import BenchError, Refused
-from bench.swing.profile import Profile
+from bench.from_toml import shown
 from bench.telemetry.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.telemetry.recorder import read_swing
 from sim.flight import fly
 from sim.impact import Delivery, strike
+from sim.robot import Club
 
+HOLDER = "campaign "
+"""Begin of the name with which a campaign holds the bench."""
 LEASE = 15.0
 """s; a runner that died holds the bench no longer."""
 _LOOK = 0.05
@@ -44,6 +50,8 @@ _HOLD = 1.0
 """s at the address before a swing: the air in the chambers comes to rest later than the robot."""
 _SWING = 60.0
 """s that a swing may take, until the robot is back or stands."""
+_FEED = 2.0
+"""s that a ball may take to the tee."""
 _STORED = 30.0
 """s that its record may take."""
 _RESETS = 3
@@ -59,34 +67,53 @@ class _Record(NamedTuple):
     metadata: dict[str, Any]
 
 
-def require_live(plan: Plan, profiles: Mapping[str, Profile], status: BenchStatus) -> None:
-    """Refuse a plan that the running bench cannot swing by itself.
+def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus) -> None:
+    """Refuse a plan that the running bench cannot take its shots for, not even with a person's help.
 
     Raises:
-        Refused: it asks for another swing, for several clubs, or for what nobody measures.
+        Refused: it fits none of the plan's arms, somebody has it, or nobody measures what is asked for.
     """
-    design, profile = plan.design, status["profile"]
-    if [profiles[swing].name for swing in design.swings] != [profile]:
+    place, lease = f"plan {plan.campaign.name}", status["lease"]
+    if lease is not None and not lease["holder"].startswith(HOLDER):
         raise Refused(
-            f"plan {plan.campaign.name}: design.swings",
-            ", ".join(design.swings),
-            f"{profile}, which bench {status['bench']} swings",
-            "Start the bench with that profile: golfbench run --profile; one campaign a swing.",
+            f"bench {status['bench']}",
+            f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s",
+            "a free bench",
+            "Ask for it, or wait: golfbench status.",
         )
-    if len(design.clubs) > 1:
+    if not any(_fits(plan, swing, club, profiles, clubs, status) for swing, club in profiles):
+        wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
         raise Refused(
-            f"plan {plan.campaign.name}: design.clubs",
-            ", ".join(design.clubs),
-            "one club, the mounted one",
-            "Run one campaign a club, or with --sim.",
+            f"{place}: design.swings and design.clubs",
+            f"{', '.join(wanted)}",
+            f"among them profile {status['profile']} with club {status['club']}, which bench "
+            f"{status['bench']} swings",
+            "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
         )
-    if status["driver"] != "sim" and plan.analysis.quantity != "club_speed_mps":
+    if status["driver"] == "sim":
+        return
+    if plan.analysis.quantity != "club_speed_mps":
         raise Refused(
-            f"plan {plan.campaign.name}: analysis.quantity",
+            f"{place}: analysis.quantity",
             plan.analysis.quantity,
             "club_speed_mps",
             "A real bench measures the club only; what the ball does takes a launch monitor.",
         )
+    if plan.ball_handling.identify or not plan.ball_handling.magazine:
+        raise Refused(
+            f"{place}: ball_handling",
+            f"identify {shown(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
+            "identify false and a magazine of at least 1",
+            "A real feeder reads no numbers: a person fills it in the order asked for, and answers for it.",
+        )
+
+
+def _fits(
+    plan: Plan, swing: str, club: str, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus
+) -> bool:
+    """Tell whether the bench as it was started swings `club` as the plan's `swing`."""
+    alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
+    return alike and profiles[swing, club].name == status["profile"]
 
 
 class LiveShots:
@@ -95,6 +122,8 @@ class LiveShots:
     def __init__(
         self,
         plan: Plan,
+        profiles: Profiles,
+        clubs: Mapping[str, Club],
         client: BenchClient,
         holder: str,
         *,
@@ -102,14 +131,19 @@ class LiveShots:
         interrupted: Callable[[], bool],
         aborted: Callable[[], bool],
     ) -> None:
-        """`holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not."""
-        self._plan, self._client, self._holder, self.simulated = plan, client, holder, simulated
+        """`holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
+
+        `clubs` are those of the bench's configuration.
+        """
+        self._plan, self._profiles, self._clubs = plan, profiles, clubs
+        self._client, self._holder, self.simulated = client, holder, simulated
         self._interrupted, self._aborted = interrupted, aborted
-        self._stack = ExitStack()
+        self._stack, self._lease = ExitStack(), ExitStack()
         self._held = False
 
     def __enter__(self) -> Self:
         self._next_record = self._stack.enter_context(self._client.records())
+        self._stack.enter_context(self._lease)
         return self
 
     def __exit__(
@@ -129,14 +163,60 @@ class LiveShots:
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
         events: list[tuple[str, str]] = []
-        try:
+        with _suspending():
             self._take_lease()
             tick = self._swing(events)
+            if tick is None:
+                return self._untaken(step, number, sample, tuple(events))
             self._wait_until_over()
             record = self._record_since(tick)
-        except BenchError as error:
-            raise Suspended(f"{error.place}: {error.found}") from error
         return self._taken(step, number, sample, record, tuple(events))
+
+    # A person at the robot -------------------------------------------------------------------------
+
+    def lacks(self, step: Step) -> Wish | None:
+        """Return what the bench must be started anew with before `step`."""
+        with _suspending():
+            status = self._client.status()
+        arm = step.trial.arm
+        if _fits(self._plan, arm.swing, arm.club, self._profiles, self._clubs, status):
+            return None
+        wanted = self._profiles[arm.swing, arm.club].name
+        text = (
+            f"Start the bench anew with profile {wanted} and [swing] club = {shown(arm.club)}: it runs with "
+            f"profile {status['profile']} and club {status['club']}."
+        )
+        return Wish(Kind.BENCH, text, {"profile": wanted, "club": arm.club})
+
+    def hand_over(self, kind: Kind) -> None:
+        """Vent the robot and unlock the guard; for Kind.BENCH give the bench back altogether."""
+        with _suspending():
+            self.rest()
+            if kind is Kind.BENCH:
+                self._lease.close()
+                self._held = False
+                return
+            self._take_lease()
+            self._until(lambda status: status["state"] == "ACCESS", self._client.access)
+
+    def take_back(self, kind: Kind) -> None:
+        """Lock the guard, once the person has closed it."""
+        if kind is Kind.BENCH:
+            return
+        with _suspending():
+            self._take_lease()
+            self._until(lambda status: status["state"] != "ACCESS", self._client.secure)
+
+    def _until(self, holds: Callable[[BenchStatus], bool], ask: Callable[[], object]) -> None:
+        """Ask until the bench has done it: chambers must be empty first, or a guard closed."""
+        deadline = time.monotonic() + _READY
+        while not holds(self._client.status()):
+            try:
+                ask()
+            except CommandRefused:
+                if time.monotonic() > deadline:
+                    raise
+            self._pause()
 
     # Moving the bench ------------------------------------------------------------------------------
 
@@ -145,7 +225,7 @@ class LiveShots:
         deadline = time.monotonic() + _READY
         while not self._held:
             try:
-                self._stack.enter_context(self._client.lease(self._holder, LEASE))
+                self._lease.enter_context(self._client.lease(self._holder, LEASE))
                 self._held = True
             except CommandRefused:
                 lease = self._client.status()["lease"]
@@ -154,8 +234,8 @@ class LiveShots:
                     raise
                 self._pause()
 
-    def _swing(self, events: list[tuple[str, str]]) -> int:
-        """Swing as soon as the robot rests at its address; return a tick before."""
+    def _swing(self, events: list[tuple[str, str]]) -> int | None:
+        """Swing as soon as the robot rests at its address; return a tick before, None when no ball came."""
         deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
         while True:
             status = self._client.status()
@@ -166,7 +246,8 @@ class LiveShots:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
                     if status["time"] - held_since >= _HOLD:
-                        self._client.tee()
+                        if not self._tee_up():
+                            return None
                         self._client.swing()
                         return status["tick"]
                 else:
@@ -184,6 +265,16 @@ class LiveShots:
             if time.monotonic() > deadline:
                 raise Suspended(f"{_words(status)}, not at rest at its address after {_READY:g} s")
             self._pause()
+
+    def _tee_up(self) -> bool:
+        """Raise the next ball; tell whether one came."""
+        self._client.tee()
+        deadline = time.monotonic() + _FEED
+        while not self._client.status()["ball_present"]:
+            if time.monotonic() > deadline:
+                return False
+            self._pause()
+        return True
 
     def _bring_nearer(self, status: BenchStatus) -> bool:
         """Ask for the next step on the way to the address; tell whether it was a reset."""
@@ -236,23 +327,33 @@ class LiveShots:
 
     # What came of it -------------------------------------------------------------------------------
 
+    def _untaken(
+        self,
+        step: Step,
+        number: int,
+        sample: int,
+        events: Events,
+        reason: str = "feeder empty or jammed: no ball came",
+    ) -> Taken:
+        """Return the shot that the robot did not swing for, or whose record is missing."""
+        shot = Shot.from_measurements(
+            **_row(step, number, sample), delivery=None, launch=None, flight=None, status=Status.FAILED,
+            reason=reason, time_utc=datetime.now(UTC),
+        )  # fmt: skip
+        return Taken(shot, None, {}, False, events)
+
     def _taken(self, step: Step, number: int, sample: int, record: _Record | None, events: Events) -> Taken:
-        trial, arm = step.trial, step.trial.arm
-        row: dict[str, Any] = {
-            "shot": number, "block": trial.block, "position": trial.position, "club": arm.club,
-            "ball": arm.ball, "swing": arm.swing, "role": str(trial.role), "section": trial.section,
-            "attempt": step.attempt, "sample": sample, "carry_source": "model",
-        }  # fmt: skip
+        arm, row = step.trial.arm, _row(step, number, sample)
         if record is None:
-            shot = Shot.from_measurements(
-                **row, delivery=None, launch=None, flight=None, status=Status.FAILED,
-                reason=f"no record of it within {_STORED:g} s", time_utc=datetime.now(UTC),
-            )  # fmt: skip
-            return Taken(shot, None, {}, True, events)
+            taken = self._untaken(step, number, sample, events, f"no record of it within {_STORED:g} s")
+            return taken._replace(struck=True)
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
-        if plant.robot.club.name != arm.club:
-            raise Suspended(f"the bench swings club {plant.robot.club.name}, the plan {arm.club}")
+        if (mounted := plant.robot.club).name != arm.club:
+            if not felt_alike(self._plan.clubs[arm.club], self._clubs.get(mounted.name)):
+                raise Suspended(f"the bench swings club {mounted.name}, the plan {arm.club}")
+            mounted = with_face_of(mounted, self._plan.clubs[arm.club])
+            plant = replace(plant, robot=replace(plant.robot, club=mounted))
         delivery, struck = delivery_of_cycles(cycles, plant), ball_struck(cycles)
         reason = _failure(metadata, delivery, struck)
         status = Status.FAILED if reason else Status.VALID
@@ -281,7 +382,27 @@ class LiveShots:
             **row, delivery=delivery, launch=launch, flight=flight, status=status, reason=reason,
             time_utc=datetime.fromisoformat(metadata["time_utc"]),
         )  # fmt: skip
-        return Taken(shot, cycles, {**metadata, "record": str(record.path), **more}, struck, events)
+        metadata |= {"record": record.path.name, **more}
+        return Taken(shot, cycles, metadata, struck, events, original=record.path)
+
+
+def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
+    """Return what is known of a shot before it is taken."""
+    trial, arm = step.trial, step.trial.arm
+    return {
+        "shot": number, "block": trial.block, "position": trial.position, "club": arm.club,
+        "ball": arm.ball, "swing": arm.swing, "role": str(trial.role), "section": trial.section,
+        "attempt": step.attempt, "sample": sample, "carry_source": "model",
+    }  # fmt: skip
+
+
+@contextmanager
+def _suspending() -> Iterator[None]:
+    """Turn what the bench refuses, or that it does not answer, into Suspended."""
+    try:
+        yield
+    except BenchError as error:
+        raise Suspended(f"{error.place}: {error.found}") from error
 
 
 def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> str:

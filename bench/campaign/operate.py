@@ -13,22 +13,22 @@ from pathlib import Path
 from typing import Any
 
 from bench.campaign.analysis import decide
+from bench.campaign.broadcast import Broadcast, Together
 from bench.campaign.course import Course, course
-from bench.campaign.gate import Centre, planned_delivery
-from bench.campaign.live import LiveShots, require_live
+from bench.campaign.gate import planned_delivery
+from bench.campaign.live import HOLDER, LiveShots, require_live
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import plan_from_record
-from bench.campaign.runner import Outcome, Runner, Watcher
+from bench.campaign.runner import Operator, Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
-from bench.campaign.swings import require_swings
+from bench.campaign.swings import Profiles, require_swings
 from bench.client import BenchClient
 from bench.config import Configuration
 from bench.desk import Status
 from bench.errors import BenchError, Refused
 from bench.lease import LONGEST_HOLDER
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
-from bench.swing.profile import Profile
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")
 """Whose versions stand in the record."""
@@ -63,14 +63,9 @@ def new_entry(
     )
 
 
-def course_of(plan: Plan, profiles: Mapping[str, Profile], lie: float) -> Course:
+def course_of(plan: Plan, profiles: Profiles, lie: float) -> Course:
     """Return the course of `plan` from its first shot."""
-    planned: dict[tuple[str, str], Centre] = {
-        (swing, club): planned_delivery(profile, lie)
-        for swing, profile in profiles.items()
-        for club in plan.design.clubs
-    }
-    return course(plan, planned, decide)
+    return course(plan, {arm: planned_delivery(profile, lie) for arm, profile in profiles.items()}, decide)
 
 
 def run_simulated(
@@ -79,6 +74,7 @@ def run_simulated(
     store: CampaignStore,
     watcher: Watcher,
     interrupted: Callable[[], bool],
+    operator: Operator | None = None,
 ) -> Outcome:
     """Begin or go on with a simulated campaign until its end or a stop.
 
@@ -98,6 +94,7 @@ def run_simulated(
             data_dir,
             SimulatedShots(plan, configuration, profiles, interrupted),
             watcher,
+            operator=operator,
         )
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
@@ -108,11 +105,14 @@ def run_live(
     store: CampaignStore,
     watcher: Watcher,
     interrupted: Callable[[], bool],
+    operator: Operator | None = None,
 ) -> Outcome:
-    """Begin or go on with a campaign on the running bench; every shot is stored at once. Raises as above.
+    """Begin or go on with a campaign on the running bench; every shot is stored at once.
 
     Raises:
+        Refused: another runner has the campaign or the bench.
         NoAnswer: no bench is running. One that goes away later suspends the campaign.
+        BenchError, ExceptionGroup: as `run_simulated`.
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     profiles = require_swings(plan, configuration)
@@ -121,17 +121,25 @@ def run_live(
     def aborted() -> bool:
         return store.standing(entry.id).requested == "abort"
 
-    with runner_lock(data_dir, entry.id), BenchClient.connect(configuration) as client:
+    with (
+        runner_lock(data_dir, entry.id),
+        bench_lock(data_dir, entry),
+        BenchClient.connect(configuration) as client,
+        client.campaign_told(entry.id) as publish,
+    ):
+        watcher = Together(watcher, Broadcast(entry, plan, publish))
         shots = LiveShots(
             plan,
+            profiles,
+            configuration.clubs,
             client,
-            f"campaign {entry.id}"[:LONGEST_HOLDER],
+            f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
             simulated=entry.simulated,
             interrupted=interrupted,
             aborted=aborted,
         )
         with shots as source:
-            runner = Runner(entry, plan, store, data_dir, source, watcher, batch=1)
+            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator)
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
@@ -139,10 +147,13 @@ def bench_facts(plan: Plan, configuration: Configuration, status: Status) -> dic
     """Return what a campaign notes of the running bench that takes its shots.
 
     Raises:
-        Refused: the bench cannot swing this plan by itself.
+        Refused: the bench cannot take them, or another runner or person has it.
     """
-    require_live(plan, require_swings(plan, configuration), status)
-    return {"driver": status["driver"], "profile": status["profile"], **status["real_time"]}
+    settings = configuration.bench
+    require_free(settings.data_dir, settings.id)
+    require_live(plan, require_swings(plan, configuration), configuration.clubs, status)
+    facts = {name: status[name] for name in ("driver", "profile", "club")}
+    return {**facts, **status["real_time"]}
 
 
 def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:
@@ -202,6 +213,19 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
     return found
 
 
+def answer(store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime) -> tuple[str, bool]:
+    """Say that what campaign asks for is done; return what it was, and whether a runner waits for it.
+
+    Raises:
+        Refused: it asks for nothing.
+    """
+    prompts = store.prompts(store.entry(campaign).id)
+    if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
+        place, expected = f"campaign {campaign}", "a prompt that waits for an answer"
+        raise Refused(place, "no open prompt", expected, "golfbench campaign list")
+    return prompts[-1].text, is_running(data_dir, campaign)
+
+
 def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> str:
     """Ask a campaign's runner for "pause", "stop", "abort" or to go on (""); return what will happen.
 
@@ -240,23 +264,53 @@ def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
     Raises:
         Refused: another process is, which is named.
     """
-    path = _lock_file(data_dir, name)
+    with _locked(_lock_file(data_dir, name), f"campaign {name}", name):
+        yield
+
+
+@contextmanager
+def bench_lock(data_dir: Path, entry: CampaignEntry) -> Iterator[None]:
+    """Be the one runner that swings the bench of `entry`; a runner that dies lets go of it.
+
+    Raises:
+        Refused: another one is, which is named.
+    """
+    with _locked(_bench_file(data_dir, entry.bench), f"bench {entry.bench}", entry.id):
+        yield
+
+
+@contextmanager
+def _locked(path: Path, place: str, name: str) -> Iterator[None]:
+    """Hold the lock at `path` as the runner of campaign `name`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+", encoding="ascii") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
+            process, _, campaign = file.read().strip().partition(" ")
             raise Refused(
-                f"campaign {name}",
-                f"process {file.read().strip()}, which runs it",
+                place,
+                f"process {process}, which runs campaign {campaign}",
                 "no other runner",
-                "Stop it.",
+                f"Wait for it, or end it: golfbench campaign stop {campaign}",
             ) from None
         file.truncate(0)
-        file.write(str(os.getpid()))
+        file.write(f"{os.getpid()} {name}")
         file.flush()
         yield
+
+
+def require_free(data_dir: Path, bench: str) -> None:
+    """Refuse when a campaign swings `bench` already.
+
+    Raises:
+        Refused: it is named.
+    """
+    path = _bench_file(data_dir, bench)
+    if path.exists():
+        with _locked(path, f"bench {bench}", ""):
+            pass
 
 
 def is_running(data_dir: Path, name: str) -> bool:
@@ -274,6 +328,10 @@ def is_running(data_dir: Path, name: str) -> bool:
 
 def _lock_file(data_dir: Path, name: str) -> Path:
     return data_dir / "campaigns" / name / "runner"
+
+
+def _bench_file(data_dir: Path, bench: str) -> Path:
+    return data_dir / "campaigns" / f".runner-of-{bench}"
 
 
 def known(store: CampaignStore, wanted: str) -> CampaignEntry:

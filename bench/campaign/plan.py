@@ -88,6 +88,8 @@ class BallHandling:
     conditioning_time: Annotated[float, Range(0.0, 1e6, "s")]
     identify: bool
     """The feeder's reading of a ball's number must be the expected one."""
+    magazine: Annotated[int, Range(0, 1000, "")]
+    """Balls that a person fills into the feeder at a time, in the order asked for; 0: it finds each."""
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,8 @@ class Simulation:
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
+    feeder_empty: tuple[int, ...]
+    wrong_ball: tuple[int, ...]
     door_opened: tuple[int, ...]
     low_supply: tuple[int, ...]
 
@@ -188,6 +192,8 @@ class Plan:
     set_up: SetUp
     rules: Rules
     simulation: Simulation
+    swings: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Swing -> club -> profile, where a swing's name is not its profile's."""
     balls: dict[str, Ball] = field(default_factory=dict)
     clubs: dict[str, Club] = field(default_factory=dict)
 
@@ -195,6 +201,10 @@ class Plan:
     def ball_names(self) -> tuple[str, ...]:
         """All balls that are hit, the control ball last when it is not compared."""
         return tuple(dict.fromkeys((*self.design.balls, *filter(None, (self.control.ball,)))))
+
+    def profile(self, swing: str, club: str) -> str:
+        """Return the profile, a name or a path, that `club` swings as `swing`."""
+        return self.swings.get(swing, {}).get(club, swing)
 
     def record(self) -> dict[str, Any]:
         """Return the plan for JSON; `plan_from_record` reads it back."""

@@ -89,7 +89,9 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> Plan:
     for name in ("balls", "clubs"):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
-    plan = _build(as_tree(tables, Path(place), faults), Path(place), faults)
+    today = as_tree(read_toml(DEFAULTS, "defaults", "Install golfbench anew."), DEFAULTS, faults)
+    tree = laid_over(today, as_tree(tables, Path(place), faults))  # an older plan has fewer keys
+    plan = _build(tree, Path(place), faults)
     if plan is None:
         raise ExceptionGroup(f"{place} does not hold", faults)
     return plan
@@ -156,6 +158,18 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         if not names or len(set(names)) < len(names):
             yield Mistake(f"design.{key}", shown(list(names)), "at least one, each once", "Correct it.")
+    for swing, profiles in plan.swings.items():
+        if swing not in d.swings:
+            yield Mistake(
+                f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
+            )
+        for club in profiles.keys() - set(d.clubs):
+            yield Mistake(
+                f"swings.{swing}.{club}",
+                "a profile",
+                f"a club of {', '.join(d.clubs)}",
+                "Add it to design.clubs.",
+            )
     if stop.rule != "fixed" and stop.blocks_at_least > d.blocks:
         yield Mistake(
             "stop.blocks_at_least", str(stop.blocks_at_least), f"up to design.blocks, {d.blocks}", "Lower it."

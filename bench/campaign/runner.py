@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from bench.campaign.course import Course, Ending, Step
+from bench.campaign.fitting import Fitting, Kind, Wish, fitting_after, missing, sample_for
 from bench.campaign.gate import outside
 from bench.campaign.plan import Plan
 from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, StoredShot
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
 from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS
 
@@ -55,6 +56,38 @@ class ShotSource(Protocol):
         """Leave nothing armed: it is not known when the next shot comes."""
         ...
 
+    def lacks(self, step: Step) -> Wish | None:
+        """Return what the bench must be started anew with before `step`; None: nothing."""
+        ...
+
+    def hand_over(self, kind: Kind) -> None:
+        """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
+        ...
+
+    def take_back(self, kind: Kind) -> None:
+        """Go on after the person has said that it is done; also when nothing was handed over. Raises so."""
+        ...
+
+
+class Operator(Protocol):
+    """Who is asked to do what the robot cannot; the answer may also come from elsewhere, by the database."""
+
+    name: str
+    kinds: frozenset[Kind]
+    """What is asked for; anything else that a person would do happens by itself, as in simulation."""
+
+    def show(self, prompt: Prompt) -> None:
+        """Show what is to be done."""
+        ...
+
+    def answered(self) -> bool:
+        """Tell whether it was said to be done here; never waits."""
+        ...
+
+    def hide(self) -> None:
+        """Ask no more: it is done, or nobody waits for it any longer."""
+        ...
+
 
 class _Pending(NamedTuple):
     """A shot on its way to the disk, with what goes into the database beside it."""
@@ -62,6 +95,8 @@ class _Pending(NamedTuple):
     future: Future[StoredShot]
     hits: tuple[Hit, ...]
     events: tuple[Event, ...]
+    prompts: tuple[Prompt, ...]
+    original: Path | None
 
 
 class Outcome(NamedTuple):
@@ -83,13 +118,8 @@ class Watcher:
     def say(self, text: str) -> None:
         """Hear of something that happened."""
 
-
-def sample_for(plan: Plan, ball: str, hits: Counter[Hit]) -> int | None:
-    """Return the number of the ball to take: the one of its model with the fewest hits; None: all used up."""
-    handling = plan.ball_handling
-    numbers = range(handling.first_sample, handling.first_sample + handling.samples)
-    number = min(numbers, key=lambda sample: (hits[Hit("ball", ball, sample)], sample))
-    return number if hits[Hit("ball", ball, number)] < handling.hits else None
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Hear where the campaign stands; while it waits, `reason` is what a person is to do."""
 
 
 class Runner:
@@ -104,10 +134,17 @@ class Runner:
         source: ShotSource,
         watcher: Watcher,
         batch: int = BATCH,
+        operator: Operator | None = None,
     ) -> None:
+        """`operator` None: nobody is there; what the simulation cannot do by itself waits for an answer."""
         self._entry, self._plan, self._store, self._source = entry, plan, store, source
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
+        self._operator = operator
+        self._fitting = Fitting("")
+        self._asked_so_far = 0
+        self._open: Prompt | None = None
+        self._done_by_itself: list[Prompt] = []
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
@@ -122,22 +159,25 @@ class Runner:
         for left in self._folder.glob(".*.partial"):
             left.unlink(missing_ok=True)
         step = self._replay(course)
-        self._store.change(self._entry.id, state=CampaignState.RUNNING, reason="", requested="")
+        self._store.change(self._entry.id, requested="")
         with ThreadPoolExecutor(1, "swing-writer") as writer:
             try:
                 state, reason = self._go_on(course, step, interrupted, writer)
             finally:
                 with suppress(BenchError):  # the first trouble is the one to tell of
                     self._commit()
-        self._store.change(self._entry.id, state=state, reason=reason, requested="")
+        self._store.change(self._entry.id, requested="")
+        self._stand(state, reason)
         return Outcome(state, reason, self.taken, self.valid)
 
     def _replay(self, course: Course) -> Step | Ending:
         """Send the stored shots to the course and return what comes next."""
         self._hits = self._store.hits(self._entry.hit_scope)
+        shots = self._store.shots(self._entry.id)
+        self._recall([stored.shot for stored in shots])
         try:
             step = next(course)
-            for stored in self._store.shots(self._entry.id):
+            for stored in shots:
                 self._require_same(step, stored.shot)
                 self._note(stored.shot)
                 step = course.send(stored.shot)
@@ -145,6 +185,20 @@ class Runner:
             ending: Ending = stop.value
             return ending
         return step
+
+    def _recall(self, shots: Sequence[Shot]) -> None:
+        """Find out what is in the bench, and whether a prompt is still open."""
+        entry, prompts = self._entry, self._store.prompts(self._entry.id)
+        club = entry.real_time.get("club") or entry.configuration["swing"]["club"]
+        self._fitting = fitting_after(club, shots, prompts)
+        self._asked_so_far = len(prompts)
+        self._open = prompts[-1] if prompts and prompts[-1].answered is None else None
+        if entry.real_time and self._store.standing(entry.id).state is not CampaignState.WAITING:
+            self._fitting = self._fitting._replace(
+                feeder=()
+            )  # a ball may have gone into a shot that was cut off
+        if not entry.simulated and (last := self._store.last_answered(entry, Kind.CLUB)):
+            self._fitting = self._fitting.with_done(last[1])  # perhaps one of another campaign
 
     def _require_same(self, step: Step, shot: Shot) -> None:
         """Refuse to go on when the stored shot is not the one the plan had here."""
@@ -162,6 +216,19 @@ class Runner:
     def _go_on(
         self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
     ) -> tuple[CampaignState, str]:
+        try:
+            self._go_back_to_work()
+            return self._shots(course, step, interrupted, writer)
+        except KeyboardInterrupt:
+            return CampaignState.STOPPED, "interrupted before the next shot"
+        except Suspended as why:
+            if self._store.standing(self._entry.id).requested == "abort":
+                return CampaignState.ABORTED, "aborted by request"
+            return CampaignState.SUSPENDED, str(why)
+
+    def _shots(
+        self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
+    ) -> tuple[CampaignState, str]:
         failures = 0
         while not isinstance(step, Ending):
             for state, reason in self._asked(interrupted):
@@ -173,14 +240,9 @@ class Runner:
                     f"balls used up: every sample of {step.trial.arm.ball!r} has its "
                     f"{self._plan.ball_handling.hits} hits"
                 )
-            try:
-                taken = self._source.take(step, number, sample)
-            except KeyboardInterrupt:
-                return CampaignState.STOPPED, "interrupted before the next shot"
-            except Suspended as why:
-                if self._store.standing(self._entry.id).requested == "abort":
-                    return CampaignState.ABORTED, "aborted by request"
-                return CampaignState.SUSPENDED, str(why)
+            if asked := self._fit(step, number, sample, interrupted):
+                return asked
+            taken = self._source.take(step, number, sample)
             if taken.stopped:  # by Ctrl-C: as if it had not been begun
                 return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
             shot = self._gated(step, taken)
@@ -189,7 +251,10 @@ class Runner:
             self._hits.update(hits)
             for event in events:
                 self._watcher.say(event.text)
-            self._pending.append(_Pending(writer.submit(self._written, shot, taken), hits, events))
+            prompts, self._done_by_itself = tuple(self._done_by_itself), []
+            written = writer.submit(self._written, shot, taken)
+            self._pending.append(_Pending(written, hits, events, prompts, taken.original))
+            self._fitting = self._fitting.after(shot)
             self._note(shot)
             if len(self._pending) >= self._batch:
                 self._commit()
@@ -205,6 +270,82 @@ class Runner:
                 )
         self._commit()
         return (CampaignState.FINISHED if step.complete else CampaignState.SUSPENDED), step.reason
+
+    def _go_back_to_work(self) -> None:
+        """Take the bench back from a person who answered while no runner was there."""
+        waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
+        if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
+            self._source.take_back(Kind(prompts[-1].kind))
+        if self._open is None:
+            self._stand(CampaignState.RUNNING, "")
+
+    def _fit(
+        self, step: Step, number: int, sample: int, interrupted: Callable[[], bool]
+    ) -> tuple[CampaignState, str] | None:
+        """Have a person do what the shot needs; return where to go when somebody asks to end instead."""
+        while wish := missing(self._plan, self._fitting, step, sample, self._hits) or self._source.lacks(
+            step
+        ):
+            if wish.kind not in (self._operator.kinds if self._operator else {Kind.BENCH}):
+                now = self._source.time_of(number)
+                prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
+                self._source.hand_over(wish.kind)
+                self._source.take_back(wish.kind)
+                self._done_by_itself.append(prompt)
+                self._watcher.say(f"{wish.text} The simulation has done it by itself.")
+            else:
+                self._commit()
+                prompt = self._opened(wish, number)
+                if ending := self._wait_for_answer(prompt, wish.kind, interrupted):
+                    return ending
+            self._fitting = self._fitting.with_done(prompt)
+        return None
+
+    def _prompt(self, wish: Wish, number: int, now: datetime) -> Prompt:
+        self._asked_so_far += 1
+        return Prompt(self._asked_so_far, number, wish.kind, wish.text, wish.content, now)
+
+    def _opened(self, wish: Wish, number: int) -> Prompt:
+        """Return the open prompt if it asks for `wish`, else a new one."""
+        before, self._open = self._open, None
+        if before and (before.kind, before.content) == (wish.kind, wish.content):
+            return before
+        if before:
+            self._store.answer(self._entry.id, before.number, "nobody: no longer needed", datetime.now(UTC))
+        prompt = self._prompt(wish, number, datetime.now(UTC))
+        self._store.ask(self._entry.id, prompt)
+        return prompt
+
+    def _wait_for_answer(
+        self, prompt: Prompt, kind: Kind, interrupted: Callable[[], bool]
+    ) -> tuple[CampaignState, str] | None:
+        campaign, operator = self._entry.id, self._operator
+        self._source.hand_over(kind)
+        self._stand(CampaignState.WAITING, prompt.text)
+        if operator:
+            operator.show(prompt)
+        try:
+            while not self._store.prompt(campaign, prompt.number).answered:
+                requested = self._store.standing(campaign).requested
+                if requested == "abort":
+                    return CampaignState.ABORTED, "aborted by request"
+                if requested == "stop" or interrupted():
+                    how = "by request" if requested else "by Ctrl-C"
+                    return CampaignState.STOPPED, f"stopped {how} while it waited: {prompt.text}"
+                if operator and operator.answered():
+                    self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
+                else:
+                    time.sleep(_LOOK)
+        finally:
+            if operator:
+                operator.hide()
+        self._source.take_back(kind)
+        self._stand(CampaignState.RUNNING, "")
+        return None
+
+    def _stand(self, state: CampaignState, reason: str) -> None:
+        self._store.change(self._entry.id, state=state, reason=reason)
+        self._watcher.standing(state, reason)
 
     def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
         """Yield where to go when somebody asks to end; waits while paused."""
@@ -224,13 +365,13 @@ class Runner:
                     if not paused:
                         self._commit()
                         self._source.rest()
-                        self._store.change(campaign, state=CampaignState.PAUSED, reason="paused by request")
+                        self._stand(CampaignState.PAUSED, "paused by request")
                         self._watcher.say("paused")
                     paused = True
                     time.sleep(_LOOK)
                 case _:
                     if paused:
-                        self._store.change(campaign, state=CampaignState.RUNNING, reason="")
+                        self._stand(CampaignState.RUNNING, "")
                         self._watcher.say("running")
                     return
 
@@ -264,15 +405,20 @@ class Runner:
             BenchError: a file cannot be stored; the shots before it are added all the same.
         """
         pending, self._pending = self._pending, []
-        shots, events, hits = list[StoredShot](), list[Event](), Counter[Hit]()
+        shots, events, hits, prompts = list[StoredShot](), list[Event](), Counter[Hit](), list[Prompt]()
         try:
             for one in pending:
                 shots.append(one.future.result())
                 events += one.events
                 hits.update(one.hits)
+                prompts += one.prompts
         finally:
             if shots:
-                self._store.add(self._entry, shots, events, hits)
+                self._store.add(self._entry, shots, events, hits, prompts)
+                for one in pending[: len(shots)]:
+                    if one.original is not None:
+                        with suppress(OSError):  # not ours to remove: kept twice
+                            one.original.unlink(missing_ok=True)
 
 
 def _used(step: Step, taken: Taken, sample: int) -> tuple[Hit, ...]:

@@ -10,9 +10,10 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Column, Table
 
+from bench.campaign.course import is_settled
 from bench.campaign.plan import Plan
 from bench.campaign.runner import Watcher
-from bench.campaign.sequence import Role, all_trials
+from bench.campaign.sequence import all_trials
 from bench.campaign.shot import Shot, Status
 from bench.store.campaigns import CampaignEntry, Standing
 
@@ -29,14 +30,11 @@ class ProgressWatcher(Watcher):
 
     def shot(self, shot: Shot) -> None:
         """Show a shot."""
-        done = shot.role != Role.WARM_UP and (
-            shot.status is Status.VALID or shot.attempt > self._plan.design.repeats
-        )
         self._invalid += shot.status is not Status.VALID
         text = f"shot {shot.shot}, block {shot.block}" + (
             f", {self._invalid} invalid" if self._invalid else ""
         )
-        self._bar.update(self._task, advance=int(done), description=text)
+        self._bar.update(self._task, advance=int(is_settled(self._plan, shot)), description=text)
 
     def say(self, text: str) -> None:
         """Print above the bar."""

@@ -6,17 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from math import pi
+from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
 
 from bench.campaign.course import Step
+from bench.campaign.fitting import Kind
 from bench.campaign.plan import Plan, Simulation
 from bench.campaign.shot import Shot, Status
+from bench.campaign.swings import Profiles
 from bench.config import Configuration
 from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
-from bench.swing.profile import Profile
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import Flight, fly
@@ -41,6 +43,8 @@ class Taken(NamedTuple):
     """(kind, text) of what happened before it."""
     stopped: bool = False
     """The robot was stopped within the swing."""
+    original: Path | None = None
+    """The bench's own record, which moves to the campaign's."""
 
 
 def random_of(plan: Plan, number: int) -> np.random.Generator:
@@ -76,11 +80,10 @@ class SimulatedShots:
         self,
         plan: Plan,
         configuration: Configuration,
-        profiles: Mapping[str, Profile],
+        profiles: Profiles,
         stop: Callable[[], bool],
     ) -> None:
         self._plan, self._configuration, self._profiles, self._stop = plan, configuration, profiles, stop
-        self._mounted: str | None = None
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
 
     def time_of(self, number: int) -> datetime:
@@ -89,6 +92,15 @@ class SimulatedShots:
 
     def rest(self) -> None:
         """Nothing is to be done: its time stands still between two shots."""
+
+    def lacks(self, step: Step) -> None:
+        """Return nothing: it swings every profile."""
+
+    def hand_over(self, kind: Kind) -> None:
+        """Nothing is to be done."""
+
+    def take_back(self, kind: Kind) -> None:
+        """Nothing is to be done."""
 
     def arm_all(self) -> None:
         """Arm with every swing and club, which otherwise happens at the first shot of each.
@@ -105,22 +117,18 @@ class SimulatedShots:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm
         events = []
-        if self._mounted not in {None, arm.club}:
-            events.append(("prompt", f"club {arm.club} to be mounted; done by the simulation itself"))
-        self._mounted = arm.club
         if number in s.door_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
         if number in s.low_supply:
             events.append(("supply", "supply pressure too low; waited until it was back"))
-        if number in s.feeder_jam:
-            shot = self._shot(
-                step, number, sample, None, None, None, Status.FAILED, "feeder jam: no ball came"
-            )
+        if trouble := self._feeder_trouble(arm.ball, number, sample):
+            shot = self._shot(step, number, sample, None, None, None, Status.FAILED, trouble)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
         draws = random.standard_normal(6)
-        ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
+        came = sample + (number in s.wrong_ball)
+        ball = ball_as_hit(self._plan, arm.ball, came, number, float(draws[0]))
         c = self._configuration
         supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
         plant = replace(self._nominal(arm.club), ball=ball, supply=supply, seed=int(random.integers(2**31)))
@@ -135,6 +143,17 @@ class SimulatedShots:
         return Taken(
             shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
         )
+
+    def _feeder_trouble(self, ball: str, number: int, sample: int) -> str:
+        """Return why no ball is struck at; another ball is noticed where its number is read only."""
+        s = self._plan.simulation
+        if number in s.feeder_jam:
+            return "feeder jam: no ball came"
+        if number in s.feeder_empty:
+            return "feeder empty: no ball came"
+        if number in s.wrong_ball and self._plan.ball_handling.identify:
+            return f"feeder: ball {ball} {sample + 1} came, {ball} {sample} was to come"
+        return ""
 
     def _judged(
         self, step: Step, number: int, sample: int, result: SwingResult, ball: Ball, noise: np.ndarray
@@ -193,7 +212,7 @@ class SimulatedShots:
             c = self._configuration
             around = Surroundings(c.air, c.wind, c.turf)
             bench = SimulatedBench(
-                self._profiles[swing], self._nominal(club), c.control, c.envelope, c.estimator, around
+                self._profiles[swing, club], self._nominal(club), c.control, c.envelope, c.estimator, around
             )
             series = {
                 "campaign": self._plan.campaign.name,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
+from itertools import product
 
 from bench.campaign.plan import Plan
 from bench.config import Configuration
@@ -12,47 +14,55 @@ from bench.swing.profile import Profile, load_profile
 from bench.swing.validate import require_possible
 from sim.robot import Club
 
+Profiles = Mapping[tuple[str, str], Profile]
+"""By swing and club, by the names that the plan gives them."""
+
 _ON_THE_BALL_ONLY = frozenset(
     {"name", "loft", "face_angle", "restitution", "tangential_factor", "bulge_radius", "roll_radius"}
 )
 """Fields of a club that the robot does not feel."""
 
 
-def require_swings(plan: Plan, configuration: Configuration) -> dict[str, Profile]:
-    """Return the plan's profiles by the names it gives them.
+def require_swings(plan: Plan, configuration: Configuration) -> Profiles:
+    """Return the plan's profiles.
 
     Raises:
         BenchError: a profile is missing or cannot be read.
         ExceptionGroup: of BenchErrors, where one does not fit a club or cannot be swung here.
     """
-    profiles, faults = {}, list[Exception]()
-    for swing in plan.design.swings:
-        path = find_profile(swing)
-        profile = profiles[swing] = load_profile(path)
-        for name in plan.design.clubs:
-            club = plan.clubs[name]
-            if not _alike(club, configuration.clubs.get(profile.club)) and name != profile.club:
-                faults.append(
-                    BenchError(
-                        f"{path}: club",
-                        f"a swing designed for club {profile.club!r}",
-                        f"one for {name!r}, or for a club of the same masses and lengths",
-                        f"Design one: golfbench swing design, with club {name}.",
-                    )
+    found, faults = dict[tuple[str, str], Profile](), list[Exception]()
+    for swing, name in product(plan.design.swings, plan.design.clubs):
+        path = find_profile(plan.profile(swing, name))
+        profile = found[swing, name] = load_profile(path)
+        club = plan.clubs[name]
+        if not felt_alike(club, configuration.clubs.get(profile.club)) and name != profile.club:
+            faults.append(
+                BenchError(
+                    f"{path}: club",
+                    f"a swing designed for club {profile.club!r}",
+                    f"one for {name!r}, or for a club of the same masses and lengths",
+                    f"Design one (golfbench swing design, with club {name}) and name it: "
+                    f'[swings.{swing}] {name} = "PROFILE".',
                 )
-                continue
-            designed_for = replace(club, name=profile.club)
-            plant = replace(configuration.plant, robot=replace(configuration.plant.robot, club=designed_for))
-            try:
-                require_possible(profile, plant, configuration.envelope, str(path))
-            except ExceptionGroup as group:
-                faults.extend(group.exceptions)
+            )
+            continue
+        designed_for = replace(club, name=profile.club)
+        plant = replace(configuration.plant, robot=replace(configuration.plant.robot, club=designed_for))
+        try:
+            require_possible(profile, plant, configuration.envelope, str(path))
+        except ExceptionGroup as group:
+            faults.extend(group.exceptions)
     if faults:
         raise ExceptionGroup("the plan's swings do not fit", faults)
-    return profiles
+    return found
 
 
-def _alike(club: Club, other: Club | None) -> bool:
+def with_face_of(club: Club, other: Club) -> Club:
+    """Return `club` as the robot feels it with all that the ball feels, and the name, of `other`."""
+    return replace(club, **{name: getattr(other, name) for name in _ON_THE_BALL_ONLY})
+
+
+def felt_alike(club: Club, other: Club | None) -> bool:
     """Tell whether the robot feels no difference between two clubs."""
     return other is not None and all(
         getattr(club, f.name) == getattr(other, f.name)

@@ -18,10 +18,11 @@ from sqlalchemy.exc import IntegrityError
 
 from bench.campaign.shot import COLUMNS, Shot, Status
 from bench.errors import BenchError, Refused
-from bench.store.tables import CampaignEventRow, CampaignRow, HitCountRow, Row, ShotRow
+from bench.store.tables import CampaignEventRow, CampaignPromptRow, CampaignRow, HitCountRow, Row, ShotRow
 
-_CAMPAIGNS, _SHOTS, _EVENTS, _HITS = (
-    Row.metadata.tables[row.__tablename__] for row in (CampaignRow, ShotRow, CampaignEventRow, HitCountRow)
+_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS = (
+    Row.metadata.tables[row.__tablename__]
+    for row in (CampaignRow, ShotRow, CampaignEventRow, CampaignPromptRow, HitCountRow)
 )
 
 
@@ -30,6 +31,8 @@ class CampaignState(StrEnum):
 
     RUNNING = "running"
     """Or its runner died: `campaign resume` tells."""
+    WAITING = "waiting"
+    """For a person to do what a prompt asks; or its runner died meanwhile."""
     PAUSED = "paused"
     SUSPENDED = "suspended"
     """By itself, for a reason that a person must look at."""
@@ -74,7 +77,6 @@ class Standing(NamedTuple):
     state: CampaignState
     reason: str
     requested: str
-    answered: int
 
 
 class StoredShot(NamedTuple):
@@ -92,6 +94,22 @@ class Event(NamedTuple):
     before_shot: int
     kind: str
     text: str
+
+
+class Prompt(NamedTuple):
+    """What a person is asked to do before a shot."""
+
+    number: int
+    """From 1, within its campaign."""
+    before_shot: int
+    kind: str
+    text: str
+    content: Mapping[str, Any]
+    """What is in place once it is done."""
+    asked: datetime
+    answered: datetime | None = None
+    by: str = ""
+    """Who answered."""
 
 
 class Hit(NamedTuple):
@@ -118,7 +136,6 @@ class CampaignStore:
             "state": CampaignState.RUNNING,
             "reason": "",
             "requested": "",
-            "answered": 0,
         }
         try:
             with self._writing() as connection:
@@ -158,7 +175,7 @@ class CampaignStore:
         return [
             (
                 CampaignEntry(**{name: row[name] for name in names}),
-                Standing(CampaignState(row["state"]), row["reason"], row["requested"], row["answered"]),
+                Standing(CampaignState(row["state"]), row["reason"], row["requested"]),
                 counts.get(row["id"], Counter()),
             )
             for row in rows
@@ -168,13 +185,11 @@ class CampaignStore:
         """Return where a campaign stands."""
         c = _CAMPAIGNS.c
         with self._engine.connect() as connection:
-            row = connection.execute(
-                select(c.state, c.reason, c.requested, c.answered).where(c.id == campaign)
-            ).one()
+            row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
     def change(self, campaign: str, **values: Any) -> None:
-        """Set columns `state`, `reason`, `requested` or `answered`."""
+        """Set columns `state`, `reason` or `requested`."""
         with self._writing() as connection:
             connection.execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
 
@@ -203,6 +218,53 @@ class CampaignStore:
         with self._engine.connect() as connection:
             return [Event(*row) for row in connection.execute(query)]
 
+    def prompts(self, campaign: str) -> list[Prompt]:
+        """Return its prompts in order; at most the last one is not answered."""
+        c = _PROMPTS.c
+        query = select(*(c[name] for name in Prompt._fields)).where(c.campaign == campaign).order_by(c.number)
+        with self._engine.connect() as connection:
+            return [Prompt(*row) for row in connection.execute(query)]
+
+    def prompt(self, campaign: str, number: int) -> Prompt:
+        """Return one of its prompts."""
+        c = _PROMPTS.c
+        query = select(*(c[name] for name in Prompt._fields))
+        with self._engine.connect() as connection:
+            return Prompt(
+                *connection.execute(query.where((c.campaign == campaign) & (c.number == number))).one()
+            )
+
+    def ask(self, campaign: str, prompt: Prompt) -> None:
+        """Add a prompt."""
+        with self._writing() as connection:
+            connection.execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
+
+    def answer(self, campaign: str, number: int, by: str, date: datetime) -> bool:
+        """Note that prompt `number` is done; tell whether it was open until now."""
+        c = _PROMPTS.c
+        mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
+        with self._writing() as connection:
+            done = connection.execute(update(_PROMPTS).where(mine).values(answered=date, by=by))
+        return bool(done.rowcount)
+
+    def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
+        """Return the bench's newest answered prompt of `kind`, with its campaign; None when there is none.
+
+        A simulated campaign has a bench of its own, a real bench has one for all its campaigns.
+        """
+        c, of = _PROMPTS.c, _CAMPAIGNS.c
+        scope = c.campaign == entry.id if entry.simulated else (of.bench == entry.bench) & ~of.simulated
+        query = (
+            select(c.campaign, *(c[name] for name in Prompt._fields))
+            .join(_CAMPAIGNS, of.id == c.campaign)
+            .where(scope & (c.kind == kind) & c.answered.is_not(None))
+            .order_by(c.answered.desc(), c.number.desc())
+            .limit(1)
+        )
+        with self._engine.connect() as connection:
+            row = connection.execute(query).first()
+        return None if row is None else (row[0], Prompt(*row[1:]))
+
     def hits(self, scope: str) -> Counter[Hit]:
         """Return how often everything was used."""
         c = _HITS.c
@@ -216,6 +278,7 @@ class CampaignStore:
         shots: Sequence[StoredShot],
         events: Iterable[Event] = (),
         hits: Mapping[Hit, int] | None = None,
+        prompts: Iterable[Prompt] = (),
     ) -> None:
         """Add a batch in one transaction; the shots' files are whole already.
 
@@ -229,12 +292,15 @@ class CampaignStore:
             for stored in shots
         ]
         found = [{"campaign": entry.id, **event._asdict()} for event in events]
+        asked = [{"campaign": entry.id, **prompt._asdict()} for prompt in prompts]
         try:
             with self._writing() as connection:
                 if rows:
                     connection.execute(insert(_SHOTS), rows)
                 if found:
                     connection.execute(insert(_EVENTS), found)
+                if asked:
+                    connection.execute(insert(_PROMPTS), asked)
                 for hit, number in (hits or {}).items():
                     _count(connection, entry.hit_scope, hit, number)
         except IntegrityError:

@@ -16,9 +16,9 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, func, insp
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
 
 from bench.errors import BenchError
-from bench.store.tables import VERSION_2, Row, SchemaVersionRow
+from bench.store.tables import VERSION_2, VERSION_3, Row, SchemaVersionRow
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -27,7 +27,14 @@ def _add_campaigns(connection: Connection) -> None:
     Row.metadata.create_all(connection, tables=tables)
 
 
-MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {1: _add_campaigns}
+def _add_prompts(connection: Connection) -> None:
+    """Version 2 had the number of the last answered prompt with the campaign, and no prompts."""
+    if "answered" in {column["name"] for column in inspect(connection).get_columns("campaigns")}:
+        connection.exec_driver_sql("ALTER TABLE campaigns DROP COLUMN answered")
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_3])
+
+
+MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {1: _add_campaigns, 2: _add_prompts}
 """Version -> what turns its tables into those of the next one."""
 
 FILE = "golfbench.sqlite"

@@ -97,8 +97,6 @@ class CampaignRow(Row):
     """Why it is in that state; empty when there is nothing to say."""
     requested: Mapped[str]
     """What was asked of its runner and not yet done: "pause", "stop", "abort" or nothing."""
-    answered: Mapped[int]
-    """Number of the last prompt that a person has answered."""
     seed: Mapped[int]
     plan: Mapped[dict[str, Any]]
     digest: Mapped[str]
@@ -171,6 +169,25 @@ class CampaignEventRow(Row):
     text: Mapped[str]
 
 
+class CampaignPromptRow(Row):
+    """What a person was asked to do at the bench: mount a club, fill the feeder."""
+
+    __tablename__ = "campaign_prompts"
+
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    """From 1."""
+    before_shot: Mapped[int]
+    kind: Mapped[str]
+    text: Mapped[str]
+    content: Mapped[dict[str, Any]]
+    """What is in place once it is done."""
+    asked: Mapped[datetime]
+    answered: Mapped[datetime | None]
+    by: Mapped[str]
+    """Who answered; empty until then."""
+
+
 class HitCountRow(Row):
     """How often something was used: a ball, a club, a valve."""
 
@@ -186,3 +203,6 @@ class HitCountRow(Row):
 
 VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
 """Tables that came with schema version 2."""
+
+VERSION_3 = ("campaign_prompts",)
+"""Tables that came with schema version 3."""

@@ -43,7 +43,7 @@ def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
     ]  # fmt: skip
     shots[5] = replace(shots[5], status=Status.EXCLUDED, reason="the launch monitor saw <no> ball")
     entry = new_entry(plan, configuration, NOW, simulated=True)
-    standing = Standing(CampaignState.FINISHED, "", "", 0)
+    standing = Standing(CampaignState.FINISHED, "", "")
     events = [Event(NOW, 3, "guard", "guard opened")]
     return CampaignRecord(entry, standing, plan, shots, events, Counter({Hit("ball", "tour", 1): 4}))
 
@@ -98,7 +98,7 @@ def test_ids_are_unique_although_many_pictures_share_a_page() -> None:
 
 
 def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
-    standing = Standing(CampaignState.SUSPENDED, "balls used up", "", 0)
+    standing = Standing(CampaignState.SUSPENDED, "balls used up", "")
     page = render_campaign_report(replace(record, standing=standing), findings(record.plan, record.shots))
     assert "This campaign is not finished: suspended (balls used up)" in page
     assert page.index("not finished") < page.index("pole has")

@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from bench.campaign.course import Step
+from bench.campaign.fitting import Kind
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
 from bench.campaign.plan import Plan
@@ -23,6 +23,8 @@ from bench.campaign.runner import Suspended
 from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.shot import Status
 from bench.campaign.swings import require_swings
+from bench.client import CommandRefused
+from bench.command import Answer, Verb
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.lifecycle import Phase
@@ -145,10 +147,17 @@ def plan() -> Plan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
+def shots_of(plan: Plan, bench: Any, *, simulated: bool = True, interrupted: Any = never) -> LiveShots:
+    configuration = load_configuration(Path("shipped"))
+    return LiveShots(
+        plan, require_swings(plan, configuration), configuration.clubs, bench, "me",
+        simulated=simulated, interrupted=interrupted, aborted=never,
+    )  # fmt: skip
+
+
 def take(plan: Plan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
     step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
-    shots = LiveShots(plan, bench, "me", simulated=simulated, interrupted=interrupted, aborted=never)
-    with shots as source:
+    with shots_of(plan, bench, simulated=simulated, interrupted=interrupted) as source:
         return source.take(step, 1, 1)
 
 
@@ -182,15 +191,74 @@ def test_who_asks_to_stop_before_the_swing_gets_none(plan: Plan) -> None:
 
 
 def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -> None:
-    status: Any = SimpleNamespace(driver="sim", profile="default", bench="b").__dict__
     configuration = load_configuration(Path("shipped"))
     profiles = require_swings(plan, configuration)
-    require_live(plan, profiles, status)
-    with pytest.raises(Refused, match=r"profile"):
-        require_live(plan, profiles, status | {"profile": "thesis"})
-    with pytest.raises(Refused, match=r"clubs"):
-        require_live(replace(plan, design=replace(plan.design, clubs=("driver", "thesis"))), profiles, status)
+
+    def require(plan: Plan = plan, **status: Any) -> None:
+        given: Any = {"driver": "sim", "profile": "default", "club": "driver", "bench": "b", "lease": None}
+        require_live(plan, profiles, configuration.clubs, given | status)
+
+    require()
+    with pytest.raises(Refused, match=r"profile thesis"):
+        require(profile="thesis")
+    with pytest.raises(Refused, match=r"club thesis"):
+        require(club="thesis")
+    with pytest.raises(Refused, match=r"held by Ann"):
+        require(lease={"holder": "Ann", "seconds_left": 12.0})
+    require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
     with pytest.raises(Refused, match=r"launch monitor"):
-        require_live(plan, profiles, status | {"driver": "canopen"})
-    of_clubs = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
-    require_live(of_clubs, profiles, status | {"driver": "canopen"})
+        require(driver="canopen")
+    by_hand = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
+    with pytest.raises(Refused, match=r"magazine 0"):
+        require(by_hand, driver="canopen")
+    by_hand = replace(by_hand, ball_handling=replace(plan.ball_handling, magazine=6))
+    require(by_hand, driver="canopen")
+    with pytest.raises(Refused, match=r"identify true"):
+        require(
+            replace(by_hand, ball_handling=replace(by_hand.ball_handling, identify=True)), driver="canopen"
+        )
+
+
+def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.campaign.live._FEED", 0.1)
+    monkeypatch.setattr("bench.campaign.live._HOLD", 0.0)
+    bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
+    taken = take(plan, bench, simulated=True)
+    assert (taken.shot.status, taken.shot.reason) == (Status.FAILED, "feeder empty or jammed: no ball came")
+    assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
+
+
+def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: Plan) -> None:
+    bench = StandingBench(profile="thesis", club="driver")
+    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    wish = shots_of(plan, bench).lacks(step)
+    assert wish is not None
+    assert wish.kind is Kind.BENCH
+    assert "profile default" in wish.text
+    assert shots_of(plan, StandingBench(profile="default", club="driver")).lacks(step) is None
+
+
+def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
+    class Doors(StandingBench):
+        """Refuses once, as its chambers are not empty yet."""
+
+        def access(self) -> None:
+            self.asked.append("access")
+            if self.asked.count("access") == 1:
+                raise CommandRefused("b", Verb.ACCESS, Answer(False, "READY", "not vented"))
+            self._status["state"] = "ACCESS"
+
+        def secure(self) -> None:
+            self.asked.append("secure")
+            self._status["state"] = "READY"
+
+    bench = Doors()
+    with shots_of(plan, bench) as source:
+        source.hand_over(Kind.CLUB)
+        assert bench.asked == ["disarm", "access", "access"]
+        source.take_back(Kind.CLUB)
+        assert bench.asked[3:] == ["secure"]
+        source.take_back(Kind.CLUB)
+        assert bench.asked[4:] == []

@@ -113,7 +113,7 @@ def test_a_swing_for_another_club_is_refused(tmp_path: Path, configuration: Conf
 def test_a_club_that_differs_in_its_loft_only_fits(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["flat"]')
     plan = _plan(tmp_path, configuration, text + '[clubs.flat]\nlike = "driver"\nloft_deg = 8.0\n')
-    assert require_swings(plan, configuration).keys() == {"default"}
+    assert require_swings(plan, configuration).keys() == {("default", "flat")}
 
 
 def test_a_plan_survives_its_record(tmp_path: Path, configuration: Configuration) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from bench.campaign.course import Step
+from bench.campaign.fitting import Kind, Wish, sample_for
 from bench.campaign.gate import Centre
 from bench.campaign.operate import (
     ask,
@@ -27,7 +28,7 @@ from bench.campaign.operate import (
 )
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Outcome, Runner, Watcher, sample_for
+from bench.campaign.runner import Outcome, Runner, Watcher
 from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
@@ -57,6 +58,15 @@ class Scripted:
         return NOW + timedelta(seconds=48 * number)
 
     def rest(self) -> None:
+        pass
+
+    def lacks(self, step: Step) -> Wish | None:
+        return None
+
+    def hand_over(self, kind: Kind) -> None:
+        pass
+
+    def take_back(self, kind: Kind) -> None:
         pass
 
     def take(self, step: Step, number: int, sample: int) -> Taken:

@@ -63,7 +63,7 @@ def _round_trip(url: Any) -> None:
         assert store.events(ENTRY.id) == [event]
         assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 3, Hit("club", "driver"): 2}
         store.change(ENTRY.id, state=CampaignState.PAUSED, reason="lunch", requested="pause")
-        assert store.standing(ENTRY.id) == (CampaignState.PAUSED, "lunch", "pause", 0)
+        assert store.standing(ENTRY.id) == (CampaignState.PAUSED, "lunch", "pause")
         ((entry, standing, counts),) = store.entries()
         assert (entry, standing.reason, counts) == (ENTRY, "lunch", Counter(valid=3))
 
@@ -81,7 +81,7 @@ def test_everything_comes_back_from_postgresql(postgres: str, tmp_path: Path) ->
 def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_path: Path) -> None:
     url = database_url(postgres, tmp_path)
     with open_database(url, NOW) as engine, engine.begin() as connection:
-        for table in ("campaign_events", "shots", "campaigns", "hit_counts"):
+        for table in ("campaign_prompts", "campaign_events", "shots", "campaigns", "hit_counts"):
             connection.exec_driver_sql(f"DROP TABLE {table}")
         connection.execute(SchemaVersionRow.__table__.update().values(version=1))  # type: ignore[attr-defined]
     _round_trip(url)

@@ -1,0 +1,82 @@
+"""Where a campaign stands, told over the network: `golfbench/<bench>/campaign/<id>`, JSON.
+
+It is published at each shot and each change of state, and answered to who asks in between.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime
+from typing import Any
+
+from bench.campaign.course import is_settled
+from bench.campaign.plan import Plan
+from bench.campaign.runner import Watcher
+from bench.campaign.sequence import all_trials
+from bench.campaign.shot import Shot, Status
+from bench.store.campaigns import CampaignEntry, CampaignState
+
+VERSION = 1
+"""Of the message."""
+_LAST = 10
+"""Shots whose pace foretells the rest."""
+
+
+class Broadcast(Watcher):
+    """Tells `publish` of everything that it hears."""
+
+    def __init__(self, entry: CampaignEntry, plan: Plan, publish: Callable[[dict[str, Any]], None]) -> None:
+        self._plan, self._publish = plan, publish
+        self._planned = len(all_trials(plan))
+        self._times: deque[datetime] = deque(maxlen=_LAST)
+        self._message: dict[str, Any] = {
+            "version": VERSION, "campaign": entry.id, "name": entry.name, "state": CampaignState.RUNNING,
+            "reason": "", "shots": 0, "valid": 0, "done": 0, "planned": self._planned, "seconds_left": None,
+            "last_shot": None,
+        }  # fmt: skip
+
+    def shot(self, shot: Shot) -> None:
+        """Tell of a shot, and of the time that the rest will take."""
+        m = self._message
+        m["shots"] += 1
+        m["valid"] += shot.status is Status.VALID
+        m["done"] += is_settled(self._plan, shot)
+        m["last_shot"] = {
+            "shot": shot.shot, "ball": shot.ball, "club": shot.club, "status": shot.status,
+            "reason": shot.reason, "club_speed_mps": shot.club_speed_mps, "carry_m": shot.carry_m,
+            "time_utc": shot.time_utc.isoformat(),
+        }  # fmt: skip
+        self._times.append(shot.time_utc)
+        pace = self._plan.design.seconds_per_shot
+        if len(self._times) > 1:
+            pace = (self._times[-1] - self._times[0]).total_seconds() / (len(self._times) - 1)
+        m["seconds_left"] = round(pace * (self._planned - m["done"]), 1)
+        self._publish(m)
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Tell where it stands; while it waits, `reason` is what a person is to do."""
+        self._message |= {"state": state, "reason": reason}
+        self._publish(self._message)
+
+
+class Together(Watcher):
+    """Several watchers as one."""
+
+    def __init__(self, *watchers: Watcher) -> None:
+        self._watchers = watchers
+
+    def shot(self, shot: Shot) -> None:
+        """Tell all of a shot."""
+        for watcher in self._watchers:
+            watcher.shot(shot)
+
+    def say(self, text: str) -> None:
+        """Tell all of something that happened."""
+        for watcher in self._watchers:
+            watcher.say(text)
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Tell all where the campaign stands."""
+        for watcher in self._watchers:
+            watcher.standing(state, reason)

@@ -1,0 +1,65 @@
+"""The person at a campaign's terminal: sees what is to be done, and presses Enter when it is."""
+
+from __future__ import annotations
+
+import getpass
+import select
+import socket
+import sys
+import termios
+from contextlib import suppress
+
+from rich.markup import escape
+from rich.panel import Panel
+from rich.progress import Progress
+
+from bench.campaign.fitting import Kind
+from bench.store.campaigns import Prompt
+
+_GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
+_BENCH = "Answer when it runs again"
+_AFTER = {
+    Kind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    Kind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    Kind.BENCH: f"{_BENCH}: the campaign takes the bench and goes on.",
+}
+
+
+def user_name() -> str:
+    """Return who answers when nobody says otherwise."""
+    return f"{getpass.getuser()}@{socket.gethostname()}"
+
+
+class TerminalOperator:
+    """Shows prompts above the progress bar and takes Enter for an answer, where input is a terminal."""
+
+    def __init__(self, bar: Progress, campaign: str, kinds: frozenset[Kind]) -> None:
+        """`kinds` are asked for; what else a person would do happens by itself."""
+        self.name, self.kinds = user_name(), kinds
+        self._bar, self._campaign = bar, campaign
+        self._listening = sys.stdin is not None and sys.stdin.isatty()
+
+    def show(self, prompt: Prompt) -> None:
+        """Show what is to be done and how to say that it is."""
+        self._bar.stop()
+        command = f"golfbench campaign answer {self._campaign}"
+        how = f"Enter (or {command})" if self._listening else command
+        if self._listening:
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer to this
+        title = f"before shot {prompt.before_shot}"
+        text = f"[bold]{escape(prompt.text)}[/]\n{_AFTER[Kind(prompt.kind)]}\nTo answer: {escape(how)}"
+        self._bar.console.print(Panel(text, title=title, title_align="left", expand=False))
+
+    def answered(self) -> bool:
+        """Tell whether Enter was pressed."""
+        if not self._listening or not select.select([sys.stdin], [], [], 0)[0]:
+            return False
+        line = ""
+        with suppress(OSError):
+            line = sys.stdin.readline()
+        self._listening = bool(line)  # an end of input is no answer
+        return self._listening
+
+    def hide(self) -> None:
+        """Show the bar again."""
+        self._bar.start()

@@ -1,0 +1,347 @@
+"""What a person must do between shots: asked for, stored, answered from anywhere, and never forgotten."""
+
+from __future__ import annotations
+
+import os
+import pty
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.progress import Progress
+
+from bench.campaign.course import Step
+from bench.campaign.fitting import Fitting, Kind, Wish, coming_balls, fitting_after, missing
+from bench.campaign.gate import Centre
+from bench.campaign.operate import answer, course_of, new_entry
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.runner import Outcome, Runner, Watcher
+from bench.campaign.sequence import Arm, Role, Trial, all_trials
+from bench.campaign.shot import Shot, Status
+from bench.campaign.swings import require_swings
+from bench.campaign.terminal import TerminalOperator
+from bench.config import load_configuration
+from bench.errors import Refused
+from bench.simulate import never
+from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
+from bench.store.database import database_url, open_database
+from tests.bench.campaign.test_runner import NOW, Scripted
+
+CONFIGURATION = load_configuration(Path("shipped"))
+
+
+class Rig(Scripted):
+    """Notes when a person was let in; `lacking` is what it must be started anew with."""
+
+    def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
+        super().__init__(script)
+        self.doors: list[str] = []
+        self.lacking: Wish | None = None
+
+    def lacks(self, step: Step) -> Wish | None:
+        return self.lacking
+
+    def hand_over(self, kind: Kind) -> None:
+        self.doors.append(f"{kind} open")
+
+    def take_back(self, kind: Kind) -> None:
+        self.doors.append(f"{kind} shut")
+        self.lacking = None
+
+
+class Person:
+    """Does what is asked for, at once, `times` times; then never."""
+
+    def __init__(self, times: int = 1000, kinds: frozenset[Kind] = frozenset(Kind)) -> None:
+        self.name, self.kinds, self.times = "Ann", kinds, times
+        self.shown: list[Prompt] = []
+        self.seen = threading.Event()
+
+    def show(self, prompt: Prompt) -> None:
+        self.shown.append(prompt)
+        self.seen.set()
+
+    def answered(self) -> bool:
+        return len(self.shown) <= self.times
+
+    def hide(self) -> None:
+        pass
+
+
+class Series:
+    """A plan with a club to change, in a database of its own."""
+
+    def __init__(self, folder: Path, engine: Any, plan: Plan, *, real: bool = False) -> None:
+        configuration = replace(CONFIGURATION, bench=replace(CONFIGURATION.bench, data_dir=folder))
+        self.folder, self.plan, self.store = folder, plan, CampaignStore(engine)
+        facts = {"driver": "canopen", "club": "driver"} if real else None
+        self.entry = new_entry(plan, configuration, datetime.now(UTC), simulated=not real, real_time=facts)
+        self.store.begin(self.entry)
+
+    def run(
+        self, source: Rig, person: Person | None = None, interrupted: Callable[[], bool] = never
+    ) -> Outcome:
+        profiles = require_swings(self.plan, CONFIGURATION)
+        runner = Runner(
+            self.entry, self.plan, self.store, self.folder, source, Watcher(), 4,
+            person or Person(kinds=frozenset({Kind.BENCH})),
+        )  # fmt: skip
+        return runner.run(course_of(self.plan, profiles, CONFIGURATION.plant.robot.lie), interrupted)
+
+    @property
+    def prompts(self) -> list[Prompt]:
+        return self.store.prompts(self.entry.id)
+
+    @property
+    def state(self) -> CampaignState:
+        return self.store.standing(self.entry.id).state
+
+
+def clubs_plan(**handling: Any) -> Plan:
+    plan = load_plan(Path("clubs"), CONFIGURATION)
+    return replace(
+        plan,
+        design=replace(plan.design, blocks=2, clubs=("driver", "driver-9")),
+        warm_up=replace(plan.warm_up, at_most=0),
+        ball_handling=replace(plan.ball_handling, **handling),
+    )
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Series]]:
+    with open_database(database_url("", tmp_path), NOW) as engine:
+        yield lambda plan=None, **how: Series(tmp_path, engine, plan or clubs_plan(), **how)
+
+
+@contextmanager
+def beside(work: Callable[[], object]) -> Iterator[None]:
+    """Run `work` in a thread for the time of a block."""
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(30.0)
+
+
+def changes(plan: Plan) -> list[tuple[int, str]]:
+    """Return before which shots which club is to be mounted."""
+    mounted, found = "driver", []
+    for number, trial in enumerate(all_trials(plan), 1):
+        if trial.arm.club != mounted:
+            found.append((number, trial.arm.club))
+        mounted = trial.arm.club
+    return found
+
+
+def test_a_simulation_changes_clubs_by_itself_and_says_so(make: Callable[..., Series]) -> None:
+    series, rig = make(), Rig()
+    assert series.run(rig).state is CampaignState.FINISHED
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert {p.by for p in series.prompts} == {"simulation"}
+    assert [p.number for p in series.prompts] == list(range(1, len(series.prompts) + 1))
+    assert rig.doors == ["club open", "club shut"] * len(series.prompts)
+
+
+def test_a_person_is_asked_and_the_answer_stored(make: Callable[..., Series]) -> None:
+    series, person = make(), Person()
+    assert series.run(Rig(), person).state is CampaignState.FINISHED
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert all(p.by == "Ann" and p.answered and p.answered >= p.asked for p in series.prompts)
+    assert person.shown[0].text.startswith("Mount club driver")
+
+
+def test_an_answer_from_another_terminal_goes_on(make: Callable[..., Series]) -> None:
+    series, person = make(), Person(times=0)
+    expected = len(changes(series.plan))
+
+    def answers() -> None:
+        for number in range(1, expected + 1):
+            while len(series.prompts) < number or series.state is not CampaignState.WAITING:
+                time.sleep(0.01)
+            text, _ = answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+            assert text == series.store.standing(series.entry.id).reason
+
+    with beside(answers):
+        outcome = series.run(Rig(), person)
+    assert outcome.state is CampaignState.FINISHED
+    assert {p.by for p in series.prompts} == {"Bob"}
+    with pytest.raises(Refused, match="no open prompt"):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+
+
+@pytest.mark.parametrize("request_", ["stop", "abort"])
+def test_who_waits_can_be_stopped_and_the_prompt_stays(make: Callable[..., Series], request_: str) -> None:
+    series, person = make(), Person(times=0)
+
+    def asks() -> None:
+        person.seen.wait(30.0)
+        series.store.change(series.entry.id, requested=request_)
+
+    with beside(asks):
+        outcome = series.run(Rig(), person)
+    ended = {"stop": CampaignState.STOPPED, "abort": CampaignState.ABORTED}[request_]
+    assert outcome.state is ended
+    assert series.prompts[-1].answered is None
+    if ended is CampaignState.STOPPED:
+        before = len(series.prompts)
+        again = Person(times=1)
+        with beside(lambda: (again.seen.wait(30.0), series.store.change(series.entry.id, requested=""))):
+            series.run(Rig(), again, lambda: len(again.shown) > 1)
+        assert again.shown[0].number == before, "the same prompt, not another one"
+        assert series.prompts[before - 1].by == "Ann"
+
+
+def test_a_prompt_outlives_a_crash(make: Callable[..., Series]) -> None:
+    class PowerCut(Person):
+        def answered(self) -> bool:
+            raise RuntimeError("power cut")
+
+    series = make()
+    with pytest.raises(RuntimeError):
+        series.run(Rig(), PowerCut())
+    assert series.state is CampaignState.WAITING
+    (prompt,) = series.prompts
+    text, goes_on = answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+    assert (text, goes_on) == (prompt.text, False)
+    rig, person = Rig(), Person()
+    assert series.run(rig, person).state is CampaignState.FINISHED
+    assert rig.doors[0] == "club shut", "the guard is locked again"
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert [p.by for p in series.prompts] == ["Bob"] + ["Ann"] * (len(series.prompts) - 1)
+
+
+def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[..., Series]) -> None:
+    def plan_with(name: str, *clubs: str) -> Plan:
+        plan = clubs_plan()
+        return replace(
+            plan,
+            campaign=replace(plan.campaign, name=name),
+            design=replace(plan.design, clubs=clubs, compare="ball", balls=("tour", "range"), blocks=1),
+            balls={name: CONFIGURATION.balls[name] for name in ("tour", "range")},
+        )
+
+    first = make(plan_with("one", "driver-9"), real=True)
+    assert first.run(Rig(), Person()).state is CampaignState.FINISHED
+    second = make(plan_with("two", "driver"), real=True)
+    second.run(Rig(), Person())
+    assert [p.text for p in second.prompts] == ["Mount club driver in place of driver-9."]
+    third = make(plan_with("three", "driver"), real=True)
+    third.run(Rig(), Person())
+    assert third.prompts == []
+
+
+def test_a_bench_that_must_start_anew_is_never_done_by_itself(make: Callable[..., Series]) -> None:
+    series, rig, person = make(), Rig(), Person(kinds=frozenset({Kind.BENCH}))
+    rig.lacking = Wish(Kind.BENCH, "Start the bench anew.", {"profile": "slow"})
+    assert series.run(rig, person).state is CampaignState.FINISHED
+    assert [p.kind for p in person.shown] == [Kind.BENCH]
+    assert rig.doors[:2] == ["bench open", "bench shut"]
+
+
+def test_the_feeder_is_filled_in_order_and_anew_after_trouble(make: Callable[..., Series]) -> None:
+    jam = {"status": Status.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=4))
+    series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
+    assert series.run(rig, Person()).state is CampaignState.FINISHED
+    taken = [(step.trial.arm.ball, sample) for _, step, sample in rig.taken]
+    fills = {p.before_shot: [tuple(ball) for ball in p.content["balls"]] for p in series.prompts}
+    assert sorted(fills) == [1, 5, 7, 11]
+    assert fills[1] == taken[:4]
+    assert fills[5][:2] == taken[4:6]
+    assert fills[7] == taken[6:10], "after a jam nobody knows what is in it"
+    assert "23 ± 1 °C for 3 h" in series.prompts[0].text
+
+
+def test_an_excluded_shot_is_repeated_with_another_ball_asked_for(make: Callable[..., Series]) -> None:
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    series, person = make(plan), Person()
+    series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
+    assert [p.before_shot for p in series.prompts] == [1, 4]
+    assert series.prompts[1].text.startswith("Empty the feeder, then fill it")
+
+
+def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Series]) -> None:
+    def dies(number: int) -> dict[str, Any]:
+        if number == 3:
+            raise RuntimeError("power cut")
+        return {}
+
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    for real, asked in ((True, [1, 3]), (False, [1])):
+        series = make(replace(plan, campaign=replace(plan.campaign, name=f"real-{int(real)}")), real=real)
+        with pytest.raises(RuntimeError):
+            series.run(Rig(dies), Person())
+        series.run(Rig(), Person())
+        assert [p.before_shot for p in series.prompts] == asked
+
+
+def test_a_ball_is_asked_for_once_and_with_the_mounted_club_only() -> None:
+    plan = clubs_plan(magazine=50, samples=3)
+    first = Step(next(iter(all_trials(plan))), 1, Centre())
+    balls = coming_balls(plan, first, {})
+    assert len(balls) == len(set(balls)) <= 3
+    warm = Step(Trial(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour")), 1, Centre())
+    assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
+    used = Counter({Hit("ball", "tour", 1): 20})
+    assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
+
+
+def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
+    def prompt(number: int, before: int, content: dict[str, Any], *, done: bool = True) -> Prompt:
+        return Prompt(number, before, "x", "x", content, NOW, NOW if done else None)
+
+    shots = [Shot(n, 1, n, "driver", "tour", Status.VALID, time_utc=NOW) for n in (1, 2)]
+    balls = prompt(2, 2, {"balls": [["tour", 2], ["range", 1], ["tour", 3]]})
+    prompts = [prompt(1, 2, {"club": "iron"}), balls, prompt(3, 3, {"club": "wood"}, done=False)]
+    assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)))
+    failed = replace(shots[1], status=Status.FAILED, reason="jam")
+    assert fitting_after("driver", [shots[0], failed], prompts).feeder == ()
+    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    assert missing(clubs_plan(), Fitting("driver"), step, 1, {}) is None
+
+
+def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = pty.openpty()
+    out = StringIO()
+    with os.fdopen(slave, "r") as terminal, Progress(console=Console(file=out), disable=True) as bar:
+        monkeypatch.setattr("sys.stdin", terminal)
+        person = TerminalOperator(bar, "clubs-1", frozenset(Kind))
+        os.write(master, b"\n")
+        person.show(Prompt(1, 7, Kind.CLUB, "Mount club driver-9 [sic].", {}, NOW))
+        assert not person.answered()
+        os.write(master, b"\n")
+        deadline = time.monotonic() + 5.0
+        while not person.answered():
+            assert time.monotonic() < deadline
+        person.hide()
+        os.close(master)
+        assert not person.answered()
+    text = out.getvalue()
+    assert "before shot 7" in text
+    assert "Mount club driver-9 [sic]." in text
+    assert "golfbench campaign answer clubs-1" in text
+
+
+def test_the_course_of_a_plan_with_prompts_is_that_without(make: Callable[..., Series]) -> None:
+    by_itself, by_person = (
+        make(),
+        make(replace(clubs_plan(), campaign=replace(clubs_plan().campaign, name="b"))),
+    )
+    by_itself.run(Rig())
+    by_person.run(Rig(), Person())
+    shots = [[stored.shot for stored in s.store.shots(s.entry.id)] for s in (by_itself, by_person)]
+    assert shots[0] == shots[1]
