@@ -24,6 +24,7 @@ from bench.store.campaigns import (
     CampaignStore,
     Event,
     Hit,
+    Prompt,
     StoredShot,
 )
 from bench.store.database import SCHEMA_VERSION, database_url, open_database
@@ -40,6 +41,10 @@ SHOT = Shot(
     1, 1, 1, "driver", "tour", Status.VALID, club_speed_mps=42.1, carry_m=181.25, delivery_source="simulated",
     time_utc=NOW, swing="default", sample=3, air_temperature_k=298.15,
 )  # fmt: skip
+PROMPTS = [
+    Prompt(1, 1, "club", "Mount club driver.", {"club": "driver"}, NOW, NOW, "Ann"),
+    Prompt(2, 3, "club", "Mount club iron.", {"club": "iron"}, NOW),
+]
 
 
 def _shots(first: int, count: int) -> list[StoredShot]:
@@ -57,7 +62,16 @@ def _round_trip(url: Any) -> None:
         store.begin(ENTRY)
         assert store.entry(ENTRY.id) == ENTRY
         event = Event(NOW, 2, "guard", "guard opened")
-        store.add(ENTRY, _shots(1, 2), [event], {Hit("ball", "tour", 3): 2, Hit("club", "driver"): 2})
+        store.add(
+            ENTRY, _shots(1, 2), [event], {Hit("ball", "tour", 3): 2, Hit("club", "driver"): 2}, PROMPTS[:1]
+        )
+        store.ask(ENTRY.id, PROMPTS[1])
+        assert store.prompts(ENTRY.id) == PROMPTS
+        assert store.answer(ENTRY.id, 2, "Bob", NOW)
+        assert not store.answer(ENTRY.id, 2, "Carl", NOW), "answered once"
+        assert store.prompt(ENTRY.id, 2) == PROMPTS[1]._replace(answered=NOW, by="Bob")
+        assert store.last_answered(ENTRY, "club") == (ENTRY.id, store.prompt(ENTRY.id, 2))
+        assert store.last_answered(ENTRY, "balls") is None
         store.add(ENTRY, _shots(3, 1), hits={Hit("ball", "tour", 3): 1})
         assert store.shots(ENTRY.id) == _shots(1, 3)
         assert store.events(ENTRY.id) == [event]
@@ -166,9 +180,10 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-def test_a_database_of_this_version_stays_readable(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", [2, 3])
+def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
-        plain.executescript((STORED / "version_2.sql").read_text())
+        plain.executescript((STORED / f"version_{version}.sql").read_text())
     with _store(database_url("", tmp_path)) as store:
         ((entry, standing, counts),) = store.entries()
         assert entry == ENTRY
@@ -177,3 +192,4 @@ def test_a_database_of_this_version_stays_readable(tmp_path: Path) -> None:
         assert store.shots(ENTRY.id) == _shots(1, 2)
         assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 2}
         assert [event.text for event in store.events(ENTRY.id)] == ["guard opened"]
+        assert store.prompts(ENTRY.id) == (PROMPTS if version > 2 else [])
