@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import time
@@ -261,3 +262,74 @@ def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
         assert bench.asked[3:] == ["secure"]
         source.take_back(Kind.CLUB)
         assert bench.asked[4:] == []
+
+
+TWO_CLUBS = """
+[campaign]
+name = "two-clubs"
+[design]
+compare = "club"
+balls = ["tour"]
+clubs = ["driver-9", "driver"]
+blocks = 1
+seed = 1                          # driver first
+[warm_up]
+at_most = 0
+[gate]
+centre = "planned"
+club_speed = 4.0
+shaft_lean_deg = 0.0
+strike_x = 0.03
+strike_y = 0.03
+[analysis]
+drift = "none"
+[clubs.driver-9]
+like = "driver"
+loft_deg = 9.0
+"""
+
+
+def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
+    """Run `golfbench campaign ...` to its end."""
+    with campaign(file, *arguments) as process:
+        output, _ = process.communicate(timeout=120)
+        return process.returncode, output
+
+
+@pytest.mark.timeout(400)
+def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
+    tmp_path: Path,
+) -> None:
+    file = write_configuration(tmp_path, "clubs", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(TWO_CLUBS)
+    data_dir = load_configuration(file).bench.data_dir
+    with running_bench(file) as bench, open_database(database_url("", data_dir)) as engine:
+        store = CampaignStore(engine)
+        with campaign(file, "run", tmp_path / "plan.toml", "--ask") as process:
+            while not (entries := store.entries()) or entries[0][1].state is not CampaignState.WAITING:
+                time.sleep(0.1)
+                assert process.poll() is None
+            name = entries[0][0].id
+            (told,) = bench.client._session.get(f"golfbench/{bench.configuration.bench.id}/campaign/{name}")
+            heard = json.loads(told.ok.payload.to_bytes())
+            assert (heard["state"], heard["shots"], heard["planned"]) == ("waiting", 1, 2)
+            assert heard["reason"] == "Mount club driver-9 in place of driver."
+            assert bench.client.status()["state"] == "ACCESS"
+            code, output = call(file, "run", tmp_path / "plan.toml")
+            assert code == ExitCode.REFUSED, output
+            assert f"campaign {name}" in " ".join(output.split())
+            assert len(store.entries()) == 1
+            process.kill()
+        assert call(file, "answer", name, "--by", "Ann")[0] == ExitCode.OK
+        assert call(file, "answer", name)[0] == ExitCode.REFUSED
+        code, output = call(file, "resume", name, "--ask")
+        assert code == ExitCode.OK, output
+        (prompt,) = store.prompts(name)
+        assert (prompt.before_shot, prompt.by) == (2, "Ann")
+        first, second = (stored.shot for stored in store.shots(name))
+        assert [(s.club, s.status) for s in (first, second)] == [
+            ("driver", Status.VALID), ("driver-9", Status.VALID),
+        ]  # fmt: skip
+        assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
+            (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
+        )
