@@ -311,6 +311,7 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
                 assert process.poll() is None
             name = entries[0][0].id
             (told,) = bench.client._session.get(f"golfbench/{bench.configuration.bench.id}/campaign/{name}")
+            assert told.ok is not None
             heard = json.loads(told.ok.payload.to_bytes())
             assert (heard["state"], heard["shots"], heard["planned"]) == ("waiting", 1, 2)
             assert heard["reason"] == "Mount club driver-9 in place of driver."
