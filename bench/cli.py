@@ -16,16 +16,16 @@ from typing import Annotated, Literal, NoReturn
 import typer
 
 from bench.calibration.commands import app as calibration_app
-from bench.campaign_commands import app as campaign_app
-from bench.certificates_command import certificates
-from bench.control_commands import app as control_app
+from bench.campaign.commands import app as campaign_app
 from bench.errors import BenchError, ExitCode
-from bench.export_command import export
+from bench.export.commands import export
+from bench.network.certificates_command import certificates
+from bench.network.control_commands import app as control_app
 from bench.nodes_command import nodes
 from bench.run_command import run
 from bench.session import Session
 from bench.swing.commands import app as swing_app
-from bench.view_command import view
+from bench.viewer.commands import view
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -145,11 +145,11 @@ def demo(
     """
     configuration = context.ensure_object(Session).configuration()
     if engine == "bench":
-        from bench.demo_live import run_live_demo
+        from bench.demonstration.live import run_live_demo
 
         valid = run_live_demo(configuration, output, swings, seed)
     else:
-        from bench.demo import run_demo
+        from bench.demonstration.lock_step import run_demo
 
         valid = run_demo(configuration, output, swings, seed, engine)
     if not valid:

@@ -22,26 +22,26 @@ import numpy as np
 
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
-from bench.child import Child
-from bench.command_plane import CommandPlane
 from bench.config import Configuration
-from bench.desk import LoopStatus, Reply, Status
 from bench.errors import BenchError, ExitCode
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
-from bench.loop_link import LoopLink
-from bench.ownership import Ownership, take_bench
-from bench.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
-from bench.publisher_process import PublisherPlan
-from bench.recorder_process import RecorderPlan
-from bench.run_marker import RunMarker
-from bench.service_notify import ServiceNotifier, watchdog_interval
-from bench.status import NO_STATISTICS, status_of
-from bench.support import Supporter
+from bench.network.command_plane import CommandPlane
+from bench.network.desk import LoopStatus, Reply, Status
+from bench.network.zenoh_session import open_daemon
+from bench.processes.child import Child
+from bench.processes.loop_link import LoopLink
+from bench.processes.ownership import Ownership, take_bench
+from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
+from bench.processes.publisher import PublisherPlan
+from bench.processes.recorder import RecorderPlan
+from bench.processes.run_marker import RunMarker
+from bench.processes.service_notify import ServiceNotifier, watchdog_interval
+from bench.processes.status import NO_STATISTICS, status_of
+from bench.processes.support import Supporter
+from bench.processes.tick_timing import TimingReader, summary
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.snapshot import SNAPSHOT
-from bench.tick_timing import TimingReader, summary
-from bench.zenoh_session import open_daemon
 from sim.plant_exchange import PlantPlan
 from sim.plant_process import start_plant
 
@@ -76,7 +76,7 @@ def versions() -> dict[str, str]:
 
 
 class Daemon:
-    """A running bench: a `bench.desk.Desk`, and `run`, which lives until it is told to end."""
+    """A running bench: a `bench.network.desk.Desk`, and `run`, which lives until it is told to end."""
 
     def __init__(
         self, configuration: Configuration, *, read_only: bool = False,
@@ -194,7 +194,7 @@ class Daemon:
         first = Cause.RESTART if self._marker.was_killed else Cause.POWER_UP
         loop = Child.start(
             "loop",
-            "bench.loop_process",
+            "bench.processes.loop_process",
             LoopPlan(c, self.profile, folder, owner.descriptor, first, self.read_only),
             pass_fds=(owner.descriptor,),
         )
@@ -233,7 +233,7 @@ class Daemon:
             calibrations=self.calibration.record(),
             wall=self.wall,
         )
-        return Child.start("recorder", "bench.recorder_process", plan)
+        return Child.start("recorder", "bench.processes.recorder", plan)
 
     def _start_publisher(self) -> Child:
         c, folder = self.configuration, self._folder
@@ -245,7 +245,7 @@ class Daemon:
             heartbeat=folder / "publisher-heart",
             wall=self.wall,
         )
-        return Child.start("publisher", "bench.publisher_process", plan)
+        return Child.start("publisher", "bench.processes.publisher", plan)
 
     def _live(self, notifier: ServiceNotifier, wish: threading.Event) -> None:
         """Take turns until somebody wishes the end; pet systemd only while the loop advances.

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bench.clock import GridClock
-from bench.real_time import real_time
+from bench.processes.real_time import real_time
 
 PERIOD_NS = 1_000_000
 TICKS = 500

@@ -12,8 +12,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bench.campaign.shot import Shot, Status
-from bench.campaign.shot_record import ShotRecord
 from bench.clock import FreeClock
 from bench.control.settings import (
     SIMULATED,
@@ -28,6 +26,8 @@ from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.lockstep import Lockstep
 from bench.loop import Cycle, Cycles, Loop, bring_to_rest
+from bench.shot.shot import Shot, Status
+from bench.shot.shot_record import ShotRecord
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot

@@ -14,16 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.client import BenchClient, CommandRefused
 from bench.config import Configuration, load_configuration
-from bench.desk import Status
 from bench.errors import Refused
-from bench.free_port import free_port
 from bench.lifecycle import Phase, State
-from bench.ownership import bench_folder
-from bench.plan import RING_FILE
+from bench.network.client import BenchClient, CommandRefused
+from bench.network.desk import Status
+from bench.network.free_port import free_port
+from bench.network.zenoh_session import NoAnswer
+from bench.processes.ownership import bench_folder
+from bench.processes.plan import RING_FILE
 from bench.telemetry.ring import RingReader
-from bench.zenoh_session import NoAnswer
 
 LONGEST_START = 300.0
 """s; the first start compiles."""

@@ -365,7 +365,7 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.standing_counts import standing_counts
     from bench.errors import Refused
-    from bench.ownership import bench_folder
+    from bench.processes.ownership import bench_folder
     from bench.telemetry.ring import NoRing
 
     ring: Path = bench_folder(configuration.bench.id) / "ring"

@@ -21,7 +21,7 @@ from bench.campaign.block_model import Array, BlockFit, Contrast, fit_blocks, ho
 from bench.campaign.plan import Plan, controls_per_block, levels
 from bench.campaign.power import power_of_difference, shots_for_equivalence, shots_needed
 from bench.campaign.sequence import Role
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
 """Columns whose quantity is named without its unit."""

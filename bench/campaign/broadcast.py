@@ -14,7 +14,7 @@ from bench.campaign.course import is_settled
 from bench.campaign.plan import Plan
 from bench.campaign.runner import Watcher
 from bench.campaign.sequence import all_trials
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 VERSION = 1

@@ -18,8 +18,8 @@ from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import FIGURES
 from bench.campaign.report_plots import COLOURS, MARKERS, STYLE, draw_ellipse, styled, to_svg
 from bench.campaign.sequence import Role, sections
-from bench.campaign.shot import Shot, Status
 from bench.campaign.verdicts import NAMES
+from bench.shot.shot import Shot, Status
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
 _MANY = 1500

@@ -18,8 +18,8 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
 from bench.campaign.report import TABLE, figure_text, flat, page_template
 from bench.campaign.report_plots import COLOURS
-from bench.campaign.shot import Shot, Status
 from bench.campaign.verdicts import NAMES
+from bench.shot.shot import Shot, Status
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Standing
 from bench.telemetry.whole_file import whole_file
 

@@ -15,7 +15,7 @@ import numpy as np
 from bench.campaign.gate import Centre, median_delivery
 from bench.campaign.plan import Plan
 from bench.campaign.sequence import Arm, Role, Section, Trial, block_trials, sections, warm_up_arms
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 
 
 class Step(NamedTuple):

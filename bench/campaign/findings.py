@@ -17,8 +17,8 @@ from bench.campaign.plan import Plan
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.rules import rule_sets
 from bench.campaign.sequence import sections
-from bench.campaign.shot import Shot, Status
 from bench.campaign.verdicts import section_verdicts
+from bench.shot.shot import Shot, Status
 
 SCHEMA = 1
 """Version of the JSON."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from bench.campaign.course import Step
 from bench.campaign.plan import Plan
 from bench.campaign.sequence import Arm, Role, block_trials, sections
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 from bench.store.campaigns import Hit, Prompt
 
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from bench.campaign.baseline import Checked
 from bench.campaign.runner import Outcome
 from bench.campaign.sequence import Role
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

@@ -25,14 +25,14 @@ from bench.campaign.course import Step
 from bench.campaign.fitting import Kind, Wish
 from bench.campaign.plan import Plan
 from bench.campaign.runner import Suspended
-from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
-from bench.client import LATCHED, BenchClient, CommandRefused
-from bench.desk import Status as BenchStatus
 from bench.errors import BenchError, Refused
 from bench.from_toml import shown
-from bench.telemetry.recorded_shot import ball_struck, delivery_of_cycles, plant_of
+from bench.network.client import LATCHED, BenchClient, CommandRefused
+from bench.network.desk import Status as BenchStatus
+from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
+from bench.shot.shot import Shot, Status
 from bench.telemetry.recorder import read_swing
 from sim.flight import fly
 from sim.impact import Delivery, strike

@@ -21,7 +21,7 @@ from bench.campaign.analysis import values_of
 from bench.campaign.block_model import Array, Codes, holm
 from bench.campaign.plan import Plan, levels
 from bench.campaign.sequence import Role
-from bench.campaign.shot import Shot
+from bench.shot.shot import Shot
 
 _LEAST, _MOST = -8.0, 18.0
 """Bounds of log(variance of a shot / variance of an effect); the upper one is an effect of nothing."""

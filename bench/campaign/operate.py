@@ -23,11 +23,11 @@ from bench.campaign.runner import Operator, Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import Profiles, require_swings
-from bench.client import BenchClient
 from bench.config import Configuration
-from bench.desk import Status
 from bench.errors import BenchError, Refused
-from bench.lease import LONGEST_HOLDER
+from bench.network.client import BenchClient
+from bench.network.desk import Status
+from bench.network.lease import LONGEST_HOLDER
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.block_model import Array, Codes
-from bench.campaign.shot import Shot, Status
+from bench.shot.shot import Shot, Status
 
 FIGURES = (
     ("club_speed_mps", "Club speed", "m/s", 3),

@@ -15,8 +15,8 @@ from scipy import stats
 
 from bench.campaign.comparison import Verdict, compare, verdict
 from bench.campaign.report_plots import YARD, Look, all_figures
-from bench.campaign.shot import Shot, Status
-from bench.campaign.shot_record import ShotRecord
+from bench.shot.shot import Shot, Status
+from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import whole_file
 from sim.ball import Ball
 from sim.plant import Site

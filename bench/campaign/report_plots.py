@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Patch
 from matplotlib.ticker import MaxNLocator
 
-from bench.campaign.head_path import path_to_ball
-from bench.campaign.shot import Status
-from bench.campaign.shot_record import ShotRecord
 from bench.lifecycle import Phase
+from bench.shot.head_path import path_to_ball
+from bench.shot.shot import Status
+from bench.shot.shot_record import ShotRecord
 from drivers.base import ACTUATORS, JOINTS
 from sim.plant import Site
 from sim.robot import RobotParameters

@@ -16,9 +16,9 @@ from bench.campaign.course import Course, Ending, Step
 from bench.campaign.fitting import Fitting, Kind, Wish, fitting_after, missing, sample_for
 from bench.campaign.gate import outside
 from bench.campaign.plan import Plan
-from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
+from bench.shot.shot import Shot, Status
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
 from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS

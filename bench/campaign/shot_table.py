@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.campaign.shot import COLUMNS, Column, Shot, Status
 from bench.errors import BenchError
+from bench.shot.shot import COLUMNS, Column, Shot, Status
 from bench.telemetry.whole_file import whole_file
 
 

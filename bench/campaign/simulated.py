@@ -15,9 +15,9 @@ import numpy as np
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.plan import Plan, Simulation
-from bench.campaign.shot import Shot, Status
 from bench.campaign.swings import Profiles
 from bench.config import Configuration
+from bench.shot.shot import Shot, Status
 from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
 from drivers.base import Launch
 from sim.ball import Ball

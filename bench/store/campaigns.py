@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Engine, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
-from bench.campaign.shot import COLUMNS, Shot, Status
 from bench.errors import BenchError, Refused
+from bench.shot.shot import COLUMNS, Shot, Status
 from bench.store.tables import CampaignEventRow, CampaignPromptRow, CampaignRow, HitCountRow, Row, ShotRow
 
 _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS = (

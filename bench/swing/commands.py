@@ -22,7 +22,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to 
 def swing(context: typer.Context) -> None:
     """Swing, if the bench is ARMED; or look at profiles and try them on the software plant."""
     if context.invoked_subcommand is None:
-        from bench.control_commands import swing_when_armed
+        from bench.network.control_commands import swing_when_armed
 
         swing_when_armed(context)
 

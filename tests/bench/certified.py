@@ -6,9 +6,9 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from bench.certificates import AUTHORITY, Identity, make_authority, make_certificate, write_identity
 from bench.config import Configuration, NetworkSettings
-from bench.free_port import free_port
+from bench.network.certificates import AUTHORITY, Identity, make_authority, make_certificate, write_identity
+from bench.network.free_port import free_port
 from tests.bench.fake_desk import loopback_configuration
 
 HERE = ("127.0.0.1", "localhost")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from bench.campaign.shot import Shot, Status
-from bench.campaign.shot_record import ShotRecord
 from bench.lifecycle import Cause, Phase, State
+from bench.shot.shot import Shot, Status
+from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
 from sim.flight import fly

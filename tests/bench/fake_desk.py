@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import zenoh
 
-from bench.command_plane import CommandPlane
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
-from bench.desk import CauseStatus, CountStatus, LoopStatus, ProcessStatus, Reply, Status
-from bench.free_port import free_port
 from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
-from bench.zenoh_session import open_daemon
+from bench.network.command_plane import CommandPlane
+from bench.network.desk import CauseStatus, CountStatus, LoopStatus, ProcessStatus, Reply, Status
+from bench.network.free_port import free_port
+from bench.network.zenoh_session import open_daemon
 
 NEXT = {
     Request.RESET: State.SAFE,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.child_process import HEARTBEAT
-from bench.recorder_process import RecorderPlan
+from bench.processes.child_process import HEARTBEAT
+from bench.processes.recorder import RecorderPlan
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
@@ -27,7 +27,7 @@ Cycles = np.ndarray[Any, Any]
 HURRY = 10.0
 """s that anything may take on a busy machine."""
 
-RECORDER = ("-m", "bench.recorder_process")
+RECORDER = ("-m", "bench.processes.recorder")
 
 
 class RecordedBench:

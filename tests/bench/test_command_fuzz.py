@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bench.client import BenchClient
-from bench.zenoh_session import open_client
+from bench.network.client import BenchClient
+from bench.network.zenoh_session import open_client
 from tests.bench.fake_desk import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.command_fuzz import fuzz, uncounted, use_up
 

@@ -16,10 +16,10 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import BallPosition
-from bench.client import CommandRefused
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.lifecycle import Cause, Phase, State
+from bench.network.client import CommandRefused
 from bench.replay import replay_record
 from bench.store.database import database_url, open_database
 from bench.telemetry.recorder import read_swing

@@ -12,11 +12,11 @@ import pytest
 import zenoh
 
 from bench.cli import main
-from bench.client import BenchClient
 from bench.config import Configuration, NetworkSettings
 from bench.errors import BenchError, ExitCode
-from bench.free_port import free_port
-from bench.zenoh_session import NoAnswer, open_client, open_daemon
+from bench.network.client import BenchClient
+from bench.network.free_port import free_port
+from bench.network.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
 from tests.bench.fake_desk import FakeDesk, RunningPlane, running_plane
 
@@ -134,7 +134,7 @@ def bench_of_client(folder: Folder) -> NetworkSettings:
     """Return the network of a bench whose certificate is a person's, for no address."""
     from datetime import UTC, datetime
 
-    from bench.certificates import make_certificate, write_identity
+    from bench.network.certificates import make_certificate, write_identity
 
     made = make_certificate(folder.authority, "dora", (), datetime.now(UTC), 1.0)
     write_identity(folder.path, "dora", made)

@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from bench.access_control import access_control
-from bench.client import BenchClient
 from bench.config import VARIANTS, Configuration
 from bench.errors import BenchError
-from bench.free_port import free_port
 from bench.lifecycle import Request
-from bench.zenoh_session import NoAnswer, open_client
+from bench.network.access_control import access_control
+from bench.network.client import BenchClient
+from bench.network.free_port import free_port
+from bench.network.zenoh_session import NoAnswer, open_client
 from tests.bench.certified import Folder, client_of
 from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
 

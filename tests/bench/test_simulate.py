@@ -14,12 +14,12 @@ import pytest
 
 import bench.simulate
 import bench.swing
-from bench.campaign.shot import Status
 from bench.cli import main
 from bench.control.settings import EnvelopeSettings
 from bench.errors import ExitCode, Refused
 from bench.interrupt import deferred_interrupt
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
+from bench.shot.shot import Status
 from bench.simulate import Engine, SimulatedBench, SwingResult, simulate_swing, simulate_swings
 from bench.swing.profile import Profile, load_profile
 from bench.telemetry.recorder import read_swing, write_swing

@@ -22,10 +22,10 @@ from bench.campaign.plan import Plan, Simulation
 from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import all_trials
-from bench.campaign.shot import Shot
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
+from bench.shot.shot import Shot
 from bench.simulate import never
 from tests.benchmarks.row import Row
 

@@ -21,10 +21,10 @@ from bench.campaign.operate import new_entry, run_simulated
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Watcher
-from bench.campaign.shot import Shot
 from bench.campaign.simulated import BEGIN, SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import load_configuration
+from bench.shot.shot import Shot
 from bench.simulate import never
 from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
 from bench.store.database import database_url, open_database

@@ -21,8 +21,8 @@ from bench.campaign.plan import Plan, levels
 from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import Role, block_trials, sections
-from bench.campaign.shot import Shot, Status
 from bench.config import load_configuration
+from bench.shot.shot import Shot, Status
 from tests.benchmarks.row import Row
 
 SEED = 20261121

@@ -19,7 +19,7 @@ from statistics import median
 import can
 import numpy as np
 
-from bench.child import Child
+from bench.processes.child import Child
 from drivers.base import Command
 from drivers.can_bus import FRAME, LocalSocketBus, message_of
 from drivers.canopen.driver import CanopenDriver

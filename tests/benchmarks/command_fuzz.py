@@ -27,14 +27,21 @@ import numpy as np
 import psutil
 import zenoh
 
-from bench.client import BenchClient
-from bench.command import LAST_SEQUENCE, LONGEST_MESSAGE, Verb, encode_command, parse_answer, parse_error
 from bench.config import Configuration
-from bench.desk import CountStatus, Status
-from bench.lease import new_key
-from bench.plan import TIMING_FILE
-from bench.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
-from bench.zenoh_session import open_client
+from bench.network.client import BenchClient
+from bench.network.command import (
+    LAST_SEQUENCE,
+    LONGEST_MESSAGE,
+    Verb,
+    encode_command,
+    parse_answer,
+    parse_error,
+)
+from bench.network.desk import CountStatus, Status
+from bench.network.lease import new_key
+from bench.network.zenoh_session import open_client
+from bench.processes.plan import TIMING_FILE
+from bench.processes.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
 from tests.bench.fake_desk import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.row import Row
 from tests.running_bench import running_bench, write_configuration

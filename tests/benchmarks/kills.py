@@ -21,9 +21,9 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from bench.client import CommandRefused
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, State
+from bench.network.client import CommandRefused
 from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
 from sim.shared_record import SharedRecord
 from tests.benchmarks.row import Row

@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bench.child import Child
 from bench.config import Configuration, load_configuration
 from bench.lifecycle import Request, State
-from bench.loop_link import LoopLink
-from bench.ownership import take_bench
-from bench.plan import TIMING_FILE, LoopPlan
+from bench.processes.child import Child
+from bench.processes.loop_link import LoopLink
+from bench.processes.ownership import take_bench
+from bench.processes.plan import TIMING_FILE, LoopPlan
+from bench.processes.tick_timing import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.tick_timing import TimingReader
 from sim.plant_exchange import PlantPlan
 from sim.plant_process import start_plant
 
@@ -115,7 +115,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         stack.callback(plant.end, 2.0)
         profile = load_profile(find_profile(c.swing.profile))
         loop = Child.start(
-            "loop", "bench.loop_process", LoopPlan(c, profile, owner.folder, owner.descriptor),
+            "loop", "bench.processes.loop_process", LoopPlan(c, profile, owner.folder, owner.descriptor),
             pass_fds=(owner.descriptor,),
         )  # fmt: skip
         stack.callback(loop.end, 15.0)

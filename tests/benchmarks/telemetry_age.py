@@ -27,8 +27,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.errors import BenchError
-from bench.plan import TIMING_FILE
-from bench.tick_timing import TimingReader, summary
+from bench.processes.plan import TIMING_FILE
+from bench.processes.tick_timing import TimingReader, summary
 from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -39,7 +39,7 @@ from collections import deque
 from pathlib import Path
 from bench.config import load_configuration
 from bench.telemetry.batches import decode_batch
-from bench.zenoh_session import open_client
+from bench.network.zenoh_session import open_client
 file, wall, found = Path(sys.argv[1]), sys.argv[2] == "wall", Path(sys.argv[3])
 c = load_configuration(file)
 came, over = deque(maxlen=2000), threading.Event()
@@ -148,7 +148,7 @@ class Phase(NamedTuple):
     """How the bench did while something was done to its subscribers."""
 
     loop: dict[str, Any]
-    """As `bench.tick_timing.summary` gives it."""
+    """As `bench.processes.tick_timing.summary` gives it."""
     publisher_share: float
     """Of one processor."""
     publisher_memory: float

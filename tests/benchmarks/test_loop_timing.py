@@ -11,7 +11,7 @@ from argparse import Namespace
 import numpy as np
 import pytest
 
-from bench.tick_timing import TickTiming, new_timing
+from bench.processes.tick_timing import TickTiming, new_timing
 from tests.benchmarks.cyclictest import HISTOGRAM_US, Latencies, read_histogram, run_cyclictest
 from tests.benchmarks.loop_timing import (
     LoopRun,

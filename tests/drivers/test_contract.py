@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.child import Child
+from bench.processes.child import Child
 from drivers.base import (
     PASSIVE,
     READINGS,

@@ -19,8 +19,8 @@ from bench.campaign.mixed_model import fit_reml, mixed_model
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.repeatability import repeatability, variance_components
-from bench.campaign.shot import Shot, Status
 from bench.config import load_configuration
+from bench.shot.shot import Shot, Status
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
 
 # Montgomery, Design and Analysis of Experiments, vascular grafts: four extrusion pressures (rows) in six

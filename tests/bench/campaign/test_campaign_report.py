@@ -21,9 +21,9 @@ from bench.campaign.junit import junit_xml
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome
-from bench.campaign.shot import Status
 from bench.config import load_configuration
 from bench.errors import BenchError
+from bench.shot.shot import Status
 from bench.store.campaigns import CampaignState, Event, Hit, Standing
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 

@@ -22,13 +22,13 @@ from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Suspended
 from bench.campaign.sequence import Arm, Role, Trial
-from bench.campaign.shot import Status
 from bench.campaign.swings import require_swings
-from bench.client import CommandRefused
-from bench.command import Answer, Verb
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.lifecycle import Phase
+from bench.network.client import CommandRefused
+from bench.network.command import Answer, Verb
+from bench.shot.shot import Status
 from bench.simulate import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import database_url, open_database

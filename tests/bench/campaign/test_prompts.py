@@ -27,11 +27,11 @@ from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome, Runner, Watcher
 from bench.campaign.sequence import Arm, Role, Trial, all_trials
-from bench.campaign.shot import Shot, Status
 from bench.campaign.swings import require_swings
 from bench.campaign.terminal import TerminalOperator
 from bench.config import load_configuration
 from bench.errors import Refused
+from bench.shot.shot import Shot, Status
 from bench.simulate import never
 from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
 from bench.store.database import database_url, open_database

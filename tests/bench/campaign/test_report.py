@@ -15,9 +15,9 @@ import pytest
 
 from bench.campaign.report import Setup, render_report, write_report
 from bench.campaign.report_plots import all_figures
-from bench.campaign.shot import Status
-from bench.campaign.shot_record import ShotRecord
 from bench.errors import BenchError
+from bench.shot.shot import Status
+from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from sim.plant import Site
 from sim.robot import RobotParameters

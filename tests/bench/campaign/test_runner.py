@@ -29,11 +29,11 @@ from bench.campaign.operate import (
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome, Runner, Watcher
-from bench.campaign.shot import Shot, Status
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
 from bench.errors import BenchError, Refused
+from bench.shot.shot import Shot, Status
 from bench.simulate import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
 from bench.store.database import database_url, open_database

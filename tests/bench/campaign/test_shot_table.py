@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.campaign.shot import COLUMNS, Shot, Status
 from bench.campaign.shot_table import read_shot_table, write_shot_table
 from bench.errors import BenchError
+from bench.shot.shot import COLUMNS, Shot, Status
 
 HEADER = (
     "shot,block,position,club,ball,status,reason,club_speed_mps,attack_angle_deg,club_path_deg,"

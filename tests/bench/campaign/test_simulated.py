@@ -13,10 +13,10 @@ from bench.campaign.gate import Centre
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import all_trials
-from bench.campaign.shot import Status
 from bench.campaign.simulated import SimulatedShots, Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
+from bench.shot.shot import Status
 from bench.simulate import never
 from bench.telemetry.cycle_record import CYCLE
 

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
-from bench.campaign.shot import COLUMNS, Shot, Status
 from bench.errors import BenchError, Refused
+from bench.shot.shot import COLUMNS, Shot, Status
 from bench.store.campaigns import (
     CampaignEntry,
     CampaignState,

@@ -12,9 +12,9 @@ import numpy as np
 import zenoh
 
 from bench.config import NetworkSettings
-from bench.free_port import free_port
+from bench.network.free_port import free_port
+from bench.network.zenoh_session import open_daemon
 from bench.telemetry.batches import encode_batch
-from bench.zenoh_session import open_daemon
 
 Cycles = np.ndarray[Any, Any]
 BENCH = "b1"

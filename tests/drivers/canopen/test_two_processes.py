@@ -14,7 +14,7 @@ import can
 import numpy as np
 import pytest
 
-from bench.child import Child
+from bench.processes.child import Child
 from drivers.base import PASSIVE, Command, DriverError, unpack_command
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver

@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
+from bench.export.csv_table import write_csv
+from bench.export.mat_file import write_mat
+from bench.export.mcap_file import write_mcap
+from bench.export.record import Record, columns, read_record
+from bench.export.rrd_file import write_rrd
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.telemetry.export.csv_table import write_csv
-from bench.telemetry.export.mat_file import write_mat
-from bench.telemetry.export.mcap_file import write_mcap
-from bench.telemetry.export.record import Record, columns, read_record
-from bench.telemetry.export.rrd_file import write_rrd
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.whole_file import NotStored
 

@@ -1,0 +1,1 @@
+"""`golfbench demo`: the shipped test of two balls, in real time or in lock-step."""

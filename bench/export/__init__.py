@@ -1,0 +1,1 @@
+"""Records and series in the formats of other programs."""

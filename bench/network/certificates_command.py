@@ -1,0 +1,58 @@
+"""`golfbench certificates` at the command line."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.errors import BenchError
+
+
+def certificates(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where they are; made when it is not there.")],
+    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Of people, benches and routers.")],
+    addresses: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--address", metavar="HOST", help="IP address or host name where NAME listens; may be repeated."
+        ),
+    ] = None,
+    days: Annotated[float, typer.Option(min=0.01, max=3650.0, help="For which they are valid.")] = 365.0,
+) -> None:
+    """Make a certificate for each NAME, to reach the bench from other machines.
+
+    The first call makes the authority that signs them, too. Each side gets its NAME.pem and NAME.key and
+    authority.pem; authority.key stays where it is. A bench or router needs --address. Ends with 1 when there
+    is a certificate of that name.
+    """
+    from bench.config import NAME
+    from bench.network.certificates import (
+        AUTHORITY,
+        make_authority,
+        make_certificate,
+        read_identity,
+        write_identity,
+    )
+
+    for name in names:
+        if not NAME.fullmatch(name) or name == AUTHORITY:
+            raise BenchError(
+                "NAME",
+                repr(name),
+                f"letters, digits, ., - and _, at most 63, and not {AUTHORITY}",
+                "Choose another.",
+            )
+    now = datetime.now(UTC)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not (folder / f"{AUTHORITY}.pem").exists():
+        write_identity(folder, AUTHORITY, make_authority(now))
+        typer.echo(f"{folder / AUTHORITY}.pem: the authority")
+    authority = read_identity(folder, AUTHORITY)
+    for name in names:
+        identity = make_certificate(authority, name, addresses or (), now, days)
+        write_identity(folder, name, identity)
+        until = identity.certificate.not_valid_after_utc
+        typer.echo(f"{folder / name}.pem: valid until {until:%Y-%m-%d %H:%M} UTC")

@@ -1,0 +1,382 @@
+"""Asking a running bench from Python, with the verbs of the command line.
+
+with BenchClient.connect(load_configuration()) as bench, bench.lease("Ann"):
+    bench.home()
+    bench.wait_for("READY")
+    bench.arm()
+    bench.wait_for("ARMED", phase="HOLD")
+    bench.swing()
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
+
+import zenoh
+
+from bench.errors import BenchError, Refused
+from bench.lifecycle import ACCEPTED_IN
+from bench.network.command import (
+    REQUESTS,
+    STOPS,
+    Answer,
+    Verb,
+    encode_command,
+    parse_answer,
+    parse_error,
+)
+from bench.network.desk import STATUS_VERSION, Status
+from bench.network.lease import DEFAULT
+from bench.network.zenoh_session import NoAnswer, open_client
+
+if TYPE_CHECKING:
+    from bench.config import Configuration, NetworkSettings
+
+TIMEOUT = 2.0
+"""s that an answer is waited for: longer than the bench lets a request wait for its turn and for the loop."""
+
+LATCHED = frozenset({"ESTOP", "FAULT"})
+
+
+class CommandRefused(Refused):
+    """The bench refused; `answer` is what it said."""
+
+    def __init__(self, bench: str, verb: Verb, answer: Answer) -> None:
+        why, _, cure = answer.reason.partition(": ")
+        states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
+        super().__init__(
+            f"{verb} of bench {bench}",
+            f"refused in state {answer.state}: {why}",
+            f"state {' or '.join(states)}" if states and answer.state not in states else "nothing in its way",
+            f"{cure[:1].upper()}{cure[1:]}." if cure else "Look at golfbench status.",
+        )
+        self.answer = answer
+
+
+@dataclass
+class HeldLease:
+    """The lease as its holder has it."""
+
+    holder: str
+    key: str = field(repr=False)
+    seconds: float
+    """For which it is taken and renewed."""
+    sequence: int = 0
+    """Of the newest command sent with it."""
+
+
+class Heard(NamedTuple):
+    """A state that the bench published, and when it came (s, time.monotonic)."""
+
+    status: Status
+    at: float
+
+
+class BenchClient:
+    """A connection to a running bench; closes it at the end of a `with`.
+
+    Its methods may be called from several threads. All raise `NoAnswer` when the bench does not answer
+    in time, `CommandRefused` when it says no, and BenchError when it did not understand.
+    """
+
+    def __init__(self, session: zenoh.Session, bench: str, network: NetworkSettings, timeout: float) -> None:
+        self.bench, self._network, self._timeout = bench, network, timeout
+        self._session, self._root = session, f"golfbench/{bench}"
+        self._lock = Lock()
+        self.held: HeldLease | None = None
+        """What `take_lease` got, or what somebody kept from before."""
+
+    @classmethod
+    def connect(cls, configuration: Configuration, timeout: float = TIMEOUT) -> Self:
+        """Connect to the bench of `configuration`; answers are waited for `timeout` s.
+
+        Raises:
+            NoAnswer: nobody listens at its endpoint.
+        """
+        network, bench = configuration.network, configuration.bench.id
+        return cls(open_client(network, bench), bench, network, timeout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the connection; a lease stays until it expires."""
+        self._session.close()
+
+    # Looking -------------------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return the state of the bench."""
+        return _checked_status(self._ask(Verb.STATUS).content)
+
+    def states(self, timeout: float) -> Generator[Heard | None, None, None]:
+        """Yield each state that the bench publishes, and None whenever `timeout` s pass without one."""
+        newest: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
+        subscriber = self._session.declare_subscriber(f"{self._root}/state", newest)
+        try:
+            due = time.monotonic() + timeout
+            while True:
+                sample, now = subscriber.try_recv(), time.monotonic()
+                if sample is not None:
+                    yield Heard(_read_status(sample.payload.to_bytes()), now)
+                elif now >= due:
+                    yield None
+                else:
+                    time.sleep(0.01)
+                    continue
+                due = time.monotonic() + timeout
+        finally:
+            subscriber.undeclare()
+
+    @contextmanager
+    def records(self) -> Iterator[Callable[[], Path | None]]:
+        """Yield a function that returns the path of the next swing's record stored since, None for none yet.
+
+        The path is one of the bench's machine.
+        """
+        channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(64)
+        subscriber = self._session.declare_subscriber(f"{self._root}/shot", channel)
+
+        def newest() -> Path | None:
+            sample = subscriber.try_recv()
+            return None if sample is None else _read_record(sample.payload.to_bytes())
+
+        try:
+            yield newest
+        finally:
+            subscriber.undeclare()
+
+    @contextmanager
+    def campaign_told(self, campaign: str) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+        """Yield a function that publishes where `campaign` stands; who asks later is told what was last."""
+        key, last = f"{self._root}/campaign/{campaign}", [b""]
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                query.reply(key, last[0], encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        queryable = self._session.declare_queryable(key, answer)
+
+        def tell(message: Mapping[str, Any]) -> None:
+            last[0] = json.dumps(message).encode()
+            self._session.put(key, last[0], encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        try:
+            yield tell
+        finally:
+            queryable.undeclare()
+
+    def wait_for(self, state: str, *, phase: str | None = None, timeout: float = 30.0) -> Status:
+        """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
+
+        "ARMED" in phase "HOLD" is at the address, ready to swing.
+
+        Raises:
+            Refused: it latched ESTOP or FAULT instead, or the time is over.
+        """
+        wanted = state if phase is None else f"{state} in phase {phase}"
+        deadline = time.monotonic() + timeout
+        status = self.status()
+        with closing(self.states(min(0.5, timeout))) as states:
+            while status["state"] != state or phase not in (None, status["phase"]):
+                found = f"{status['state']} in phase {status['phase']}"
+                if cause := status["cause"]:
+                    found += f": {cause['text']}"
+                if status["state"] in LATCHED:
+                    cure = "Mend the cause, then golfbench reset."
+                    raise Refused(f"bench {self.bench}", found, wanted, cure)
+                if time.monotonic() >= deadline:
+                    cure = "Wait longer, or look at golfbench status."
+                    raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, cure)
+                heard = next(states)
+                status = self.status() if heard is None else heard.status
+        return status
+
+    # The lease -----------------------------------------------------------------------------------
+
+    def take_lease(self, holder: str, seconds: float = DEFAULT) -> HeldLease:
+        """Take the bench for `seconds`; later commands carry the lease, and it expires unless renewed."""
+        answer = self._ask(Verb.LEASE, action="take", holder=holder, seconds=seconds)
+        match answer.content:
+            case {"key": str(key)}:
+                self.held = HeldLease(holder, key, seconds)
+                return self.held
+        raise _not_understood(answer.content)
+
+    def renew_lease(self, seconds: float | None = None) -> float:
+        """Keep the bench for `seconds` from now (default: as it was taken); return them."""
+        held = self._require_lease(Verb.LEASE)
+        held.seconds = held.seconds if seconds is None else seconds
+        self._ask_keyed(Verb.LEASE, action="renew", seconds=held.seconds)
+        return held.seconds
+
+    def release_lease(self) -> None:
+        """Give the bench back; an armed bench disarms."""
+        self._require_lease(Verb.LEASE)
+        self._ask_keyed(Verb.LEASE, action="release")
+        self.held = None
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float = DEFAULT) -> Iterator[HeldLease]:
+        """Hold the bench for a block: taken at its begin, renewed in the background, given back at its end.
+
+        A lease that is lost on the way (the daemon started anew) is not taken again: commands are refused.
+        """
+        held = self.take_lease(holder, seconds)
+        ended = Event()
+
+        def renew() -> None:
+            while not ended.wait(seconds / 3):
+                with suppress(BenchError):  # the next command tells why
+                    self.renew_lease()
+
+        renewing = Thread(target=renew, name="lease", daemon=True)
+        renewing.start()
+        try:
+            yield held
+        finally:
+            ended.set()
+            renewing.join()
+            with suppress(BenchError):
+                self.release_lease()
+
+    # Verbs ---------------------------------------------------------------------------------------
+
+    def home(self) -> Answer:
+        """Prove the encoders' zeros."""
+        return self._ask_keyed(Verb.HOME)
+
+    def arm(self) -> Answer:
+        """Warn, let the air on, go to the address."""
+        return self._ask_keyed(Verb.ARM)
+
+    def disarm(self) -> Answer:
+        """End what moves in order, and vent; needs no lease."""
+        return self._ask(Verb.DISARM)
+
+    def access(self) -> Answer:
+        """Unlock the guard of a vented bench."""
+        return self._ask_keyed(Verb.ACCESS)
+
+    def secure(self) -> Answer:
+        """End the access: lock the guard."""
+        return self._ask_keyed(Verb.SECURE)
+
+    def swing(self) -> Answer:
+        """Swing from the address."""
+        return self._ask_keyed(Verb.SWING)
+
+    def tee(self) -> Answer:
+        """Raise the next ball."""
+        return self._ask_keyed(Verb.TEE)
+
+    def reset(self) -> Answer:
+        """Leave ESTOP or FAULT once the cause is gone; enables, never moves."""
+        return self._ask_keyed(Verb.RESET)
+
+    def stop(self) -> Answer:
+        """Stop as the stopping table says; needs no lease."""
+        return self._ask(Verb.STOP)
+
+    def emergency_stop(self) -> Answer:
+        """Stop and latch ESTOP; needs no lease. A convenience, not a safety function."""
+        return self._ask(Verb.ESTOP)
+
+    # Asking --------------------------------------------------------------------------------------
+
+    def _require_lease(self, verb: Verb) -> HeldLease:
+        if self.held is None:
+            raise Refused(
+                f"{verb} of bench {self.bench}",
+                "no lease of yours",
+                "the lease of the bench",
+                "Take it: golfbench lease take.",
+            )
+        return self.held
+
+    def _ask_keyed(self, verb: Verb, **values: Any) -> Answer:
+        # One at a time: two that overtake each other would be out of order.
+        with self._lock:
+            held = self._require_lease(verb)
+            held.sequence += 1
+            return self._ask(verb, key=held.key, sequence=held.sequence, **values)
+
+    def _ask(self, verb: Verb, **values: Any) -> Answer:
+        """Send `verb` and return the accepted answer."""
+        payload = self.send(verb, encode_command(verb, **values))
+        answer = parse_answer(payload)
+        if not answer.accepted:
+            raise CommandRefused(self.bench, verb, answer)
+        return answer
+
+    def send(self, verb: str, message: bytes) -> bytes:
+        """Send `message` to `verb` as it is, and return the bench's answer as it came.
+
+        Raises:
+            NoAnswer: none came.
+            BenchError: the message does not hold.
+        """
+        priority = zenoh.Priority.REAL_TIME if verb in STOPS else zenoh.Priority.INTERACTIVE_HIGH
+        began = time.monotonic()
+        replies = self._session.get(
+            f"{self._root}/command/{verb}",
+            payload=message,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            timeout=self._timeout,
+            priority=priority,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+            # An error of zenoh itself, such as its time-out, is no JSON.
+            if reply.err is not None and reply.err.encoding == zenoh.Encoding.APPLICATION_JSON:
+                raise parse_error(reply.err.payload.to_bytes())
+        waited = f"waited {time.monotonic() - began:.1f} s"
+        raise NoAnswer(self.bench, self._network.endpoint, waited)
+
+
+def _read_status(payload: bytes) -> Status:
+    try:
+        read = json.loads(payload)
+    except (ValueError, RecursionError):
+        raise _not_understood(payload[:40]) from None
+    return _checked_status(read)
+
+
+def _read_record(payload: bytes) -> Path | None:
+    """Return the path in a message of the key `shot`; None where it tells of none."""
+    try:
+        match json.loads(payload):
+            case {"record": str(path)}:
+                return Path(path)
+    except (ValueError, RecursionError):
+        pass
+    return None
+
+
+def _checked_status(read: Any) -> Status:
+    """Return `read` as a status if it is one of this version with all its parts."""
+    if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
+        raise _not_understood(read)
+    if missing := Status.__required_keys__ - read.keys():
+        raise _not_understood(f"no {', '.join(sorted(missing))}")
+    return cast(Status, read)
+
+
+def _not_understood(found: object) -> BenchError:
+    return BenchError(
+        "answer of the bench",
+        repr(found)[:60],
+        f"a status of version {STATUS_VERSION}",
+        "Use the same golfbench for bench and command line.",
+    )

@@ -1,0 +1,336 @@
+"""The messages of the command plane: what may be asked over the network, and how it is answered.
+
+A command is a JSON object at `golfbench/<bench>/command/<verb>`, of the keys that `FORMS` gives for its
+verb and no others. `parse_command` is the edge: what it returns needs no further check. Answers are JSON
+objects too (`encode_answer`, `parse_answer`); a message that does not hold gets an error (`encode_error`).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from math import isfinite
+from typing import Any, NamedTuple, NoReturn
+
+from bench.errors import BenchError
+from bench.lifecycle import Request
+from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_duration, is_holder
+
+VERSION = 1
+"""Of every message."""
+
+LONGEST_MESSAGE = 4096
+"""Bytes of a command."""
+
+LAST_SEQUENCE = 2**53 - 1
+"""The largest whole number that every JSON reader keeps exactly."""
+
+CONVENIENCE = (
+    "An emergency stop over the network is a convenience, not a safety function: "
+    "in danger press the button beside the robot."
+)
+
+
+class Verb(StrEnum):
+    """What can be asked."""
+
+    STATUS = "status"
+    LEASE = "lease"
+    HOME = "home"
+    ARM = "arm"
+    DISARM = "disarm"
+    ACCESS = "access"
+    SECURE = "secure"
+    SWING = "swing"
+    TEE = "tee"
+    STOP = "stop"
+    ESTOP = "estop"
+    RESET = "reset"
+
+
+class Plain(NamedTuple):
+    """Status, disarm, stop or emergency stop: anybody may ask, nothing but the verb is needed."""
+
+    verb: Verb
+
+
+class Keyed(NamedTuple):
+    """A request that only the holder of the lease may make."""
+
+    verb: Verb
+    key: str
+    sequence: int
+
+
+class TakeLease(NamedTuple):
+    """Take the bench."""
+
+    holder: str
+    seconds: float = DEFAULT
+
+
+class RenewLease(NamedTuple):
+    """Keep it."""
+
+    key: str
+    sequence: int
+    seconds: float = DEFAULT
+
+
+class ReleaseLease(NamedTuple):
+    """Give it back."""
+
+    key: str
+    sequence: int
+
+
+Command = Plain | Keyed | TakeLease | RenewLease | ReleaseLease
+
+REQUESTS: Mapping[Verb, Request] = {
+    Verb.HOME: Request.HOME,
+    Verb.ARM: Request.ARM,
+    Verb.DISARM: Request.DISARM,
+    Verb.ACCESS: Request.ACCESS,
+    Verb.SECURE: Request.SECURE,
+    Verb.SWING: Request.SWING,
+    Verb.TEE: Request.TEE,
+    Verb.RESET: Request.RESET,
+}
+"""Verbs that are put to the loop, one at a time. Stop and emergency stop go beside them."""
+
+STOPS = frozenset({Verb.STOP, Verb.ESTOP})
+
+PLAIN = STOPS | {Verb.STATUS, Verb.DISARM}
+"""Verbs that need no lease: what ends motion, and looking."""
+
+
+# The edge --------------------------------------------------------------------------------------------
+
+
+class _Value(NamedTuple):
+    """What a key's value must be."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+    secret: bool = False
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: Any) -> bool:
+    return _is_whole(value) or isinstance(value, float)
+
+
+_VALUES: Mapping[str, _Value] = {
+    "version": _Value(f"{VERSION}, a whole number", lambda v: _is_whole(v) and v == VERSION),
+    "key": _Value(
+        "the key that came with the lease, 22 characters",
+        lambda v: isinstance(v, str) and re.fullmatch(r"[A-Za-z0-9_-]{22}", v) is not None,
+        secret=True,
+    ),
+    "sequence": _Value(
+        "a whole number from 1 to 2^53 - 1", lambda v: _is_whole(v) and 1 <= v <= LAST_SEQUENCE
+    ),
+    "holder": _Value(
+        f"a name of 1 to {LONGEST_HOLDER} printable characters, no space at its ends",
+        lambda v: isinstance(v, str) and is_holder(v),
+    ),
+    "seconds": _Value(f"{SHORTEST:g} to {LONGEST:g} s, a number", lambda v: _is_number(v) and is_duration(v)),
+}
+
+_PLAIN_FORM = (("version",), ())
+_KEYED_FORM = (("version", "key", "sequence"), ())
+FORMS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    **{verb.value: _PLAIN_FORM if verb in PLAIN else _KEYED_FORM for verb in Verb if verb is not Verb.LEASE},
+    "lease take": (("version", "action", "holder"), ("seconds",)),
+    "lease renew": (("version", "action", "key", "sequence"), ("seconds",)),
+    "lease release": (("version", "action", "key", "sequence"), ()),
+}
+"""Keys that a message must have and those it may have, by verb; for the lease by verb and action."""
+
+
+def parse_command(verb: str, payload: bytes) -> Command:
+    """Return the command that came as `payload` at `verb`.
+
+    Raises:
+        BenchError: there is no such verb, or the payload is not exactly what `FORMS` says.
+    """
+    if verb not in Verb.__members__.values():
+        known = ", ".join(Verb)
+        raise _fault(f"command {_shown(verb)}", "an unknown verb", f"one of {known}", "Correct the verb.")
+    place = f"command {verb}"
+    message = _read_object(place, payload)
+    form = verb
+    if verb == Verb.LEASE:
+        action = message.get("action")
+        if action not in ("take", "renew", "release"):
+            found = "missing" if "action" not in message else _shown(action)
+            raise _fault(f"{place}: action", found, '"take", "renew" or "release"', "Correct it.")
+        form = f"{verb} {action}"
+    _check_keys(place, message, *FORMS[form])
+    values = {name: value for name, value in message.items() if name not in ("version", "action")}
+    match form:
+        case "lease take":
+            return TakeLease(**values)
+        case "lease renew":
+            return RenewLease(**values)
+        case "lease release":
+            return ReleaseLease(**values)
+        case _ if verb in PLAIN:
+            return Plain(Verb(verb))
+        case _:
+            return Keyed(Verb(verb), **values)
+
+
+def encode_command(verb: Verb, **values: Any) -> bytes:
+    """Return the message for `verb` with `values` as its keys beside the version."""
+    return json.dumps({"version": VERSION, **values}).encode()
+
+
+def _check_keys(
+    place: str, message: dict[str, Any], needed: tuple[str, ...], allowed: tuple[str, ...]
+) -> None:
+    known = ", ".join((*needed, *(f"{name} (optional)" for name in allowed)))
+    for name in message:
+        if name not in needed and name not in allowed:
+            raise _fault(f"{place}: {_shown(name)}", "an unknown key", known, "Remove or correct it.")
+    for name in needed:
+        if name not in message:
+            raise _fault(f"{place}: {name}", "missing", known, "Add it.")
+    for name, value in message.items():
+        if name == "action":
+            continue
+        wanted = _VALUES[name]
+        if not wanted.holds(value):
+            found = "something else, not repeated here" if wanted.secret else _shown(value)
+            raise _fault(f"{place}: {name}", found, wanted.expected, "Correct it.")
+
+
+def _read_object(place: str, payload: bytes) -> dict[str, Any]:
+    expected, cure = "a JSON object in UTF-8", "Send an object as `golfbench` does."
+    if len(payload) > LONGEST_MESSAGE:
+        raise too_long(place, len(payload))
+
+    def no_number(text: str) -> NoReturn:
+        raise _fault(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", cure)
+
+    def finite(text: str) -> float:
+        number = float(text)
+        return number if isfinite(number) else no_number(text)
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        read: dict[str, Any] = {}
+        for name, value in pairs:
+            if name in read:
+                raise _fault(f"{place}: {_shown(name)}", "given twice", "each key once", "Remove one.")
+            read[name] = value
+        return read
+
+    try:
+        message = json.loads(
+            payload.decode("utf-8"), object_pairs_hook=unique, parse_constant=no_number, parse_float=finite
+        )
+    except UnicodeDecodeError as error:
+        raise _fault(place, f"a byte at {error.start} that is no UTF-8", expected, cure) from None
+    except json.JSONDecodeError as error:
+        raise _fault(place, f"no JSON: {error.msg} at character {error.pos}", expected, cure) from None
+    except RecursionError:
+        raise _fault(place, "values nested too deep", "one flat JSON object", cure) from None
+    if not isinstance(message, dict):
+        raise _fault(place, _shown(message), expected, cure)
+    return message
+
+
+def too_long(place: str, length: int) -> BenchError:
+    """Return the error for a message of `length` bytes."""
+    return _fault(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send less.")
+
+
+def _fault(place: str, found: str, expected: str, cure: str) -> BenchError:
+    return BenchError(place, found, expected, cure)
+
+
+def _shown(value: Any) -> str:
+    """Return `value` as JSON has it, in ASCII so that it disturbs no terminal, cut when long."""
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+# Answers ---------------------------------------------------------------------------------------------
+
+
+class Answer(NamedTuple):
+    """The bench's answer to a command that held."""
+
+    accepted: bool
+    state: str
+    """Name of the `State` after the answer."""
+    reason: str = ""
+    """Why it was refused, and what to do."""
+    note: str = ""
+    """What else the operator has to know."""
+    content: Mapping[str, Any] = {}
+    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease."""
+
+
+def encode_answer(answer: Answer) -> bytes:
+    """Return `answer` as the message that `parse_answer` reads.
+
+    Raises:
+        ValueError: its content is nothing that JSON has.
+    """
+    return json.dumps({"version": VERSION, **answer._asdict()}, allow_nan=False).encode()
+
+
+def encode_error(error: BenchError) -> bytes:
+    """Return `error` as the message that `parse_error` reads."""
+    parts = {name: getattr(error, name) for name in ("place", "found", "expected", "cure")}
+    return json.dumps({"version": VERSION, "error": parts}).encode()
+
+
+def parse_answer(payload: bytes) -> Answer:
+    """Return the answer in `payload`.
+
+    Raises:
+        BenchError: it is none of this version.
+    """
+    try:
+        match json.loads(payload):
+            case {
+                "version": 1,
+                "accepted": bool(accepted),
+                "state": str(state),
+                "reason": str(reason),
+                "note": str(note),
+                "content": dict(content),
+            }:
+                return Answer(accepted, state, reason, note, content)
+    except (ValueError, RecursionError):
+        pass
+    raise _other_version(payload)
+
+
+def parse_error(payload: bytes) -> BenchError:
+    """Return the error in `payload`, or one that says that there is none."""
+    try:
+        match json.loads(payload):
+            case {"version": 1, "error": {**parts}}:
+                match parts:
+                    case {"place": str(a), "found": str(b), "expected": str(c), "cure": str(d)}:
+                        return BenchError(a, b, c, d)
+    except (ValueError, RecursionError):
+        pass
+    return _other_version(payload)
+
+
+def _other_version(payload: bytes) -> BenchError:
+    return BenchError(
+        "answer of the bench",
+        _shown(payload[:40].decode("utf-8", "replace")),
+        f"JSON of version {VERSION}",
+        "Use the same golfbench for bench and command line.",
+    )

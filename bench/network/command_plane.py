@@ -1,0 +1,389 @@
+"""The command plane of the daemon: commands in over a zenoh queryable, state and events out.
+
+Three lanes, each a bounded queue with a thread of its own: stops, requests (one at a time to the loop), and
+what only looks. zenoh's threads do no more than sort a message into its lane; where a lane is full they
+answer "busy" themselves, so that who floods waits for its own flood. A stop is noted before anything else
+is done with its message, also with one that does not hold: only its answer may get lost, never the stop.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from threading import Condition, Lock, Thread
+from typing import Any, NamedTuple, Self
+
+import zenoh
+
+from bench.errors import BenchError
+from bench.lifecycle import State
+from bench.network.command import (
+    CONVENIENCE,
+    LONGEST_MESSAGE,
+    REQUESTS,
+    STOPS,
+    VERSION,
+    Answer,
+    Command,
+    Keyed,
+    Plain,
+    ReleaseLease,
+    RenewLease,
+    TakeLease,
+    Verb,
+    encode_answer,
+    encode_error,
+    parse_command,
+    too_long,
+)
+from bench.network.desk import CountStatus, Desk, LeaseStatus, Reply, Status
+from bench.network.lease import Lease, LeaseBook, LeaseRefused
+
+QUEUE = 64
+"""Messages that wait in a lane."""
+
+LONGEST_WAIT = 1.0
+"""s that a request may wait in its lane; who sent an older one has given up, so it is not done any more."""
+
+HEARTBEAT = 0.2
+"""s between two states when nothing changes."""
+
+LONGEST_END = 1.5
+"""s that `CommandPlane.close` waits for the lanes."""
+
+_CHANGES = (
+    "state", "phase", "reaction", "cause", "homed", "vented", "swings", "support_ready",
+    "emergency_stop_clear", "guard_closed", "guard_locked",
+)  # fmt: skip
+"""Parts of the state that are told as soon as they change, as the lease's holder is."""
+
+_BUSY = "too many messages wait, this one was not done: ask again"
+_TOO_LATE = "it waited too long behind others and was not done: ask again"
+_GOING_DOWN = "the bench is going down: ask again when it has started anew"
+_STOPS_ANYWAY = "The bench stops all the same."
+_REQUESTED = frozenset({Verb.LEASE, *REQUESTS})
+
+
+class Message(NamedTuple):
+    """One command as it came."""
+
+    query: zenoh.Query
+    verb: str
+    """What stands after `command/`; of no known one nothing but an error comes."""
+    payload: bytes
+    arrived: float
+    """s, on the plane's clock."""
+
+
+class _Lane:
+    """A bounded queue and the thread that empties it."""
+
+    def __init__(self, name: str, work: Callable[[list[Message], frozenset[str]], None], batch: int) -> None:
+        """`work` gets up to `batch` messages, and the verbs of all that came, with and without room."""
+        self._work, self._batch = work, batch
+        self._waiting: deque[Message] = deque()
+        self._verbs: set[str] = set()
+        self._changed = Condition(Lock())
+        self._closed = False
+        self._thread = Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def offer(self, message: Message) -> bool:
+        """Let `message` wait for its turn; return False when there is no room. Never blocks for long."""
+        with self._changed:
+            if self._closed:
+                return False
+            self._verbs.add(message.verb)
+            room = len(self._waiting) < QUEUE
+            if room:
+                self._waiting.append(message)
+            self._changed.notify()
+            return room
+
+    def note(self, verb: str) -> None:
+        """Let the thread know that `verb` came, without a message."""
+        with self._changed:
+            self._verbs.add(verb)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Take no more; the thread ends when nothing waits."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def join(self, timeout: float) -> bool:
+        """Wait up to `timeout` s for the thread's end; tell whether it came."""
+        self._thread.join(max(0.0, timeout))
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not (self._waiting or self._verbs or self._closed):
+                    self._changed.wait()
+                if not (self._waiting or self._verbs):
+                    return
+                count = min(self._batch, len(self._waiting))
+                messages = [self._waiting.popleft() for _ in range(count)]
+                verbs, self._verbs = frozenset(self._verbs), set()
+            self._work(messages, verbs)
+
+
+class CommandPlane:
+    """Answers commands for `desk` on an open session, and publishes what the supervisor gives it."""
+
+    def __init__(
+        self, session: zenoh.Session, bench: str, desk: Desk, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin to answer. `bench` is the bench's id; leases run on `clock` (s)."""
+        self._root, self._desk, self._clock = f"golfbench/{bench}", desk, clock
+        self._book, self._book_lock = LeaseBook(), Lock()
+        self._counts, self._count_lock = Counter[str](), Lock()
+        self._closing = False
+        self._last_state = State.STARTING.name
+        self._told: tuple[Any, ...] = ()
+        self._told_at = -HEARTBEAT
+        self._stops = _Lane("command stops", self._do_stops, QUEUE)
+        self._requests = _Lane("command requests", self._do_request, 1)
+        self._lookups = _Lane("command lookups", self._do_lookup, 1)
+        # All drop what a receiver does not take.
+        self._state, self._event, self._shot = (
+            session.declare_publisher(
+                f"{self._root}/{name}",
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for name in ("state", "event", "shot")
+        )
+        # Called by the link's own thread: zenoh's own queue for Python would have no bound.
+        self._queryable = session.declare_queryable(
+            f"{self._root}/command/**", zenoh.handlers.Callback(self._receive, indirect=False)
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """End within 2 s: requests that wait are refused, stops are done; False if the desk hangs."""
+        self._closing = True
+        with suppress(zenoh.ZError):  # the session may be gone
+            self._queryable.undeclare()
+        lanes = (self._stops, self._requests, self._lookups)
+        for lane in lanes:
+            lane.close()
+        deadline = time.monotonic() + LONGEST_END
+        ended = [lane.join(deadline - time.monotonic()) for lane in lanes]
+        with suppress(zenoh.ZError):
+            self._state.undeclare()
+            self._event.undeclare()
+            self._shot.undeclare()
+        return all(ended)
+
+    # What the supervisor asks and tells ----------------------------------------------------------
+
+    def lease(self) -> Lease | None:
+        """Return the lease that counts now."""
+        with self._book_lock:
+            return self._book.held(self._clock())
+
+    def counts(self) -> CountStatus:
+        """Return what became of the messages so far."""
+        with self._count_lock:
+            c = self._counts
+            return CountStatus(
+                commands=c["commands"], refused=c["refused"], malformed=c["malformed"], dropped=c["dropped"]
+            )
+
+    def publish_state(self, status: Status) -> bool:
+        """Publish `status` if it tells of a change or a heartbeat is due; return whether it was."""
+        status = self._completed(status)
+        lease, now = status["lease"], self._clock()
+        telling = (lease and lease["holder"], *(status[name] for name in _CHANGES))  # type: ignore[literal-required]
+        if telling == self._told and now - self._told_at < HEARTBEAT:
+            return False
+        self._told, self._told_at = telling, now
+        with suppress(zenoh.ZError):  # nobody there to hear it
+            self._state.put(json.dumps(status, allow_nan=False))
+        return True
+
+    def publish_event(self, event: str, content: Mapping[str, Any]) -> None:
+        """Publish that `event` happened, with `content` beside its name and time (s, the plane's clock)."""
+        message = {"version": VERSION, "event": event, "time": self._clock(), **content}
+        with suppress(zenoh.ZError):
+            self._event.put(json.dumps(message, allow_nan=False))
+
+    def publish_shot(self, record: str, facts: Mapping[str, Any]) -> None:
+        """Publish that a swing's record is stored at the path `record`, with `facts` of it.
+
+        `shot` is None: what became of the ball is not the bench's to know; the record tells what can be told.
+        """
+        message = {"version": VERSION, "shot": None, "record": record, **facts}
+        with suppress(zenoh.ZError):
+            self._shot.put(json.dumps(message, allow_nan=False))
+
+    # Receiving: in zenoh's threads, must neither wait nor raise ----------------------------------
+
+    def _receive(self, query: zenoh.Query) -> None:
+        try:
+            verb = self._verb(str(query.key_expr))
+            size = sum(len(part) for part in (query.payload, query.attachment) if part is not None)
+            size += len(str(query.parameters))
+            lane = self._stops if verb in STOPS else self._requests if verb in _REQUESTED else self._lookups
+            if size > LONGEST_MESSAGE:
+                # It is not to wait in a queue, which holds few messages but could hold long ones.
+                if lane is self._stops:
+                    lane.note(verb)
+                self._answer_error(query, too_long(f"command {verb[:40]}", size))
+                return
+            payload = b"" if query.payload is None else query.payload.to_bytes()
+            if lane.offer(Message(query, verb, payload, self._clock())):
+                return
+            if lane is self._stops and not self._closing:
+                note = f"Others asked before. {CONVENIENCE}" if verb == Verb.ESTOP else "Others asked before."
+                self._answer(query, verb, Answer(True, self._last_state, note=note))
+            else:
+                self._refuse(query, verb, _GOING_DOWN if self._closing else _BUSY)
+        except Exception:  # whatever it was, zenoh's thread has to go on
+            with self._count_lock:
+                self._counts["dropped"] += 1
+
+    def _verb(self, key: str) -> str:
+        """Return what stands after `command/` in `key`, also where it names several benches."""
+        chunks = key.split("/", 3)
+        return chunks[3] if len(chunks) == 4 and chunks[2] == "command" else key
+
+    # The lanes' work -----------------------------------------------------------------------------
+
+    def _do_stops(self, messages: list[Message], verbs: frozenset[str]) -> None:
+        """Stop once for all who asked, then answer each."""
+        replies: dict[str, Answer] = {}
+        for verb, stop in ((Verb.ESTOP, self._desk.emergency_stop), (Verb.STOP, self._desk.stop)):
+            if verb in verbs:
+                note = CONVENIENCE if verb is Verb.ESTOP else ""
+                replies[verb] = self._asked(stop)._replace(note=note)
+        for message in messages:
+            try:
+                parse_command(message.verb, message.payload)
+            except BenchError as error:
+                stopped = BenchError(
+                    error.place, error.found, error.expected, f"{error.cure} {_STOPS_ANYWAY}"
+                )
+                self._answer_error(message.query, stopped)
+            else:
+                self._answer(message.query, message.verb, replies[message.verb])
+
+    def _do_request(self, messages: list[Message], _: frozenset[str]) -> None:
+        for query, verb, payload, arrived in messages:
+            if self._closing:
+                self._refuse(query, verb, _GOING_DOWN)
+            elif self._clock() - arrived > LONGEST_WAIT:
+                self._refuse(query, verb, _TOO_LATE)
+            else:
+                self._do(query, verb, payload)
+
+    def _do_lookup(self, messages: list[Message], _: frozenset[str]) -> None:
+        for query, verb, payload, _arrived in messages:
+            self._do(query, verb, payload)
+
+    def _do(self, query: zenoh.Query, verb: str, payload: bytes) -> None:
+        try:
+            command = parse_command(verb, payload)
+        except BenchError as error:
+            self._answer_error(query, error)
+            return
+        try:
+            answer = self._obey(command)
+        except LeaseRefused as refused:
+            answer = Answer(False, self._state_now(), str(refused))
+        except Exception as error:  # the desk may fail in any way; who asked gets an answer all the same
+            answer = self._failed(error)
+        self._answer(query, verb, answer)
+
+    def _obey(self, command: Command) -> Answer:
+        match command:
+            case TakeLease(holder, seconds):
+                with self._book_lock:
+                    lease = self._book.take(holder, seconds, self._clock())
+                return self._of_lease(lease, key=lease.key)
+            case RenewLease(key, sequence, seconds):
+                with self._book_lock:
+                    lease = self._book.renew(key, sequence, seconds, self._clock())
+                return self._of_lease(lease)
+            case ReleaseLease(key, sequence):
+                with self._book_lock:
+                    self._book.release(key, sequence, self._clock())
+                return Answer(True, self._state_now())
+            case Keyed(verb, key, sequence):
+                with self._book_lock:
+                    self._book.use(key, sequence, self._clock())
+                return self._asked(lambda: self._desk.request(REQUESTS[verb]))
+            case Plain(Verb.STATUS):
+                status = self._completed(self._desk.status())
+                return Answer(True, status["state"], content=dict(status))
+            case Plain(verb):
+                return self._asked(lambda: self._desk.request(REQUESTS[verb]))
+
+    def _asked(self, ask: Callable[[], Reply]) -> Answer:
+        """Return the desk's reply to `ask`; a desk that fails has refused."""
+        try:
+            return Answer(*ask())
+        except Exception as error:  # see _do
+            return self._failed(error)
+
+    def _failed(self, error: Exception) -> Answer:
+        return Answer(False, self._last_state, f"the bench could not do it, {type(error).__name__}: {error}")
+
+    def _of_lease(self, lease: Lease, **more: str) -> Answer:
+        content = {"holder": lease.holder, "seconds_left": lease.expiry - self._clock(), **more}
+        return Answer(True, self._state_now(), content=content)
+
+    def _state_now(self) -> str:
+        try:
+            return self._desk.status()["state"]
+        except Exception:  # see _do
+            return self._last_state
+
+    def _completed(self, status: Status) -> Status:
+        """Return `status` with what only the plane knows."""
+        self._last_state = status["state"]
+        lease, now = self.lease(), self._clock()
+        told = None if lease is None else LeaseStatus(holder=lease.holder, seconds_left=lease.expiry - now)
+        return {**status, "lease": told, "counts": self.counts()}
+
+    # Answering -----------------------------------------------------------------------------------
+
+    def _refuse(self, query: zenoh.Query, verb: str, reason: str) -> None:
+        self._answer(query, verb, Answer(False, self._last_state, reason))
+
+    def _answer(self, query: zenoh.Query, verb: str, answer: Answer) -> None:
+        try:
+            payload = encode_answer(answer)
+        except (TypeError, ValueError) as error:  # a desk's status that is no JSON
+            answer = self._failed(error)
+            payload = encode_answer(answer)
+        self._last_state = answer.state
+        with self._counted("commands" if answer.accepted else "refused"), query:
+            # Not the query's own key, which may name several benches.
+            query.reply(f"{self._root}/command/{verb}", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _answer_error(self, query: zenoh.Query, error: BenchError) -> None:
+        with self._counted("malformed"), query:
+            query.reply_err(encode_error(error), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    @contextmanager
+    def _counted(self, kind: str) -> Iterator[None]:
+        """Count one message of `kind`, as dropped if its answer cannot be sent."""
+        with self._count_lock:
+            self._counts[kind] += 1
+        try:
+            yield
+        except zenoh.ZError:
+            with self._count_lock:
+                self._counts.subtract({kind: 1, "dropped": -1})

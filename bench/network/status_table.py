@@ -1,0 +1,171 @@
+"""The state of a bench as a table, 80 columns wide, once or live."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from typing import Any, NoReturn
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from bench.network.client import BenchClient
+from bench.network.desk import Status
+from drivers.base import ACTUATORS, JOINTS
+
+REDRAW = 0.2
+"""s between two pictures of `watch_status`."""
+
+SILENT = 1.0
+"""s without a word from the bench after which it counts as silent; it speaks every 0.2 s."""
+
+_STYLES = {
+    "ESTOP": "bold white on red",
+    "FAULT": "bold white on red",
+    "ARMED": "bold black on yellow",
+    "HOMING": "bold black on yellow",
+    "SWINGING": "bold black on yellow",
+    "RECOVERING": "bold black on yellow",
+    "READY": "bold green",
+}
+"""Yellow: the robot moves or may move."""
+
+
+def status_table(status: Status, age: float) -> Table:
+    """Return `status`, heard `age` s ago, as a table."""
+    silent = age > SILENT
+    table = Table(
+        title=_title(status, age, silent), title_justify="left", title_style="", show_header=False, width=80
+    )
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    style = "dim" if silent else ""
+    for name, value in _rows(status):
+        table.add_row(name, value, style=style)
+    return table
+
+
+def watch_status(bench: BenchClient, console: Console) -> NoReturn:
+    """Show the live state of `bench` on `console` until Ctrl-C.
+
+    Raises:
+        NoAnswer: the bench does not answer at the start. Later silence is shown, and its end too.
+    """
+    newest, heard_at = bench.status(), time.monotonic()
+    with (
+        Live(status_table(newest, 0.0), console=console, auto_refresh=False) as live,
+        closing(bench.states(REDRAW)) as states,
+    ):
+        drawn_at = heard_at
+        for heard in states:
+            if heard is not None:
+                newest, heard_at = heard
+            now = time.monotonic()
+            if now - drawn_at >= 0.9 * REDRAW:
+                live.update(status_table(newest, now - heard_at), refresh=True)
+                drawn_at = now
+    raise RuntimeError("the states of a bench do not end")
+
+
+def _title(status: Status, age: float, silent: bool) -> Text:
+    bench, state = (f"bench {status['bench']}  ", "bold"), status["state"]
+    if silent:
+        return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", in {state} then")
+    return Text.assemble(bench, (f" {state} ", _STYLES.get(state, "bold")))
+
+
+def _rows(status: Status) -> list[tuple[str, Text]]:
+    cause, lease, loop = status["cause"], status["lease"], status["loop"]
+    moves = f"{status['phase']}, reaction {status['reaction']}"
+    chambers = [_bar(pressure) for pressure in status["chamber_pressure_pa"]]
+    sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
+    joints = zip(JOINTS, status["joints_deg"], strict=True)
+    rows: list[tuple[str, Text | str]] = [
+        ("phase", moves),
+        ("cause", Text(f"{cause['name']}: {cause['text']}", "red") if cause else "none"),
+        ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "nobody's"),
+        (
+            "robot",
+            _flags(("homed", status["homed"], "not homed"), ("vented", status["vented"], "not vented")),
+        ),
+        (
+            "interlocks",
+            _flags(
+                ("e-stop clear", status["emergency_stop_clear"], "e-stop open"),
+                ("guard closed", status["guard_closed"], "guard open"),
+                ("guard locked", status["guard_locked"], "guard not locked"),
+            ),
+        ),
+        ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
+        ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
+        ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
+        (
+            "loop",
+            f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "
+            f"skipped {loop['skipped']}, late {loop['late']}\n"
+            f"woken p50 {_microseconds(loop['wake_p50_s'])}, p99 {_microseconds(loop['wake_p99_s'])}; "
+            f"tick p99 {_microseconds(loop['tick_p99_s'])}",
+        ),
+        ("real time", _real_time(status["real_time"])),
+        ("processes", _processes(status)),
+        ("swings", f"{status['swings']} of {status['profile']}, driver {status['driver']}"),
+        ("commands", _pairs(dict(status["counts"]))),
+    ]
+    if status["last_stop"]:
+        rows.append(("last stop", ", ".join(str(value) for value in status["last_stop"].values())))
+    if status["read_only"]:
+        rows.append(("read only", Text("observes and sends nothing but safe outputs", "yellow")))
+    return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
+
+
+def _flags(*flags: tuple[str, bool, str]) -> Text:
+    """Return the words for what holds and, in yellow, for what does not."""
+    return Text(", ").join(Text(yes) if holds else Text(no, "yellow") for yes, holds, no in flags)
+
+
+def _processes(status: Status) -> Text:
+    words = []
+    for name, process in status["processes"].items():
+        note = f": {process['note']}" if process["note"] else ""
+        if process["alive"]:
+            words.append(Text(f"{name} {process['pid']}{note}"))
+        else:
+            words.append(Text(f"{name} DEAD{note}", "bold red"))
+    told = Text(", ").join(words)
+    if not status["support_ready"]:
+        told.append("\nnothing is armed without recorder and publisher", "yellow")
+    return told
+
+
+def _real_time(granted: Mapping[str, Any]) -> Text:
+    """Return what the machine granted of what was asked, and in yellow what it did not."""
+    mode = granted.get("mode", "off")
+    if mode == "off":
+        return Text("off: nothing was asked of the machine")
+    missing = [
+        f"{setting['name']} {setting['granted']} instead of {setting['asked']}"
+        for setting in granted["settings"].values()
+        if not setting["held"]
+    ]
+    return Text.assemble(
+        f"{mode}: ", (", ".join(missing), "yellow") if missing else "all that was asked is granted"
+    )
+
+
+def _pairs(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in values.items()) or "none"
+
+
+def _bar(pressure: float | None) -> str:
+    return "–" if pressure is None else f"{1e-5 * pressure:.2f}"
+
+
+def _degrees(angle: float | None) -> str:
+    return "–" if angle is None else f"{angle:.1f}°"
+
+
+def _microseconds(seconds: float) -> str:
+    return f"{1e6 * seconds:.0f} µs"

@@ -1,0 +1,165 @@
+"""zenoh sessions: the daemon listens at one endpoint, everybody else connects there and nowhere else.
+
+No scouting by multicast or gossip, no shared memory (a process that is killed would leave its files). The
+daemon is a peer, all others are clients, because a peer passes on what comes from clients only: so the
+telemetry of the publisher process, a client as well, reaches a viewer through the daemon.
+
+Other machines come by TLS with a certificate on either side, to the daemon's endpoint `network.beyond` or to
+a zenoh router that the daemon connects to, and may do what `bench.network.access_control` says.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import zenoh
+
+from bench.errors import BenchError, ExitCode
+from bench.network.access_control import access_control
+
+if TYPE_CHECKING:
+    from bench.config import NetworkSettings
+
+LONGEST_MESSAGE = 2**20
+"""Bytes; the transport drops a longer one before anybody sees it."""
+
+LONGEST_WAIT = 0.1
+"""s that a send waits for a peer that takes nothing, before the link to it is closed."""
+
+TLS = "tls/"
+"""Begin of an endpoint beyond this machine."""
+
+_QUEUE = 16
+"""Batches (64 kB) of a link that wait to be sent; half a second of telemetry at 1 kHz, with zenoh's own 2 a
+stall of a busy machine costs messages."""
+
+
+class NoAnswer(BenchError):
+    """The bench does not answer. zenoh does not say whether it refused the connection or is not there."""
+
+    exit_code = ExitCode.NO_ANSWER
+
+    def __init__(self, bench: str, endpoint: str, waited: str = "nobody listens there") -> None:
+        super().__init__(
+            f"bench {bench} at {endpoint}",
+            f"no answer: denied or not running ({waited})",
+            "a running bench of this name",
+            "Start it (golfbench run), or correct bench.id and network.endpoint of the configuration."
+            + " Or ask whoever runs it for a role, or for a new certificate." * endpoint.startswith(TLS),
+        )
+
+
+def open_daemon(network: NetworkSettings) -> zenoh.Session:
+    """Return a session that listens at the endpoint, and beyond this machine where `network` says so.
+
+    It begins without the router, and connects to it as soon and as often as it is there.
+
+    Raises:
+        BenchError: nothing can listen there, for example because another process does; the endpoint is that
+            of another machine; the certificate or its key does not hold.
+    """
+    if network.endpoint.startswith(TLS):
+        raise BenchError(
+            f"network.endpoint {network.endpoint}",
+            "an endpoint for other machines",
+            "tcp/127.0.0.1:PORT, where the bench's own processes connect",
+            "Write it as network.beyond. As network.endpoint it is what a client on another machine has.",
+        )
+    listen = [endpoint for endpoint in (network.endpoint, network.beyond) if endpoint]
+    configuration = _configuration("peer", network, listen=listen, connect=[network.router])
+    if network.beyond or network.router:
+        configuration["access_control"] = access_control(network.viewers, network.operators)
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+    except zenoh.ZError as error:
+        in_use = "in use" in str(error)
+        raise BenchError(
+            f"network.endpoint {' and network.beyond '.join(listen)}",
+            "already in use" if in_use else _first_line(error),
+            "an endpoint of this machine where nobody listens",
+            "Another bench may be running: golfbench status. Or choose another port.",
+        ) from None
+
+
+def open_client(network: NetworkSettings, bench: str) -> zenoh.Session:
+    """Return a session connected to the daemon of `bench`; it connects again when the daemon comes back.
+
+    Raises:
+        NoAnswer: nobody listens there, or whoever does takes no connection with this certificate.
+        BenchError: the certificate or its key does not hold.
+    """
+    configuration = _configuration("client", network, connect=[network.endpoint])
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+    except zenoh.ZError:
+        secure = network.endpoint.startswith(TLS)
+        waited = "nobody listens there" + ", or not to this certificate" * secure
+        raise NoAnswer(bench, network.endpoint, waited) from None
+
+
+def _configuration(
+    mode: Literal["peer", "client"],
+    network: NetworkSettings,
+    *,
+    connect: Sequence[str],
+    listen: Sequence[str] = (),
+) -> dict[str, Any]:
+    # drop: a publication never waits; block: a query or an answer waits this long for a stuck peer.
+    congestion = {
+        "drop": {"wait_before_drop": 0},
+        "block": {"wait_before_close": round(1e6 * LONGEST_WAIT)},
+    }
+    link: dict[str, Any] = {
+        "rx": {"max_message_size": LONGEST_MESSAGE},
+        "tx": {"queue": {"size": {"data": _QUEUE}, "congestion_control": congestion}},
+    }
+    if any(endpoint.startswith(TLS) for endpoint in (*listen, *connect)):
+        link["tls"] = _tls(network.identity)
+    return {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "listen": {"endpoints": list(listen)},
+        "connect": {"endpoints": [endpoint for endpoint in connect if endpoint]},
+        "transport": {"shared_memory": {"enabled": False}, "link": link},
+    }
+
+
+def _tls(identity: str) -> dict[str, Any]:
+    """Return zenoh's settings for the certificate IDENTITY.pem.
+
+    Raises:
+        BenchError: a file is missing, no PEM, or of another certificate.
+    """
+    import ssl
+
+    authority = Path(identity).with_name("authority.pem")
+    certificate, key = Path(f"{identity}.pem"), Path(f"{identity}.key")
+    # zenoh would say no more than that it cannot connect.
+    context, file = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), authority
+    try:
+        context.load_verify_locations(authority)
+        file = certificate
+        context.load_cert_chain(certificate, key, password=lambda: b"")
+    except (OSError, ValueError) as error:
+        raise BenchError(
+            f"network.identity {identity}",
+            f"{file}: {error.strerror if isinstance(error, OSError) else error}",
+            f"{certificate.name}, {key.name} that fits it, and {authority.name}, PEM, in one folder",
+            "Correct the path, or make them: golfbench certificates.",
+        ) from None
+    return {
+        "root_ca_certificate": str(authority),
+        "listen_certificate": str(certificate),
+        "listen_private_key": str(key),
+        "connect_certificate": str(certificate),
+        "connect_private_key": str(key),
+        "enable_mtls": True,
+        "close_link_on_expiration": True,
+    }
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition(" at /")[0].strip()

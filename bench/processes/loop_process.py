@@ -1,0 +1,256 @@
+"""The loop as a process of its own: one thread, a driver, the control numerics and a ring write.
+
+`python -m bench.processes.loop_process` takes a pickled LoopPlan on stdin and tells JSON lines on stdout:
+
+`ready`      `real_time` (what was asked and granted), `tick_ns` (median of the warm-up)
+`failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work
+`exception`  `text`: a tick failed, the passive command was sent in it
+`ended`      `reason`
+
+It ends by SIGTERM, by order of its supervisor, or when that is gone; but never before the robot stands.
+"""
+
+from __future__ import annotations
+
+import sys
+import time as wall
+from contextlib import ExitStack
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from bench.clock import GridClock, PacedClock
+from bench.control.settings import build_controller
+from bench.errors import BenchError
+from bench.lifecycle import Answer, Phase, Request, State
+from bench.loop import Cycle
+from bench.processes.child_process import Parent, read_plan, tell, tell_failure
+from bench.processes.ownership import adopt
+from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
+from bench.processes.real_time import real_time
+from bench.processes.supervision import SUPERVISION_FILE, Orders
+from bench.processes.tick_timing import TickTiming, check_budget, create_timing, new_timing
+from bench.telemetry.ring import RingWriter
+from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
+from drivers.base import Driver, DriverError
+from drivers.registry import choose_driver, find_drivers
+from sim.compiled import new_record
+from sim.driver import SimDriver
+from sim.process_driver import ProcessPlantDriver
+from sim.shared_record import SharedMemoryError, SharedRecord
+
+WARM_UP = 200
+"""Ticks before READY can be reached: everything is compiled, paged in and measured in them."""
+
+_MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
+_GIVE_UP = 20
+"""Ticks in a row that may fail for another reason than the device's."""
+_BETWEEN_REPORTS = 1000
+"""Failing ticks in a row between two that are told."""
+_LONGEST_STOP = 15.0
+"""s in which the robot must stand after the order to end."""
+_BETWEEN_LOOKS = 50
+"""Ticks between two looks at the parent."""
+
+
+def open_driver(plan: LoopPlan) -> Driver:
+    """Return the driver of `plan`'s configuration, closed.
+
+    Raises:
+        DriverError: there is none of that name, or it is broken.
+    """
+    settings = plan.configuration.driver
+    if settings.name == "sim":
+        if settings.time == "wall":
+            return ProcessPlantDriver(plan.folder, watchdog=settings.watchdog)
+        return SimDriver(plan.configuration.plant)
+    return choose_driver(settings.name, find_drivers())(**plan.configuration.driver_arguments())
+
+
+class LoopProcess:
+    """The loop of a running bench."""
+
+    def __init__(self, plan: LoopPlan, parent: Parent) -> None:
+        """Build everything; nothing is opened yet.
+
+        Raises:
+            DriverError: the driver cannot be had.
+        """
+        c = plan.configuration
+        self.plan, self.parent = plan, parent
+        self.period = 1.0 / c.loop.rate
+        self._period_ns = round(1e9 / c.loop.rate)
+        self.driver = open_driver(plan)
+        self.paced = c.driver.paced
+        self.parameters = build_controller(
+            c.plant, plan.profile, c.control, c.envelope, c.estimator, c.lifecycle, c.homing,
+            read_only=plan.read_only,
+        )  # fmt: skip
+        self._snapshot = new_record(SNAPSHOT)
+        self._failures = 0
+        self._trouble = ""
+
+    def run(self) -> str:
+        """Warm up, tell that the loop is ready, run it until it is to end; return why it ended.
+
+        Raises:
+            BenchError: real time is required and not granted, the ticks are too long, or a shared file is
+                missing.
+            DriverError: the device is unfit, or every tick fails.
+        """
+        c, folder = self.plan.configuration, self.plan.folder
+        with ExitStack() as stack:
+            stack.enter_context(adopt(self.plan.lock))
+            ring = RingWriter(folder / RING_FILE)
+            stack.callback(ring.close)
+            self.orders = Orders(folder / SUPERVISION_FILE, c.lifecycle.supervisor_time)
+            stack.callback(self.orders.close)
+            self.snapshots = SharedRecord.create(folder / SNAPSHOT_FILE, SNAPSHOT)
+            stack.callback(self.snapshots.close)
+            self.timing = stack.enter_context(create_timing(folder / TIMING_FILE, self._period_ns))
+            name, note_truth = c.driver.name, getattr(self.driver, "note_truth", None)
+            self.cycle = Cycle(
+                self.driver, self.parameters, ring, name=name, note_truth=note_truth, state=State.STARTING
+            )
+            self.cycle.state.control["first_cause"] = self.plan.first_cause
+            self.driver.open()
+            stack.callback(self.driver.close)
+            stack.callback(self._make_passive)
+            self._compile()
+            granted = stack.enter_context(
+                real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
+            )
+            self._open_anew()  # compiling may have outlasted the device's watchdog, and its heartbeats
+            clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
+            self._warm_up(clock)
+            tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
+            return self._live(clock)
+
+    def _compile(self) -> None:
+        """Run one tick off the record: whatever is not compiled yet is compiled now."""
+        spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
+        first = 0.0 if self.paced else wall.monotonic()
+        spare.run_tick(first)
+        begin = int(spare.marks[0])
+        TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
+
+    def _warm_up(self, clock: GridClock | PacedClock) -> None:
+        """Run the ticks of STARTING, in which nothing can move, and refuse a tick that takes too long.
+
+        Raises:
+            Refused: it takes more than its share of the period.
+        """
+        durations = np.zeros((WARM_UP, len(self.cycle.marks)), np.int64)
+        for k in range(WARM_UP):
+            self._tick(clock)
+            durations[k] = self.cycle.marks
+        self.tick_ns = median((durations[:, -1] - durations[:, 0]).tolist())
+        if not self.paced:
+            check_budget(durations, self._period_ns)
+        self.cycle.state.control["warm"] = True
+
+    def _live(self, clock: GridClock | PacedClock) -> str:
+        """Run ticks until the loop is to end and the robot stands; return why it ends."""
+        control, reason, last = self.cycle.state.control, "", np.inf
+        tick = 0
+        while True:
+            time = self._tick(clock)
+            tick += 1
+            if tick % _BETWEEN_LOOKS and not reason:
+                continue
+            if not reason and (reason := self._reason_to_end()):
+                last = time + _LONGEST_STOP
+                if self.parent.gone:
+                    self.orders.give_up()
+                else:
+                    control["request"] = Request.STOP
+            if reason and (control["phase"][0] == Phase.STANDING or time > last):
+                return reason
+
+    def _reason_to_end(self) -> str:
+        if self.orders.shutdown:
+            return "its supervisor ordered it to"
+        if self.parent.wants_end:
+            return "SIGTERM"
+        return "its supervisor is gone" if self.parent.gone else ""
+
+    def _tick(self, clock: GridClock | PacedClock) -> float:
+        """Run one tick; a tick that fails has made the driver passive, and is told."""
+        time = clock.wait()
+        cycle = self.cycle
+        record, marks = cycle.record, cycle.marks
+        record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
+        record["work_time"] = 1e-9 * (marks[-1] - marks[0])
+        control = cycle.state.control
+        self.orders.put(control, time)
+        if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
+            try:
+                self._revive()  # a passive device is set to work before the reset is judged
+            except DriverError as error:
+                tell("exception", text=f"reset: {error}")
+        try:
+            cycle.run_tick(time)
+        except Exception as error:  # numerics or driver may fail in any way
+            if self._failures % _BETWEEN_REPORTS == 0:
+                tell("exception", text=f"{type(error).__name__}: {error}")
+            self._failures += 1
+            # A device that is away leaves a bench in FAULT, which answers, and whose reset tries it again.
+            is_away = isinstance(error, DriverError) and bool(control["warm"][0])
+            if self._failures >= _GIVE_UP and not is_away:
+                raise
+            return time
+        self._failures = 0
+        self._watch_device()
+        self.timing.note(marks, clock.due, clock.woke)
+        if record["answer"][0] == Answer.ACCEPTED and record["request"][0]:
+            self._note_request(Request(int(record["request"][0])))
+        return time
+
+    def _watch_device(self) -> None:
+        """Tell why the device went passive, if its driver knows."""
+        trouble = getattr(self.driver, "trouble", "")
+        if trouble and trouble != self._trouble:
+            tell("exception", text=f"device went passive: {trouble}")
+        self._trouble = trouble
+
+    def _note_request(self, request: Request) -> None:
+        """Keep the controller's memory where a motion begins."""
+        if request in _MOTIONS:
+            pack_snapshot(self.cycle.state, self._snapshot)
+            self.snapshots.write(self._snapshot)
+
+    def _revive(self) -> None:
+        """Set a device that went passive to work again; the robot stands, ticks missed meanwhile are counted.
+
+        Raises:
+            DriverError: it is unfit.
+        """
+        if not self.driver.operational:
+            self._open_anew()
+
+    def _open_anew(self) -> None:
+        self.driver.close()
+        self.driver.open()
+
+    def _make_passive(self) -> None:
+        """Send the passive command several times: a frame on a bus may be lost."""
+        for _ in range(3):
+            self.driver.make_passive()
+
+
+def main() -> int:
+    """Run the loop of the plan on stdin; return the exit code."""
+    parent = Parent()
+    plan: Any = read_plan()
+    parent.listen()
+    try:
+        reason = LoopProcess(plan, parent).run()
+    except (BenchError, SharedMemoryError, DriverError) as error:
+        return tell_failure(error)
+    tell("ended", reason=reason)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""The snapshot of a bench that `golfbench status` shows: the loop's newest record and what is beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any, cast
+
+import numpy as np
+
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
+from bench.network.desk import STATUS_VERSION, LoopStatus, ProcessStatus, Status
+from bench.processes.child import Child
+from bench.telemetry.cycle_record import CYCLE
+
+Cycles = np.ndarray[Any, Any]
+
+NO_STATISTICS = LoopStatus(
+    rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0
+)  # fmt: skip
+"""Before the loop has run for a second, and on a virtual clock."""
+
+
+def status_of(
+    newest: Cycles | None,
+    children: Mapping[str, Child],
+    notes: Mapping[str, str],
+    **beside: Any,
+) -> Status:
+    """Return the status of the loop's `newest` record (None: it has not run yet).
+
+    `notes` says more of the `children`; `beside` are the keys of Status that the record does not tell.
+    Lease and counts are left to the command plane.
+    """
+    r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
+    cause = Cause(int(r["trip"]))
+    status: dict[str, Any] = {
+        "version": STATUS_VERSION,
+        "state": State(int(r["state"])).name,
+        "phase": Phase(int(r["phase"])).name,
+        "reaction": Reaction(int(r["reaction"])).name,
+        "cause": {"name": cause.name, "text": CAUSE_TEXT[cause]} if cause else None,
+        "homed": bool(r["homed"]),
+        "vented": bool(r["vented"]),
+        "tick": int(r["tick"]),
+        "time": float(r["time"]),
+        "lease": None,
+        "joints_deg": [_number(x) for x in np.rad2deg(r["angle"])],
+        "supply_pressure_pa": _number(r["supply_pressure"]),
+        "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
+        "emergency_stop_clear": bool(r["emergency_stop_clear"]),
+        "guard_closed": bool(r["guard_closed"]),
+        "guard_locked": bool(r["guard_locked"]),
+        "ball_present": bool(r["ball_present"]),
+        "processes": {
+            name: ProcessStatus(pid=child.pid, alive=child.alive, note=child.ending or notes.get(name, ""))
+            for name, child in children.items()
+        },
+        "counts": {"commands": 0, "refused": 0, "malformed": 0, "dropped": 0},
+        **beside,
+    }
+    return cast(Status, status)
+
+
+def _number(value: float) -> float | None:
+    """Return `value` for JSON, which has no NaN."""
+    return float(value) if isfinite(value) else None

@@ -1,0 +1,1 @@
+"""A shot: club and ball, planned, struck, read from a record."""

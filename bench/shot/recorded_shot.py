@@ -1,0 +1,246 @@
+"""A swing's record as a shot: read from its file with plant and figures, for the viewer and exports.
+
+A series stores the shot's figures in the record's metadata. A record of the daemon has none: then the
+delivery is that of the estimated angles, launch and flight are what the models make of it, and they say so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, fields
+from datetime import UTC, datetime
+from math import pi, radians
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.errors import BenchError
+from bench.from_toml import Builder, as_tree, laid_over
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.shot.head_path import path_to_ball
+from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot_record import ShotRecord
+from bench.telemetry.recorder import read_swing
+from drivers.base import Launch
+from sim.air import Air
+from sim.flight import Flight, Wind, fly
+from sim.impact import Delivery, delivery_from_plane, strike
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+from sim.turf import Turf
+
+Cycles = np.ndarray[Any, Any]
+
+
+class Surroundings(NamedTuple):
+    """What the ball flies through and lands on."""
+
+    air: Air = Air()
+    wind: Wind = Wind()
+    turf: Turf = Turf()
+
+
+class RecordedShot(NamedTuple):
+    """What a record says."""
+
+    record: ShotRecord
+    plant: PlantParameters
+    metadata: dict[str, Any]
+
+
+def read_shot(path: Path, number: int = 1) -> RecordedShot:
+    """Return the shot in the record at `path`; `number` is its own when the record has none.
+
+    Raises:
+        BenchError: the file is missing, damaged or no record.
+        ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
+    """
+    return recorded_shot(*read_swing(path), str(path), number)
+
+
+def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: int = 1) -> RecordedShot:
+    """Return the shot of a record's `cycles` and `metadata`; `place` names it. Raises as `read_shot`."""
+    plant, around = plant_of(metadata, place)
+    if (given := metadata.get("shot")) is not None:
+        shot = shot_from_json(given, f"{place}: shot")
+        return RecordedShot(ShotRecord(shot, cycles, flight_of(shot, plant, around)), plant, metadata)
+    time = metadata.get("time_utc")
+    record = shot_of_cycles(
+        cycles,
+        plant,
+        around,
+        number=int(metadata.get("number", number)),
+        time_utc=datetime.fromisoformat(time) if isinstance(time, str) else datetime.fromtimestamp(0, UTC),
+    )
+    return RecordedShot(record, plant, metadata)
+
+
+def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, Surroundings]:
+    """Return the plant and the surroundings in a record's configuration, today's defaults where it has none.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each value that this program does not take.
+    """
+    given = metadata.get("configuration")
+    configuration: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {}
+    if isinstance(around := configuration.get("surroundings"), Mapping):
+        configuration |= around
+    faults: list[BenchError] = []
+    file = Path(f"{place}: configuration")
+    built: dict[str, Any] = {}
+    for name, kind in (("plant", PlantParameters), ("air", Air), ("wind", Wind), ("turf", Turf)):
+        table = configuration.get(name)
+        recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
+        today = as_tree({name: json.loads(json.dumps(asdict(kind())))}, file, faults)
+        cure = "Read it with the version of golfbench that wrote it."
+        tree = laid_over(today, recorded)[name]
+        built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
+    if faults:
+        raise ExceptionGroup(f"{place} does not hold", faults)
+    return built["plant"], Surroundings(built["air"], built["wind"], built["turf"])
+
+
+def shot_from_json(given: Any, place: str) -> Shot:
+    """Return the shot with the JSON object `given`: the names of the shot table.
+
+    Raises:
+        BenchError: a column is missing or of another type, or the shot is none.
+    """
+    cure = "Restore it, or use the version of golfbench that wrote it."
+    if not isinstance(given, Mapping):
+        raise BenchError(place, repr(given)[:60], "an object with the columns of a shot", cure)
+    values: dict[str, Any] = {}
+    defaults = {field.name for field in fields(Shot) if field.default is not MISSING}
+    for column in COLUMNS:
+        if column.name not in given and column.name in defaults:
+            continue  # a record older than the column
+        value = given.get(column.name)
+        try:
+            if value is None:
+                if not column.optional:
+                    raise ValueError
+            elif column.kind is datetime:
+                value = datetime.fromisoformat(value)
+            elif column.kind is Status:
+                value = Status(value)
+            elif column.kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+                value = float(value)
+            elif type(value) is not column.kind:
+                raise ValueError
+        except (TypeError, ValueError):
+            raise BenchError(
+                f"{place}.{column.name}", repr(value)[:60], f"a value of type {column.kind.__name__}", cure
+            ) from None
+        values[column.name] = value
+    try:
+        return Shot(**values)
+    except ValueError as error:
+        raise BenchError(place, str(error), "a shot", cure) from None
+
+
+def shot_to_json(shot: Shot) -> dict[str, Any]:
+    """Return `shot` as the JSON object that `shot_from_json` takes."""
+    values = {field.name: getattr(shot, field.name) for field in fields(shot)}
+    return values | {"status": str(shot.status), "time_utc": shot.time_utc.isoformat()}
+
+
+def flight_of(shot: Shot, plant: PlantParameters, around: Surroundings) -> Flight | None:
+    """Return the flight of the launch that `shot` states, None when it states none or none can be flown."""
+    given = (
+        shot.ball_speed_mps,
+        shot.launch_angle_deg,
+        shot.direction_deg,
+        shot.spin_rpm,
+        shot.spin_axis_deg,
+    )
+    if shot.status is Status.FAILED or any(value is None for value in given):
+        return None
+    speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
+    launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
+    return _flown(launch, plant, around)
+
+
+def shot_of_cycles(
+    cycles: Cycles, plant: PlantParameters, around: Surroundings, *, number: int, time_utc: datetime
+) -> ShotRecord:
+    """Return the shot that `cycles` tell of: the delivery as estimated, launch and flight as modelled.
+
+    A ball flew when one was on the tee before the head crossed its place and none was after.
+    """
+    trips = cycles["trip"][cycles["trip"] != 0]
+    delivery = delivery_of_cycles(cycles, plant)
+    launch = flight = None
+    if delivery is not None and ball_struck(cycles):
+        try:
+            launch = strike(delivery, plant.robot.club, plant.ball)
+        except ValueError:
+            launch = None
+        flight = None if launch is None else _flown(launch, plant, around)
+    reason = "" if delivery is not None else "no swing through the ball's place"
+    if len(trips) and Cause(int(trips[0])) is not Cause.POWER_UP:
+        reason = CAUSE_TEXT[Cause(int(trips[0]))]
+    elif launch is None and not reason:
+        reason = "no ball struck"
+    shot = Shot.from_measurements(
+        shot=number,
+        block=1,
+        position=1,
+        club=plant.robot.club.name,
+        ball=plant.ball.name if launch is not None else "",
+        time_utc=time_utc,
+        delivery=delivery,
+        launch=launch,
+        flight=flight,
+        status=Status.FAILED if reason else Status.VALID,
+        reason=reason,
+        launch_source="model",
+        carry_source="model",
+    )
+    return ShotRecord(shot, cycles, flight)
+
+
+def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | None:
+    """Return how the estimated head comes to the ball's place; None when it does not."""
+    estimated = cycles.copy()
+    estimated["plant_angle"] = np.nan
+    robot, site = plant.robot, plant.site
+    path = path_to_ball(robot, estimated, site.ball_x, 0.1)
+    if path is None:
+        return None
+    last = int(np.searchsorted(cycles["time"], path.time[-1])) - 1
+    angle, velocity = cycles["angle"][last], cycles["velocity"][last]
+    ahead = angle + (path.time[-1] - cycles["time"][last]) * velocity
+    step = 1e-6
+    motion = (
+        forward_kinematics(robot, ahead + step * velocity)
+        - forward_kinematics(robot, ahead - step * velocity)
+    ) / (2 * step)
+    try:
+        return delivery_from_plane(
+            tuple(forward_kinematics(robot, ahead)),
+            tuple(motion),
+            (site.ball_x, site.ball_y),
+            robot.club,
+            robot.lie,
+            "encoders+model",
+        )
+    except ValueError:
+        return None
+
+
+def ball_struck(cycles: Cycles) -> bool:
+    """Tell whether a ball lay on the tee until the head came."""
+    swung = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))
+    after = cycles["phase"] == Phase.FOLLOW_THROUGH
+    if not swung.any() or not after.any():
+        return False
+    return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
+
+
+def _flown(launch: Launch, plant: PlantParameters, around: Surroundings) -> Flight | None:
+    try:
+        return fly(launch, around.air, plant.ball, around.wind, around.turf)
+    except ValueError:
+        return None

@@ -1,1 +1,0 @@
-"""Records in other programs' formats, with every column's unit."""

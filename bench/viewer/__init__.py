@@ -1,0 +1,1 @@
+"""What people look at: a running bench, a past swing or a series, in Rerun."""

@@ -1,0 +1,235 @@
+"""How recordings and live views open in Rerun: the layouts that travel with the data."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import rerun.blueprint as rrb
+
+from bench.viewer.signals import TIMELINE
+
+_SKY = (203, 217, 230)
+
+
+class Window(NamedTuple):
+    """The part of the time axis that signals show, s from the cursor."""
+
+    before: float
+    after: float
+
+    @property
+    def range(self) -> rrb.TimeRange:
+        """As Rerun takes it."""
+        start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-self.before, self.after))
+        return rrb.TimeRange(start=start, end=end)
+
+
+_SWING = Window(1.6, 1.2)
+"""The swing around the cursor."""
+_LIVE = Window(10.0, 0.0)
+"""The last ten seconds."""
+
+
+def shot_blueprint() -> rrb.Blueprint:
+    """Return the layout for one shot: the robot, its figures, and signals around the cursor."""
+    return _of_records(
+        rrb.Vertical(
+            _robot(),
+            rrb.Horizontal(_flight(), _figures(), column_shares=[1.75, 1]),
+            row_shares=[1.8, 1],
+        ),
+        rrb.Vertical(
+            *_joint_signals(_SWING),
+            _series(_SWING, "Speed of club head and ball, m/s", True, "head_speed_mps", "ball_speed_mps"),
+        ),
+        share=1.55,
+    )
+
+
+def campaign_blueprint() -> rrb.Blueprint:
+    """Return the layout for several shots: all so far as dispersion and table, and the one at the cursor."""
+    return _of_records(
+        rrb.Vertical(
+            rrb.Horizontal(_robot(), _dispersion(), column_shares=[1.1, 1]),
+            rrb.Horizontal(_table(), _flight(), column_shares=[1.4, 1]),
+            row_shares=[1.35, 1],
+        ),
+        rrb.Vertical(
+            _figures(),
+            _series(_SWING, "Angle error (reference − actual), °", False, "angle_error_deg"),
+            _valves(_SWING),
+            _pressures(_SWING),
+            _series(_SWING, "Speed of club head and ball, m/s", False, "head_speed_mps", "ball_speed_mps"),
+            row_shares=[1.5, 1, 1, 1, 1],
+        ),
+        share=2.1,
+        speed=1.0,
+    )
+
+
+def live_blueprint() -> rrb.Blueprint:
+    """Return the layout for a running bench: what it does now, and how well it keeps time."""
+    signals = rrb.Vertical(
+        *_joint_signals(_LIVE), _series(_LIVE, "Speed of club head, m/s", False, "head_speed_mps")
+    )
+    timing = rrb.Tabs(
+        _series(_LIVE, "Tick timing, µs", True, "tick_us", "tick_us/limits"),
+        rrb.BarChartView(
+            name="Wake-up latency: log10 of ticks over µs (last bar: longer)",
+            origin="/loop/wake_up_latency",
+            plot_legend=rrb.PlotLegend(visible=False),
+        ),
+        active_tab=0,
+    )
+    events = rrb.TextLogView(
+        name="Events", origin="/events", columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Vertical(
+                    _robot(),
+                    rrb.Horizontal(
+                        rrb.TextDocumentView(name="Bench", origin="/bench"),
+                        rrb.Tabs(_figures(), _table(), _dispersion(), _flight(), active_tab=0),
+                        column_shares=[1, 1],
+                    ),
+                    row_shares=[1.3, 1],
+                ),
+                signals,
+                column_shares=[1.3, 1],
+            ),
+            rrb.Horizontal(
+                _states(_LIVE, "State, phase, reaction", "state", "phase", "reaction"),
+                timing,
+                events,
+                column_shares=[1.6, 1.1, 1.1],
+            ),
+            row_shares=[3.4, 1],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _of_records(
+    left: rrb.Container, right: rrb.Container, share: float, speed: float = 0.25
+) -> rrb.Blueprint:
+    """Return a layout to play back; `share` is the left side's width over the right one's."""
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(left, right, column_shares=[share, 1]),
+            _states(_SWING, "Phase and reaction", "phase", "reaction"),
+            row_shares=[5, 1],
+        ),
+        rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="playing", loop_mode="all"
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+# Views -----------------------------------------------------------------------------------------------
+
+
+def _robot() -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name="Robot (trace: club head speed, blue 0 to red 50 m/s)",
+        origin="/scene",
+        contents=["/scene/**"],
+        background=_SKY,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(0.95, 1.15, 2.0),
+            look_target=(0.0, 1.05, -0.6),
+            eye_up=(0, 1, 0),
+        ),
+        overrides={"/scene/trace": _tail(1.1)},
+    )
+
+
+def _flight() -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name="Flight",
+        origin="/range",
+        contents=["/range/**"],
+        background=_SKY,
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=(45, 55, 112), look_target=(116, 4, 0), eye_up=(0, 1, 0)
+        ),
+    )
+
+
+def _dispersion() -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        name="Dispersion of carry (target up, ellipses two standard deviations)",
+        origin="/dispersion",
+        background=(14, 16, 20),
+    )
+
+
+def _figures() -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name="Shot", origin="/shot")
+
+
+def _table() -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name="Shots", origin="/shots")
+
+
+def _joint_signals(window: Window) -> list[rrb.View | rrb.Container]:
+    return [
+        _series(window, "Joint angle, ° (grey: reference)", True, "angle_deg/actual", "angle_deg/reference"),
+        _series(window, "Angle error (reference − actual), °", False, "angle_error_deg"),
+        _efforts(window),
+        _valves(window),
+        _pressures(window),
+    ]
+
+
+def _efforts(window: Window) -> rrb.Container:
+    return rrb.Tabs(
+        _series(window, "Effort of shoulder and wrist, N·m", False, "effort_nm", "effort_nm/limits"),
+        _series(window, "Effort of right arm, N", False, "effort_n", "effort_n/limits"),
+        active_tab=0,
+    )
+
+
+def _valves(window: Window) -> rrb.TimeSeriesView:
+    return _series(window, "Valve opening, −1 … 1", False, "valve/applied", "valve/limits")
+
+
+def _pressures(window: Window) -> rrb.TimeSeriesView:
+    return _series(window, "Chamber pressure, bar absolute", False, "pressure_bar", "pressure_bar/limits")
+
+
+def _states(window: Window, name: str, *codes: str) -> rrb.StateTimelineView:
+    return rrb.StateTimelineView(
+        name=name,
+        origin="/signals",
+        contents=[f"/signals/{code}" for code in codes],
+        time_view=rrb.TimeAxis(view_range=window.range),
+        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.range),
+    )
+
+
+def _series(window: Window, name: str, legend: bool, *signals: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        name=name,
+        origin="/signals",
+        contents=[f"/signals/{signal}" for signal in signals],
+        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.range),
+        axis_x=rrb.TimeAxis(view_range=window.range),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
+    )
+
+
+def _tail(seconds: float) -> rrb.VisibleTimeRanges:
+    """Show what was logged in the last `seconds` at once: a trace."""
+    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-seconds, 0.0))
+    return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(TIMELINE, start=start, end=end)])

@@ -1,0 +1,172 @@
+"""What a viewer hears of a bench over zenoh, with an account of what was lost on the way and how old it is.
+
+zenoh's threads put messages into bounded queues; one thread takes them out when it has time. A viewer that
+is too slow loses the oldest messages and counts them, the bench never waits. zenoh connects again by itself
+when the daemon comes back; a publisher that counts from 1 again is a new one, and nothing was lost.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import zenoh
+
+from bench.errors import BenchError
+from bench.network.zenoh_session import open_client
+from bench.telemetry.batches import Batch, decode_batch
+
+TOPICS = ("telemetry", "state", "event", "shot", "loop")
+"""Last parts of the keys that are listened to."""
+
+_MOST_BATCHES = 256
+"""Waiting batches: five seconds, about 10 MB."""
+_MOST_OTHERS = 256
+
+
+class Arrived(NamedTuple):
+    """A batch of cycles and when it was here, UTC, s since 1970."""
+
+    batch: Batch
+    at: float
+
+    @property
+    def age(self) -> float:
+        """S from the newest cycle's tick to its arrival; of another machine as exact as the two clocks."""
+        return self.at - self.batch.time
+
+
+class News(NamedTuple):
+    """What came since the last look, in order."""
+
+    batches: list[Arrived]
+    messages: list[tuple[str, dict[str, Any]]]
+    """Topic and JSON object of all others."""
+
+
+class Account(NamedTuple):
+    """What was lost or not understood since the feed was opened."""
+
+    batches: int = 0
+    """Received."""
+    lost_batches: int = 0
+    """On the network or in this viewer's queue: gaps of the publisher's numbers."""
+    lost_cycles: int = 0
+    """In the ring, before the publisher."""
+    not_understood: int = 0
+    restarts: int = 0
+    """Times a new publisher was heard."""
+
+
+class Feed:
+    """A subscription to everything a bench tells."""
+
+    def __init__(self, session: zenoh.Session, bench: str, clock: Callable[[], float]) -> None:
+        """Listen on `session`, which is closed with the feed; `clock` is UTC in s since 1970."""
+        self._session, self._clock = session, clock
+        self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MOST_BATCHES)
+        self._others: deque[tuple[str, bytes]] = deque(maxlen=_MOST_OTHERS)
+        self._arrived = threading.Event()
+        self._sequence, self._ring_lost = 0, 0
+        self.account = Account()
+        self.trouble = ""
+        """What was not understood last."""
+        self._subscribers = [
+            session.declare_subscriber(
+                f"golfbench/{bench}/{topic}", zenoh.handlers.Callback(self._receiver(topic), indirect=False)
+            )
+            for topic in TOPICS
+        ]
+
+    @classmethod
+    def connect(cls, network: Any, bench: str, clock: Callable[[], float]) -> Self:
+        """Connect to the daemon of `bench`.
+
+        Raises:
+            NoAnswer: nobody listens there.
+        """
+        return cls(open_client(network, bench), bench, clock)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def connected(self) -> bool:
+        """There is a daemon at the other end; whether it is alive its messages tell."""
+        return bool(self._session.info.peers_zid() or self._session.info.routers_zid())
+
+    def take(self, timeout: float) -> News:
+        """Return what came; waits up to `timeout` s for the first telemetry or event."""
+        self._arrived.wait(timeout)
+        self._arrived.clear()
+        batches = []
+        while self._batches:
+            at, payload = self._batches.popleft()
+            try:
+                batch = decode_batch(payload)
+            except BenchError as error:
+                self._misunderstood(error)
+                continue
+            self._count(batch)
+            batches.append(Arrived(batch, at))
+        messages = []
+        while self._others:
+            topic, payload = self._others.popleft()
+            try:
+                read = json.loads(payload)
+                if not isinstance(read, dict):
+                    raise ValueError("no object")
+            except (ValueError, RecursionError) as error:
+                self._misunderstood(error)
+                continue
+            messages.append((topic, read))
+        return News(batches, messages)
+
+    def close(self) -> None:
+        """End the subscription and the session."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        self._session.close()
+
+    def misunderstood(self, what: str) -> None:
+        """Count a message whose content makes no sense."""
+        self._misunderstood(ValueError(what))
+
+    def _receiver(self, topic: str) -> Callable[[zenoh.Sample], None]:
+        """Return what zenoh's thread calls: it neither waits nor raises."""
+
+        def telemetry(sample: zenoh.Sample) -> None:
+            self._batches.append((self._clock(), sample.payload.to_bytes()))
+            self._arrived.set()
+
+        def other(sample: zenoh.Sample) -> None:
+            self._others.append((topic, sample.payload.to_bytes()))
+            self._arrived.set()
+
+        return telemetry if topic == "telemetry" else other
+
+    def _count(self, batch: Batch) -> None:
+        a, first = self.account, self._sequence == 0
+        anew = not first and batch.sequence <= self._sequence
+        missing = 0 if first else batch.sequence - (1 if anew else self._sequence + 1)
+        before = batch.lost if first else 0 if anew else self._ring_lost
+        self.account = a._replace(
+            batches=a.batches + 1,
+            lost_batches=a.lost_batches + missing,
+            lost_cycles=a.lost_cycles + max(0, batch.lost - before),
+            restarts=a.restarts + anew,
+        )
+        self._sequence, self._ring_lost = batch.sequence, batch.lost
+
+    def _misunderstood(self, error: Exception) -> None:
+        self.account = self.account._replace(not_understood=self.account.not_understood + 1)
+        self.trouble = str(error)

@@ -1,0 +1,153 @@
+"""Swings as a Rerun recording: the robot moving, the ball's flight, and every signal on one time axis.
+
+The swings follow one another on `bench_time`; the figures of the shots are also on a timeline of their own,
+`shot`. `log_shots` logs to any recording stream, `write_recording` to a file.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
+
+from bench.shot.head_path import path_to_ball
+from bench.shot.shot_record import ShotRecord
+from bench.telemetry.whole_file import NotStored, whole_path
+from bench.viewer.blueprint import campaign_blueprint, live_blueprint, shot_blueprint
+from bench.viewer.motion import log_ball, log_motion, quick_and_every
+from bench.viewer.scene import ball_at_rest, log_static_scene
+from bench.viewer.shots import ShotSeries
+from bench.viewer.signals import bench_time, log_codes, log_limits, log_signals, log_styles
+from sim.plant import PlantParameters
+
+PAUSE = 0.6
+"""Seconds between the end of a flight or swing and the next swing."""
+_EVERY = 5
+"""Cycles between two poses where the robot is slow."""
+
+
+class Layout(NamedTuple):
+    """What Rerun tells recordings apart by, and how it shows them. A viewer keeps a layout an application."""
+
+    application: str
+    blueprint: rrb.Blueprint
+
+
+def layout_for(records: Sequence[ShotRecord]) -> Layout:
+    """Return the layout for one shot or for several."""
+    if len(records) == 1:
+        return Layout("golfbench_shot", shot_blueprint())
+    return Layout("golfbench_campaign", campaign_blueprint())
+
+
+def live_layout() -> Layout:
+    """Return the layout for a running bench."""
+    return Layout("golfbench_live", live_blueprint())
+
+
+def write_recording(
+    path: Path, records: Sequence[ShotRecord], plant: PlantParameters, name: str = ""
+) -> None:
+    """Write the swings and flights of `records` to `path` (.rrd), whole or not at all.
+
+    Raises NotStored when the file cannot be stored, ValueError when there are no records.
+    """
+    if not records:
+        raise ValueError("a recording needs at least one shot")
+    with writing_recording(path, records, name) as recording:
+        log_shots(recording, records, plant)
+
+
+@contextmanager
+def writing_recording(
+    path: Path, records: Sequence[ShotRecord], name: str = ""
+) -> Iterator[rr.RecordingStream]:
+    """Yield a recording for `records` whose file appears at `path` whole or not at all. Raises NotStored."""
+    with whole_path(path) as partial:
+        layout = layout_for(records)
+        recording = rr.RecordingStream(layout.application)
+        recording.save(partial, default_blueprint=layout.blueprint, write_footer=True)
+        if name:
+            recording.send_recording_name(name)
+        try:
+            yield recording
+        finally:
+            recording.disconnect()
+        _check_whole(partial, path)
+
+
+def log_shots(
+    recording: rr.RecordingStream,
+    records: Sequence[ShotRecord],
+    plant: PlantParameters,
+    progress: Callable[[], None] = lambda: None,
+) -> None:
+    """Log the scene, then `records` one after another; `progress` is called after each."""
+    log_static_scene(recording, plant.robot, plant.site, plant.ball.radius)
+    log_styles(recording)
+    series, start = ShotSeries(), 0.0
+    for record in records:
+        start = _log_shot(recording, series, record, plant, start) + PAUSE
+        progress()
+
+
+def _check_whole(written: Path, path: Path) -> None:
+    """Read the file's end back: the library writes in its own thread and does not tell of a full disk."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            RrdReader(written).stream()
+        except (OSError, RuntimeError, ValueError, Warning) as error:
+            raise NotStored(
+                str(path),
+                f"an incomplete file ({error})",
+                "space left on the disk",
+                "free some space or name another folder; nothing was stored",
+            ) from error
+
+
+def _log_shot(
+    recording: rr.RecordingStream,
+    series: ShotSeries,
+    record: ShotRecord,
+    plant: PlantParameters,
+    start: float,
+) -> float:
+    """Log one shot beginning at `start` (s); return when it is over (s)."""
+    cycles, end = record.cycles, start
+    impact = impact_time(record, plant)
+    if len(cycles):
+        time = start + (cycles["time"] - cycles["time"][0])
+        end = float(time[-1])
+        log_signals(recording, bench_time, time, cycles, plant)
+        log_limits(recording, bench_time, time[[0, -1]], plant)
+        log_codes(recording, bench_time, time, cycles)
+        log_motion(recording, bench_time, time, cycles, plant, quick_and_every(cycles, _EVERY))
+    struck = None if impact is None else start + impact - float(cycles["time"][0])
+    rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
+    if struck is None or record.flight is None:
+        log_ball(recording, bench_time, np.array([start]), rest[None])
+    else:
+        near = record.flight.path[record.flight.path[:, 0] <= 1.0]
+        log_ball(
+            recording,
+            bench_time,
+            np.concatenate([[start], struck + near[:, 0]]),
+            np.vstack([rest, rest + near[:, 1:] - near[0, 1:]]),
+        )
+    return max(end, series.log_shot(recording, bench_time, record, start, struck))
+
+
+def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:
+    """Return when the face meets the ball (s of the record), None when it does not or no ball flew."""
+    if record.flight is None or not len(record.cycles):
+        return None
+    path = path_to_ball(plant.robot, record.cycles, plant.site.ball_x, 0.1)
+    return None if path is None else float(path.time[-1])

@@ -1,0 +1,325 @@
+"""Shots as Rerun entities: flight, landing, dispersion and a table, one shot at a time.
+
+The dispersion lies in a plane of its own: x to the right of the target line, y away from the target (so that
+a longer shot is higher up), both in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, floor
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from bench.shot.shot import Shot, Status
+from bench.shot.shot_record import ShotRecord
+from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
+
+_YARD, _MPH = 0.9144, 0.44704
+_GRID = 5.0
+"""m between two lines of the dispersion's grid."""
+_LINE: Colour = (82, 90, 102)
+_TEXT: Colour = (176, 184, 196)
+_LEAST_FOR_ELLIPSE = 3
+_LONGEST_TABLE = 40
+"""Rows of the table; older shots are counted, not shown."""
+
+
+class ShotSeries:
+    """The shots logged so far; colours go by ball."""
+
+    def __init__(self) -> None:
+        self.records: list[ShotRecord] = []
+        self._balls: dict[str, Colour] = {}
+
+    def colour(self, ball: str) -> Colour:
+        """Return the colour of `ball`, the same for all its shots."""
+        return self._balls.setdefault(ball, COLOURS[len(self._balls) % len(COLOURS)])
+
+    def log_shot(
+        self,
+        recording: rr.RecordingStream,
+        times: Times,
+        record: ShotRecord,
+        start: float,
+        struck: float | None,
+        latest: float = np.inf,
+    ) -> float:
+        """Log a shot begun at `start` whose ball flew at `struck` (s; None: none did); return its end.
+
+        Nothing is logged later than `latest`: a live view knows all of a flight before the ball is down.
+        """
+        self.records.append(record)
+        shown = end = start
+        if struck is not None and record.flight is not None:
+            end = struck + float(record.flight.path[-1, 0])
+            shown = min(struck + record.flight.time, latest)
+            self._log_flight(recording, times, record, struck, shown)
+            flown = moving_ball(record, struck)
+            log_moving_ball(recording, times, flown.upto(latest))
+            if end <= latest:
+                log_gap(recording, times, end)
+            self._log_dispersion(recording, times, shown)
+        self._log_text(recording, times, record.shot, start, struck)
+        document(recording, "shots", times(np.array([min(shown, latest)])), shot_table(self.records))
+        return end
+
+    def _log_flight(
+        self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float, landed: float
+    ) -> None:
+        """Log the ball's path, and where it landed."""
+        flight = record.flight
+        if flight is None:
+            return
+        path, colour = flight.path, self.colour(record.shot.ball)
+        shot = f"range/shots/{record.shot.shot:03d}"
+        number = [rr.TimeColumn("shot", sequence=[record.shot.shot])]
+        sparse = np.unique(np.append(np.arange(0, len(path), 4), len(path) - 1))
+        recording.send_columns(
+            f"{shot}/path",
+            times(np.array([struck])) + number,
+            rr.LineStrips3D.columns(strips=[path[sparse, 1:]]),
+        )
+        recording.log(
+            f"{shot}/path",
+            rr.LineStrips3D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.5)),
+            static=True,
+        )
+        down = min(int(np.searchsorted(path[:, 0], flight.time)), len(path) - 1)
+        recording.send_columns(
+            f"{shot}/landing",
+            times(np.array([landed])) + number,
+            rr.Points3D.columns(positions=path[down, 1:][None]),
+        )
+        recording.log(
+            f"{shot}/landing",
+            rr.Points3D.from_fields(colors=colour, radii=rr.Radius.ui_points(4.0)),
+            static=True,
+        )
+
+    def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
+        """Log where all valid shots so far landed, with two standard deviations of each ball."""
+        now = times(np.array([at]))
+        landed = [r for r in self.records if r.flight is not None and r.shot.status is not Status.FAILED]
+        points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
+        corner, unit = _log_grid(recording, now, points)
+        for place, (ball, colour) in enumerate(self._balls.items()):
+            mine = points[[r.shot.ball == ball for r in landed]]
+            numbers = [str(r.shot.shot) for r in landed if r.shot.ball == ball]
+            if not len(mine):
+                continue
+            shown = mine * [1.0, -1.0]
+            entity = f"dispersion/{_entity(ball)}"
+            dots = rr.Points2D.columns(positions=shown, labels=numbers).partition([len(shown)])
+            recording.send_columns(f"{entity}/shots", now, dots)
+            style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=False)
+            recording.log(f"{entity}/shots", style, static=True)
+            key = corner + unit * np.array([0.5, 0.06 + 0.08 * place])
+            words = f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"
+            recording.send_columns(f"{entity}/key", now, rr.Points2D.columns(positions=[key], labels=[words]))
+            style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=True)
+            recording.log(f"{entity}/key", style, static=True)
+            if len(mine) >= _LEAST_FOR_ELLIPSE:
+                recording.send_columns(
+                    f"{entity}/two_sigma", now, rr.LineStrips2D.columns(strips=[_ellipse(shown)])
+                )
+                line = rr.LineStrips2D.from_fields(colors=colour, radii=rr.Radius.ui_points(1.25))
+                recording.log(f"{entity}/two_sigma", line, static=True)
+
+    def _log_text(
+        self, recording: rr.RecordingStream, times: Times, shot: Shot, start: float, struck: float | None
+    ) -> None:
+        """Log the shot's figures: what is tried at its start, what was measured once the ball is gone."""
+        title = f"**Shot {shot.shot}: {shot.ball}**\n" if shot.ball else f"**Shot {shot.shot}**\n"
+        before, after = f"{title}\n{shot.club}, swinging", _figures(title, shot)
+        at, texts = ([start], [after]) if struck is None else ([start, struck], [before, after])
+        recording.send_columns(
+            "shot",
+            [*times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
+            rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
+        )
+
+
+class MovingBall(NamedTuple):
+    """A ball on its way."""
+
+    time: Array
+    """(n,) s of the recording."""
+    position: Array
+    """(n, 3) m, from the place where it was struck."""
+    speed: Array
+    """(n,) m/s."""
+
+    def upto(self, latest: float) -> MovingBall:
+        """Return its way until `latest`."""
+        count = int(np.searchsorted(self.time, latest, side="right"))
+        return MovingBall(*(part[:count] for part in self))
+
+    def after(self, time: float) -> MovingBall:
+        """Return its way after `time`."""
+        count = int(np.searchsorted(self.time, time, side="right"))
+        return MovingBall(*(part[count:] for part in self))
+
+
+def moving_ball(record: ShotRecord, struck: float) -> MovingBall:
+    """Return the way of a ball struck at `struck`; of none where there is no flight."""
+    path = np.zeros((0, 4)) if record.flight is None else record.flight.path
+    speed = (
+        np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1) if len(path) > 1 else path[:, 0]
+    )
+    return MovingBall(struck + path[:, 0], path[:, 1:], speed)
+
+
+def log_moving_ball(recording: rr.RecordingStream, times: Times, ball: MovingBall) -> None:
+    """Log where the ball is on the range, and how fast."""
+    if len(ball.time):
+        columns = times(ball.time)
+        send_scalars(recording, "signals/ball_speed_mps", columns, ball.speed[:, None])
+        recording.send_columns("range/ball", columns, rr.Points3D.columns(positions=ball.position))
+
+
+def log_gap(recording: rr.RecordingStream, times: Times, end: float) -> None:
+    """End the line of a ball's speed: none leads from this flight to the next."""
+    send_scalars(recording, "signals/ball_speed_mps", times(np.array([end + 1e-3])), np.array([[np.nan]]))
+
+
+def document(recording: rr.RecordingStream, entity: str, times: list[rr.TimeColumn], text: str) -> None:
+    """Log `text` (Markdown) at one instant."""
+    recording.send_columns(entity, times, rr.TextDocument.columns(text=[text], media_type=["text/markdown"]))
+
+
+def shot_table(records: Sequence[ShotRecord]) -> str:
+    """Return the shots as a Markdown table, the newest last, and the means of each ball's valid ones."""
+    lines = [
+        "| # | ball | club m/s | attack ° | strike mm | ball m/s | launch ° | spin rpm | carry m | right m "
+        "| total m | |",
+        "|--:|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|:--|",
+    ]
+    for record in records[-_LONGEST_TABLE:]:
+        shot, flight = record.shot, record.flight
+        right = None if flight is None else flight.carry_side
+        cells = [
+            str(shot.shot),
+            shot.ball,
+            _cell(shot.club_speed_mps, ".2f"),
+            _cell(shot.attack_angle_deg, "+.2f"),
+            f"{_cell(shot.strike_x_mm, '+.1f')} {_cell(shot.strike_y_mm, '+.1f')}",
+            _cell(shot.ball_speed_mps, ".2f"),
+            _cell(shot.launch_angle_deg, ".1f"),
+            _cell(shot.spin_rpm, ".0f"),
+            _cell(shot.carry_m, ".1f"),
+            _cell(right, "+.1f"),
+            _cell(shot.total_m, ".1f"),
+            "" if shot.status is Status.VALID else f"{shot.status}: {shot.reason}",
+        ]
+        lines.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
+    means = _means(records)
+    hidden = len(records) - _LONGEST_TABLE
+    more = [f"- {hidden} earlier shots are not shown"] if hidden > 0 else []
+    return "\n".join([*means, *more, "", *lines])
+
+
+def _means(records: Sequence[ShotRecord]) -> list[str]:
+    """Return a line a ball: mean and standard deviation of carry and club speed of its valid shots."""
+    lines = []
+    for ball in dict.fromkeys(record.shot.ball for record in records if record.valid):
+        mine = [r.shot for r in records if r.valid and r.shot.ball == ball]
+        figures = []
+        for name, key, unit in (("carry", "carry_m", "m"), ("club", "club_speed_mps", "m/s")):
+            values = [value for shot in mine if (value := getattr(shot, key)) is not None]
+            if values:
+                spread = f" ± {np.std(values, ddof=1):.2f}" if len(values) > 1 else ""
+                figures.append(f"{name} {np.mean(values):.2f}{spread} {unit}")
+        lines.append(f"- **{_plain(ball) or 'no ball'}**, {len(mine)} valid: {', '.join(figures)}")
+    return lines
+
+
+def _figures(title: str, shot: Shot) -> str:
+    """Return the shot's figures as Markdown."""
+    rows = [
+        ("Club", shot.club_speed_mps, 1 / _MPH, "mph", 1),
+        ("Attack", shot.attack_angle_deg, 1, "°", 2),
+        ("Ball", shot.ball_speed_mps, 1 / _MPH, "mph", 1),
+        ("Launch", shot.launch_angle_deg, 1, "°", 1),
+        ("Spin", shot.spin_rpm, 1, "rpm", 0),
+        ("Carry", shot.carry_m, 1 / _YARD, "yd", 1),
+        ("Total", shot.total_m, 1 / _YARD, "yd", 1),
+        ("Apex", shot.apex_m, 1 / _YARD, "yd", 1),
+    ]
+    cells = [
+        f"{name} | {value * scale:.{digits}f} {unit}"
+        for name, value, scale, unit, digits in rows
+        if value is not None
+    ]
+    pairs = [f"| {' | '.join(cells[n : n + 2])} |" for n in range(0, len(cells), 2)]
+    table = "\n".join([*pairs[:1], "|:--|--:|:--|--:|", *pairs[1:]]) if cells else ""
+    sources = sorted({s for s in (shot.delivery_source, shot.launch_source, shot.carry_source) if s})
+    told = f"{shot.status}{': ' + shot.reason if shot.reason else ''}"
+    return f"{title}\n{table}\n\n{told}{'; ' if sources else ''}{', '.join(sources)}"
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form).replace("-", "−")
+
+
+def _plain(text: str) -> str:
+    """Return `text` without what Markdown would take for a cell's end."""
+    return text.replace("|", "/").replace("\n", " ")
+
+
+def _along(record: ShotRecord) -> float:
+    """Return the carry along the target line, m; Flight.carry is the straight distance."""
+    if record.flight is None:
+        return float("nan")
+    return float(np.sqrt(max(0.0, record.flight.carry**2 - record.flight.carry_side**2)))
+
+
+def _entity(name: str) -> str:
+    """Return `name` as one part of an entity's path."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name) or "ball"
+
+
+def _ellipse(points: Array) -> Array:
+    """Return two standard deviations about the mean of `points` (n, 2), (73, 2)."""
+    mean = points.mean(axis=0)
+    values, vectors = np.linalg.eigh(np.cov(points.T))
+    turn = np.linspace(0.0, 2.0 * np.pi, 73)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    drawn: Array = mean + circle * 2.0 * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return drawn
+
+
+def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: Array) -> tuple[Array, float]:
+    """Log a grid of metres around `points` (n, 2): right, along. Return its far left corner and length."""
+    middle = points.mean(axis=0)
+    reach = max(1.5 * _GRID, float(np.abs(points - middle).max()) + 0.5 * _GRID)
+    left, right = (_GRID * f((middle[0] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
+    near, far = (_GRID * f((middle[1] + s * reach) / _GRID) for f, s in ((floor, -1), (ceil, 1)))
+    across, along = np.arange(near, far + 1, _GRID), np.arange(left, right + 1, _GRID)
+    lines = [[(left, -y), (right, -y)] for y in across] + [[(x, -near), (x, -far)] for x in along]
+    strips = rr.LineStrips2D.columns(strips=lines).partition([len(lines)])
+    recording.send_columns("dispersion/grid", now, strips)
+    recording.log(
+        "dispersion/grid",
+        rr.LineStrips2D.from_fields(colors=_LINE, radii=rr.Radius.ui_points(0.5), draw_order=-2.0),
+        static=True,
+    )
+    marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
+    words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
+    recording.send_columns(
+        "dispersion/marks",
+        now,
+        rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)]),
+    )
+    recording.log(
+        "dispersion/marks",
+        rr.Points2D.from_fields(colors=_TEXT, radii=rr.Radius.ui_points(1.0), show_labels=True),
+        static=True,
+    )
+    return np.array([left, -far]), far - near
+
+
+def _side(x: float) -> str:
+    return "right" if x > 0 else "left" if x < 0 else ""

@@ -1,0 +1,375 @@
+"""The live view: what a running bench tells, as a Rerun recording that grows.
+
+One turn takes what came, logs it in columns and pushes it out; nothing is kept but what the next turn needs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from bench.errors import BenchError
+from bench.lifecycle import Phase
+from bench.shot.recorded_shot import Surroundings, flight_of, shot_from_json, shot_of_cycles
+from bench.shot.shot_record import ShotRecord
+from bench.telemetry.cycle_record import CYCLE
+from bench.viewer.clock import ViewClock
+from bench.viewer.feed import Arrived, Feed
+from bench.viewer.motion import log_ball, log_motion, quick_and_every
+from bench.viewer.scene import ball_at_rest, log_static_scene
+from bench.viewer.shots import (
+    MovingBall,
+    ShotSeries,
+    document,
+    log_gap,
+    log_moving_ball,
+    moving_ball,
+)
+from bench.viewer.signals import (
+    TIMELINE,
+    Array,
+    Cycles,
+    bench_time,
+    log_codes,
+    log_limits,
+    log_signals,
+    log_styles,
+    send_scalars,
+    signals_of,
+)
+from sim.flight import fly
+from sim.impact import delivery_from_angles, delivery_from_plane, strike
+from sim.plant import PlantParameters
+
+PERIOD = 0.05
+"""s between two turns when somebody looks: the pace of the pictures."""
+FILE_PERIOD = 1.0
+"""s between two turns for a file alone: long columns are three times smaller than short ones."""
+UTC_TIMELINE = "utc"
+
+_SHOWN = 0.5
+"""s between two texts about the bench."""
+_LIMITS = 1.0
+"""s between two points of the limits' lines."""
+_SILENT = 1.0
+"""s without telemetry after which the bench counts as silent."""
+_EVERY = 20
+"""Ticks between two poses where the robot is slow."""
+_AGES = 1500
+"""Ages kept for the percentiles: a minute of turns."""
+_BINS, _BIN = 50, 5.0
+"""Bars of the latency histogram and their width, us."""
+_LONGEST_SWING = 30_000
+"""Cycles of a swing kept for its figures."""
+_SWINGING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
+_LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
+
+
+class Ages:
+    """Ages of the newest cycles, s: of a minute, for percentiles."""
+
+    def __init__(self) -> None:
+        self._values: deque[float] = deque(maxlen=_AGES)
+
+    def add(self, age: float) -> None:
+        """Take `age` into account."""
+        self._values.append(age)
+
+    def percentile(self, share: float) -> float | None:
+        """Return the age that `share` of them do not exceed; None when there are none."""
+        return float(np.quantile(self._values, share)) if self._values else None
+
+    def words(self) -> str:
+        """Return median and 99th percentile for people."""
+        p50, p99 = self.percentile(0.5), self.percentile(0.99)
+        return "–" if p50 is None or p99 is None else f"p50 {1e3 * p50:.1f} ms, p99 {1e3 * p99:.1f} ms"
+
+
+def warm_up(plant: PlantParameters, around: Surroundings) -> None:
+    """Run once what is compiled: it would keep zenoh's threads from taking in what comes."""
+    cycles = np.zeros(10, CYCLE)
+    cycles["time"], cycles["angle"] = np.arange(10) * 1e-3, [0.571, 4.141, 2 * np.pi]
+    cycles["phase"] = Phase.DOWNSWING
+    recording = rr.RecordingStream("golfbench_warm_up")
+    log_signals(recording, bench_time, cycles["time"], cycles, plant)
+    log_motion(recording, bench_time, cycles["time"], cycles, plant, quick_and_every(cycles, _EVERY))
+    club = plant.robot.club
+    delivery = delivery_from_angles(40.0, 0.0, 0.0, 0.0, club.loft)
+    delivery_from_plane((0.0, -1.5, 1.5 * np.pi), (40.0, 0.0, 30.0), (0.0, -1.5), club, plant.robot.lie)
+    fly(strike(delivery, club, plant.ball), around.air, plant.ball, around.wind, around.turf)
+
+
+class LiveView:
+    """A bench, drawn into `recording` as it goes."""
+
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        feed: Feed,
+        bench: str,
+        plant: PlantParameters,
+        around: Surroundings,
+        clock: Any = time.time,
+    ) -> None:
+        """Log what never changes; `clock` is UTC in s since 1970."""
+        self._recording, self._feed, self._bench = recording, feed, bench
+        self._plant, self._around, self._clock = plant, around, clock
+        self.axis = ViewClock()
+        self.to_subscriber, self.to_rerun = Ages(), Ages()
+        """From a tick to its arrival here, and to Rerun having taken it."""
+        self.shots = ShotSeries()
+        self._status: Mapping[str, Any] | None = None
+        self._loop: Mapping[str, Any] | None = None
+        self._codes: dict[str, int] = {}
+        self._trace: Array | None = None
+        self._latency = np.zeros(_BINS, dtype=np.int64)
+        self._swing: list[Cycles] = []
+        self._swing_start = 0.0
+        self._told_shots = False
+        self._flying: MovingBall | None = None
+        self._heard = -np.inf
+        self._shown = self._counted = self._limited = -np.inf
+        log_static_scene(recording, plant.robot, plant.site, plant.ball.radius)
+        log_styles(recording)
+
+    def turn(self, timeout: float) -> int:
+        """Take what came, waiting up to `timeout` s for it, and log it; return the number of cycles."""
+        news = self._feed.take(timeout)
+        now = self._clock()
+        cycles = self._show_batches(news.batches)
+        for topic, message in news.messages:
+            self._show_message(topic, message)
+        self._show_flight()
+        if now - self._shown >= _SHOWN and (cycles or np.isfinite(self._heard)):
+            self._shown = now
+            document(self._recording, "bench", self._times(self._at(now)), self._text(now))
+        if cycles:
+            self._recording.flush(timeout_sec=2.0)
+            self.to_rerun.add(self._clock() - news.batches[-1].batch.time)
+        return cycles
+
+    # What came -----------------------------------------------------------------------------------
+
+    def _show_batches(self, batches: list[Arrived]) -> int:
+        """Log all batches at once, but those of different loops apart."""
+        group: list[tuple[Cycles, Array]] = []
+        total = 0
+        for arrived in batches:
+            self.to_subscriber.add(arrived.age)
+            self._heard = arrived.at
+            cycles = arrived.batch.cycles
+            placed = self.axis.place(cycles, arrived.batch.time)
+            if placed.hole:
+                self._show(group)
+                group = []
+                self._show_hole(placed.time[0])
+            group.append((cycles, placed.time))
+            total += len(cycles)
+        self._show(group)
+        return total
+
+    def _show(self, group: list[tuple[Cycles, Array]]) -> None:
+        if not group:
+            return
+        # As bytes: numpy joins records field by field.
+        cycles = np.concatenate([part.view(np.uint8) for part, _ in group]).view(group[0][0].dtype)
+        at = np.concatenate([place for _, place in group])
+        recording = self._recording
+        log_signals(recording, self._times, at, cycles, self._plant)
+        log_codes(recording, self._times, at, cycles, self._codes)
+        shown = quick_and_every(cycles, _EVERY)
+        self._trace = log_motion(recording, self._times, at, cycles, self._plant, shown, self._trace)
+        if at[-1] - self._limited >= _LIMITS:
+            self._limited = float(at[-1])
+            log_limits(recording, self._times, at[-1:], self._plant)
+        self._count_latency(cycles, float(at[-1]))
+        self._follow_swing(cycles, at)
+
+    def _show_hole(self, at: float) -> None:
+        """Break all lines: here cycles are missing."""
+        self._trace, self._limited = None, -np.inf
+        self._swing.clear()
+        place = self._times(np.array([at - 1e-4]))
+        for name, values in signals_of(np.zeros(1, CYCLE), self._plant).items():
+            send_scalars(self._recording, f"signals/{name}", place, np.full_like(values, np.nan))
+
+    def _count_latency(self, cycles: Cycles, at: float) -> None:
+        """Count wake-up latencies; show the histogram once a second."""
+        bins = np.clip(cycles["wake_latency"] / 1e-6 / _BIN, 0, _BINS - 1).astype(int)
+        self._latency += np.bincount(bins, minlength=_BINS)
+        if at - self._counted >= 1.0:
+            self._counted = at
+            middle = (np.arange(_BINS) + 0.5) * _BIN
+            bars = rr.BarChart(np.log10(1.0 + self._latency), abscissa=middle, color=(86, 180, 233))
+            self._recording.set_time(TIMELINE, duration=at)
+            self._recording.log("loop/wake_up_latency", bars)
+            self._recording.reset_time()
+
+    def _follow_swing(self, cycles: Cycles, at: Array) -> None:
+        """Keep the cycles of a swing; show its figures when it is over, unless the bench tells its shots."""
+        swinging = np.isin(cycles["phase"], _SWINGING)
+        if swinging.any():
+            if not self._swing:
+                self._swing_start = float(at[int(np.argmax(swinging))])
+                log_ball(self._recording, self._times, np.array([self._swing_start]), self._ball[None])
+            self._swing.append(cycles)
+            if sum(map(len, self._swing)) > _LONGEST_SWING:
+                self._swing.clear()
+        if self._swing and not swinging[-1]:
+            swung = np.concatenate([part.view(np.uint8) for part in self._swing]).view(cycles.dtype)
+            self._swing.clear()
+            if not self._told_shots:
+                self._show_swing(swung)
+
+    def _show_swing(self, cycles: Cycles) -> None:
+        """Show what a swing's cycles tell of its shot."""
+        number = len(self.shots.records) + 1
+        record = shot_of_cycles(
+            cycles,
+            self._plant,
+            self._around,
+            number=number,
+            time_utc=datetime.fromtimestamp(self._clock(), UTC),
+        )
+        self._show_shot(replace(record, cycles=cycles[:0]), self._struck(cycles))
+
+    def _struck(self, cycles: Cycles) -> float | None:
+        """Return when the ball was gone, on the time axis."""
+        gone = np.flatnonzero(cycles["phase"] == Phase.IMPACT)
+        return self.axis.of_loop(float(cycles["time"][gone[0]])) if len(gone) else None
+
+    def _show_shot(self, record: ShotRecord, struck: float | None) -> None:
+        """Show a shot whose ball flew at `struck` (None: now). The ball's way is shown as it goes."""
+        now = self.axis.now
+        start = min(self._swing_start or now, now)
+        struck = None if record.flight is None else now if struck is None else min(struck, now)
+        self.shots.log_shot(self._recording, self._times, record, start, struck, latest=now)
+        if struck is not None and record.flight is not None:
+            flown = moving_ball(record, struck)
+            near = flown.upto(min(now, struck + 1.0))
+            log_ball(self._recording, self._times, near.time, self._ball + near.position - near.position[0])
+            self._flying = flown.after(now)
+
+    def _show_flight(self) -> None:
+        """Show the ball's way since the last turn."""
+        if self._flying is None:
+            return
+        now = self.axis.now
+        log_moving_ball(self._recording, self._times, self._flying.upto(now))
+        self._flying = self._flying.after(now)
+        if not len(self._flying.time):
+            log_gap(self._recording, self._times, now)
+            self._flying = None
+
+    def _show_message(self, topic: str, message: dict[str, Any]) -> None:
+        match topic:
+            case "state":
+                self._status = message
+            case "loop":
+                self._loop = message
+            case "event":
+                self._show_event(message)
+            case "shot" if message.get("shot", message) is not None:  # None: a record is stored, no more
+                try:
+                    shot = shot_from_json(message.get("shot", message), "shot message")
+                except BenchError as error:
+                    self._feed.misunderstood(str(error))
+                    return
+                self._told_shots = True
+                self._show_shot(
+                    ShotRecord(shot, np.zeros(0, CYCLE), flight_of(shot, self._plant, self._around)), None
+                )
+
+    def _show_event(self, message: Mapping[str, Any]) -> None:
+        """Log an event as a line, at its loop's time where it tells one."""
+        told = message.get("loop_time")
+        place = self.axis.of_loop(float(told)) if isinstance(told, int | float) else self._at(self._clock())
+        latched = message.get("state") in ("ESTOP", "FAULT")
+        level = _LEVELS.get(str(message.get("event")), "WARN" if latched else "INFO")
+        self._recording.send_columns(
+            "events", self._times(place), rr.TextLog.columns(text=[event_words(message)], level=[level])
+        )
+
+    # What is told of the view itself -------------------------------------------------------------
+
+    def _at(self, now: float) -> float:
+        """Return the place of the instant `now`: the newest cycle's, or after it when the bench is silent."""
+        silent = max(0.0, now - self._heard) if np.isfinite(self._heard) else 0.0
+        return self.axis.now + (silent if silent > _SILENT else 0.0)
+
+    def _times(self, at: Array | float) -> list[rr.TimeColumn]:
+        at = np.atleast_1d(np.asarray(at, dtype=float))
+        utc = np.round(self.axis.utc(at) * 1e9).astype("datetime64[ns]")
+        return [*bench_time(at), rr.TimeColumn(UTC_TIMELINE, timestamp=utc)]
+
+    @property
+    def _ball(self) -> Array:
+        return ball_at_rest(self._plant.robot, self._plant.site, self._plant.ball.radius)
+
+    def _text(self, now: float) -> str:
+        """Return what stands in the panel of the bench, as Markdown."""
+        silent = now - self._heard
+        rows: list[tuple[str, str]] = []
+        head = f"**Bench {self._bench}**"
+        if silent > _SILENT:
+            head += f" **is SILENT: no telemetry for {silent:.0f} s.** Before:"
+        if (status := self._status) is not None:
+            head += (
+                f" **{status.get('state', '?')}**, phase {status.get('phase')}, "
+                f"reaction {status.get('reaction')}, swing {status.get('swings')} "
+                f"of {status.get('profile')}, driver {status.get('driver')}"
+            )
+            cause, lease = status.get("cause"), status.get("lease")
+            if isinstance(cause, Mapping):
+                head += f"\n\n{cause.get('name')}: {cause.get('text')}"
+            rows.append(("lease", str(lease.get("holder")) if isinstance(lease, Mapping) else "nobody's"))
+        if (loop := self._loop) is not None:
+            rows += loop_rows(loop)
+        a = self._feed.account
+        sent = a.batches + a.lost_batches
+        rows += [
+            ("age at subscriber", self.to_subscriber.words()),
+            ("age in Rerun", self.to_rerun.words()),
+            ("lost", f"{a.lost_batches} of {sent} batches, {a.lost_cycles} cycles in the ring"),
+        ]
+        if a.not_understood:
+            rows.append(("not understood", f"{a.not_understood}, last: {self._feed.trouble[:80]}"))
+        if a.restarts:
+            rows.append(("starts heard", str(a.restarts)))
+        cells = [f"| {name} | {text.replace('|', '/')} |" for name, text in rows]
+        return "\n".join([head, "", cells[0], "|:--|:--|", *cells[1:], ""])
+
+
+def event_words(message: Mapping[str, Any]) -> str:
+    """Return an event as a line."""
+    name = str(message.get("event", "?"))
+    if name == "change":
+        parts = [str(message.get("state", "?"))]
+        parts += [
+            f"{key} {message[key]}"
+            for key in ("phase", "reaction", "cause")
+            if message.get(key, "NONE") != "NONE"
+        ]
+        return ", ".join(parts)
+    return f"{name}: {message.get('text', '')}".strip(": ")
+
+
+def loop_rows(loop: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return how the loop kept time in the last second."""
+    try:
+        rate = loop["ticks"] / loop["seconds"]
+        rows = [("loop", f"{rate:.0f} Hz, skipped {loop['skipped']}, late {loop['late']}")]
+        for name, segment in (("woken late by", "wake_up"), ("tick takes", "tick")):
+            figures = loop["segments"][segment]
+            if figures["p50_us"] is not None:
+                rows.append((name, f"p50 {figures['p50_us']:.0f} µs, p99 {figures['p99_us']:.0f} µs"))
+        return rows
+    except (KeyError, TypeError, ZeroDivisionError):
+        return [("loop", "not understood")]

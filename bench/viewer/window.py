@@ -1,0 +1,221 @@
+"""Rerun's viewer as a process of its own, in a window or behind a web page, on the loopback only.
+
+Rerun listens on all interfaces unless told otherwise, and sends usage statistics unless told otherwise. So it
+is started with `--bind 127.0.0.1` and with a configuration folder of its own in which the statistics are
+switched off, which is read back before it starts; its web page comes with a policy (`viewer_page`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import re
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+from urllib.parse import quote
+
+from bench.errors import BenchError, ExitCode
+from bench.network.free_port import free_port
+from bench.viewer.page import LOOPBACK, ViewerPage
+
+Kind = Literal["window", "web", "headless"]
+"""On the screen, for a browser, or without any picture but screenshots."""
+
+_START = 30.0
+"""s that it may take to listen."""
+_END = 5.0
+_FORCED = "FORCE_RERUN_ANALYTICS"
+"""Environment variable that would switch the statistics on again."""
+_PROXIES = tuple(f(f"{name}_proxy") for name in ("all", "http", "https") for f in (str.lower, str.upper))
+_SIZE = re.compile(r"[1-9][0-9]*(\.[0-9]+)?([kKMGT]i?B|%)")
+
+
+class ViewerFailed(BenchError):
+    """Rerun's viewer does not run."""
+
+    exit_code = ExitCode.DEVICE
+
+
+def rerun_program() -> Path:
+    """Return the path of Rerun's own program.
+
+    Not the script of that name in the environment: ending that one leaves the viewer running.
+
+    Raises:
+        ViewerFailed: the package has none for this machine.
+    """
+    found = importlib.util.find_spec("rerun_cli")
+    folders = [] if found is None else [Path(place) for place in found.submodule_search_locations or ()]
+    for folder in folders:
+        if (program := folder / "rerun").exists():
+            return program
+    raise ViewerFailed(
+        "Rerun's viewer", "no program in the package rerun-sdk", "rerun-sdk with its viewer",
+        "Install rerun-sdk anew, or write a file with --save and open it on another machine.",
+    )  # fmt: skip
+
+
+def checked_memory(text: str) -> str:
+    """Return a memory limit as Rerun takes it, such as "2GB" or "25%".
+
+    Raises:
+        BenchError: it is none.
+    """
+    if not _SIZE.fullmatch(text):
+        raise BenchError("--memory-limit", repr(text), 'a size such as "2GB" or "25%"', "Correct it.")
+    return text
+
+
+def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str, str]:
+    """Return `environment` for Rerun with its usage statistics switched off in `folder`, verified.
+
+    Raises:
+        ViewerFailed: they could not be switched off.
+    """
+    quiet = {key: value for key, value in environment.items() if key != _FORCED}
+    # It asks the internet for newer versions of itself too: there is a proxy for that which nobody serves.
+    quiet |= dict.fromkeys(_PROXIES, f"http://{LOOPBACK}:9") | dict.fromkeys(
+        ("NO_PROXY", "no_proxy"), LOOPBACK
+    )
+    quiet |= {"XDG_CONFIG_HOME": str(folder / "config"), "XDG_DATA_HOME": str(folder / "data")}
+    command = [str(rerun_program()), "analytics", "disable"]
+    subprocess.run(command, env=quiet, capture_output=True, timeout=_START, check=False)
+    try:
+        settings = json.loads((folder / "config" / "rerun" / "analytics.json").read_text())
+        if settings["analytics_enabled"] is False:
+            return quiet
+        found = f"analytics_enabled {settings['analytics_enabled']}"
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = f"no settings to read back ({error})"
+    raise ViewerFailed(
+        "Rerun's usage statistics", found, "them switched off", "Report it; --save FILE works without viewer."
+    )
+
+
+class RerunWindow:
+    """A viewer that runs until it is closed, by its user or at the end of a `with`."""
+
+    def __init__(
+        self, kind: Kind, memory_limit: str, port: int | None = None, web_port: int | None = None
+    ) -> None:
+        """Start it and wait until it listens, at free ports where none are given.
+
+        Raises:
+            BenchError: there is no screen, or `memory_limit` is none.
+            ViewerFailed: it does not come up.
+        """
+        memory_limit = checked_memory(memory_limit)
+        if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise BenchError(
+                "screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", "one for the viewer's window",
+                "Use --web and a browser, or --save FILE.",
+            )  # fmt: skip
+        self._page: ViewerPage | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
+        try:
+            folder = Path(self._folder.name)
+            environment = quiet_environment(folder, os.environ)
+            environment.setdefault("XDG_RUNTIME_DIR", str(folder))
+            self.port = free_port() if port is None else port
+            source_port = free_port() if kind == "web" else None
+            arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
+            if source_port is not None:
+                arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
+                arguments += ["--server-memory-limit", memory_limit]
+            else:
+                arguments += ["--memory-limit", memory_limit]
+            if kind == "headless":
+                arguments += ["--headless"]
+            self._said = (folder / "said").open("w+b")
+            self._process = subprocess.Popen(
+                [str(rerun_program()), *arguments],
+                env=environment, stdin=subprocess.DEVNULL, stdout=self._said, stderr=self._said,
+            )  # fmt: skip
+            self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
+            if source_port is not None:
+                self._page = _page(web_port or 0, source_port, self.port)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """It has not been closed."""
+        return self._process.poll() is None
+
+    @property
+    def url(self) -> str:
+        """Where recordings are sent."""
+        return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+
+    @property
+    def page(self) -> str | None:
+        """What a browser of this machine opens; None without --web."""
+        if self._page is None:
+            return None
+        return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.url, safe='')}"
+
+    def close(self) -> None:
+        """End it. Allowed twice."""
+        if self._page is not None:
+            self._page.close()
+            self._page = None
+        process = getattr(self, "_process", None)
+        if process is not None and process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(_END)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        if (said := getattr(self, "_said", None)) is not None:
+            said.close()
+        self._folder.cleanup()
+
+    def _wait_until_it_listens(self, ports: list[int]) -> None:
+        deadline = time.monotonic() + _START
+        while not all(map(_listens, ports)):
+            if not self.alive or time.monotonic() > deadline:
+                self._said.seek(0)
+                lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
+                what = "does not listen" if self.alive else f"ended with {self._process.returncode}"
+                raise ViewerFailed(
+                    "Rerun's viewer", f"{what}: {lines[-1][:200] if lines else 'it said nothing'}",
+                    "it to open its window and listen", "Try --web, or --save FILE.",
+                )  # fmt: skip
+            time.sleep(0.05)
+
+
+def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
+    try:
+        return ViewerPage(port, source_port, data_port)
+    except OSError as error:
+        raise BenchError(
+            f"--port {port}", error.strerror or str(error), "a free port", "Name another one, or none."
+        ) from None
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.settimeout(0.5)
+        return probe.connect_ex((LOOPBACK, port)) == 0

@@ -1,0 +1,218 @@
+"""The bench from Python: verbs as methods, a lease that lives as long as its block, words when it says no."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from bench.config import BenchSettings
+from bench.errors import BenchError, ExitCode, Refused
+from bench.lifecycle import Request, State
+from bench.network.client import BenchClient, CommandRefused
+from bench.network.command import Verb, encode_command
+from bench.network.zenoh_session import NoAnswer
+from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+
+
+@pytest.fixture
+def running() -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), loopback_configuration()) as running:
+        yield running
+
+
+@pytest.fixture
+def bench(running: RunningPlane) -> Iterator[BenchClient]:
+    with BenchClient.connect(running.configuration) as bench:
+        yield bench
+
+
+class Supervisor:
+    """Publishes the state as the daemon does, until the block's end."""
+
+    def __init__(self, running: RunningPlane) -> None:
+        self._running, self._ended = running, threading.Event()
+        self._thread = threading.Thread(target=self._publish)
+
+    def _publish(self) -> None:
+        while not self._ended.wait(0.01):
+            self._running.plane.publish_state(self._running.desk.status())
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+def test_a_session_as_the_documentation_has_it(running: RunningPlane, bench: BenchClient) -> None:
+    with Supervisor(running), bench.lease("Ann"):
+        bench.reset()
+        bench.home()
+        bench.wait_for("READY")
+        bench.arm()
+        bench.wait_for("ARMED", phase="HOLD")
+        assert bench.swing().accepted
+        assert bench.status()["swings"] == 1
+    assert running.plane.lease() is None
+    assert running.desk.requests == [Request.RESET, Request.HOME, Request.ARM, Request.SWING]
+
+
+def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    for ask in (bench.reset, bench.access, bench.secure, bench.home, bench.arm, bench.tee, bench.disarm):
+        assert ask().accepted
+    assert bench.stop().state == "FAULT"
+    assert "no" in bench.emergency_stop().note
+    assert len(running.desk.requests) == 7
+
+
+def test_a_refusal_says_state_reason_and_cure(bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    with pytest.raises(CommandRefused) as caught:
+        bench.swing()
+    error = caught.value
+    assert error.exit_code == ExitCode.REFUSED
+    assert error.place == "swing of bench bench1"
+    assert error.found == "refused in state ESTOP: not possible in this state"
+    assert error.expected == "state ARMED"
+    assert error.answer.state == "ESTOP"
+
+
+def test_a_second_holder_is_refused_in_words(running: RunningPlane, bench: BenchClient) -> None:
+    held = bench.take_lease("Ann")
+    with BenchClient.connect(running.configuration) as other, pytest.raises(CommandRefused) as caught:
+        other.take_lease("Bob")
+    assert caught.value.found == "refused in state ESTOP: Ann holds the bench for 30 s more"
+    assert caught.value.cure == "Wait, or ask Ann to release it."
+    assert held.key not in repr(held)
+
+
+def test_what_needs_the_lease_is_not_sent_without(running: RunningPlane, bench: BenchClient) -> None:
+    for ask in (bench.arm, bench.release_lease, bench.renew_lease):
+        with pytest.raises(Refused, match="golfbench lease take"):
+            ask()
+    assert running.plane.counts()["refused"] == 0
+
+
+def test_a_lease_is_renewed_while_its_block_lasts(running: RunningPlane, bench: BenchClient) -> None:
+    with bench.lease("Ann", 5.0) as held:
+        first = running.plane.lease()
+        assert first is not None
+        deadline = time.monotonic() + 10.0
+        while (lease := running.plane.lease()) is not None and lease.expiry == first.expiry:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert lease is not None
+        assert lease.key == held.key
+    assert running.plane.lease() is None
+
+
+def test_threads_share_a_client_in_order(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    refused: list[Exception] = []
+
+    def renew() -> None:
+        for _ in range(30):
+            try:
+                bench.renew_lease()
+            except BenchError as error:
+                refused.append(error)
+
+    threads = [threading.Thread(target=renew) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert refused == []
+    lease = running.plane.lease()
+    assert lease is not None
+    assert lease.sequence == 120
+
+
+def test_waiting_ends_when_the_bench_latches(running: RunningPlane, bench: BenchClient) -> None:
+    running.desk.state = State.READY
+    with Supervisor(running):
+        late = threading.Timer(0.2, running.desk.stop)
+        late.start()
+        with pytest.raises(Refused, match="FAULT in phase STANDING: the bench was switched on"):
+            bench.wait_for("ARMED", timeout=10.0)
+        late.join()
+
+
+def test_waiting_ends_with_its_time(bench: BenchClient, running: RunningPlane) -> None:
+    running.desk.state = State.READY
+    with pytest.raises(Refused, match=r"after 0\.2 s: found READY"):
+        bench.wait_for("ARMED", timeout=0.2)
+
+
+def test_no_bench_no_answer() -> None:
+    with pytest.raises(NoAnswer):
+        BenchClient.connect(loopback_configuration())
+
+
+def test_a_bench_of_another_name_does_not_answer(running: RunningPlane) -> None:
+    c = running.configuration
+    other = replace(c, bench=BenchSettings(id="bench2", data_dir=c.bench.data_dir))
+    with BenchClient.connect(other) as bench, pytest.raises(NoAnswer, match="bench2"):
+        bench.status()
+
+
+def test_a_hanging_bench_gives_no_answer_in_time(running: RunningPlane) -> None:
+    running.desk.free.clear()
+    with BenchClient.connect(running.configuration, timeout=0.3) as bench:
+        bench.take_lease("Ann")
+        with pytest.raises(NoAnswer, match=r"waited 0\.\d s"):
+            bench.reset()
+        assert bench.stop().accepted
+
+
+def test_it_finds_the_bench_again_after_a_restart_but_its_lease_is_void() -> None:
+    configuration = loopback_configuration()
+    with running_plane(FakeDesk(), configuration):
+        bench = BenchClient.connect(configuration, timeout=0.5)
+        bench.take_lease("Ann")
+    with bench:
+        with pytest.raises(NoAnswer):
+            bench.status()
+        with running_plane(FakeDesk(), configuration):
+            deadline = time.monotonic() + 10.0
+            while not _answers(bench):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            with pytest.raises(CommandRefused, match="nobody holds the bench"):
+                bench.reset()
+
+
+def _answers(bench: BenchClient) -> bool:
+    try:
+        bench.status()
+    except NoAnswer:
+        return False
+    return True
+
+
+def test_a_message_that_does_not_hold_comes_back_as_the_benchs_error(bench: BenchClient) -> None:
+    with pytest.raises(BenchError, match="an unknown verb") as caught:
+        bench.send("fly", encode_command(Verb.STATUS))
+    assert caught.value.exit_code == ExitCode.BAD_INPUT
+
+
+@pytest.mark.parametrize("change", [{"version": 2}, {"state": None}], ids=["version", "without state"])
+def test_a_status_of_another_version_is_told(
+    change: dict[str, Any], running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status: dict[str, Any] = {**running.desk.status(), **change}
+    content = {name: value for name, value in status.items() if value is not None}
+    answer = json.dumps(
+        {"version": 1, "accepted": True, "state": "", "reason": "", "note": "", "content": content}
+    )
+    monkeypatch.setattr(bench, "send", lambda *_: answer.encode())
+    with pytest.raises(BenchError, match="Use the same golfbench"):
+        bench.status()

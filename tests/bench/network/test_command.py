@@ -1,0 +1,205 @@
+"""What may be asked: every message is a command of its form, or an error that says what was expected."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.errors import BenchError
+from bench.lifecycle import NEEDS_LEASE, Request
+from bench.network.command import (
+    FORMS,
+    LONGEST_MESSAGE,
+    PLAIN,
+    REQUESTS,
+    Answer,
+    Command,
+    Keyed,
+    Plain,
+    ReleaseLease,
+    RenewLease,
+    TakeLease,
+    Verb,
+    encode_answer,
+    encode_command,
+    encode_error,
+    parse_answer,
+    parse_command,
+    parse_error,
+)
+from bench.network.lease import new_key
+
+KEY = new_key()
+KEYED = json.dumps({"version": 1, "key": KEY, "sequence": 1})
+
+
+def refused(verb: str, payload: bytes | str) -> BenchError:
+    with pytest.raises(BenchError) as caught:
+        parse_command(verb, payload.encode() if isinstance(payload, str) else payload)
+    return caught.value
+
+
+@pytest.mark.parametrize("verb", sorted(PLAIN))
+def test_what_ends_motion_or_looks_needs_no_lease(verb: Verb) -> None:
+    assert parse_command(verb, b'{"version": 1}') == Plain(verb)
+    assert "an unknown key" in refused(verb, KEYED).found
+
+
+@pytest.mark.parametrize("verb", sorted(REQUESTS.keys() - PLAIN))
+def test_what_moves_needs_key_and_sequence(verb: Verb) -> None:
+    assert parse_command(verb, KEYED.encode()) == Keyed(verb, KEY, 1)
+    assert refused(verb, '{"version": 1}').found == "missing"
+
+
+def test_the_lease_is_asked_of_what_the_loop_asks_it_for() -> None:
+    assert {REQUESTS[verb] for verb in REQUESTS.keys() - PLAIN} == NEEDS_LEASE
+    assert set(REQUESTS.values()) | {Request.NONE, Request.STOP, Request.EMERGENCY_STOP} == set(Request)
+
+
+def test_leases() -> None:
+    take = encode_command(Verb.LEASE, action="take", holder="Ann")
+    assert parse_command("lease", take) == TakeLease("Ann", 30.0)
+    take = encode_command(Verb.LEASE, action="take", holder="Ann", seconds=60)
+    assert parse_command("lease", take) == TakeLease("Ann", 60)
+    renew = encode_command(Verb.LEASE, action="renew", key=KEY, sequence=2, seconds=12.5)
+    assert parse_command("lease", renew) == RenewLease(KEY, 2, 12.5)
+    release = encode_command(Verb.LEASE, action="release", key=KEY, sequence=3)
+    assert parse_command("lease", release) == ReleaseLease(KEY, 3)
+
+
+def test_an_unknown_verb_is_told_the_known_ones() -> None:
+    for verb in ("fly", "", "STATUS", "status ", "*", "a/b", "status\n"):
+        error = refused(verb, "{}")
+        assert error.found == "an unknown verb"
+        assert all(str(known) in error.expected for known in Verb)
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "place", "found"),
+    [
+        ("status", b"", "command status", "no JSON"),
+        ("status", b"\xff\xfe", "command status", "a byte at 0 that is no UTF-8"),
+        ("status", b"\xef\xbb\xbf{}", "command status", "no JSON"),
+        ("status", b'{"version": 1', "command status", "no JSON"),
+        ("status", b'{"version": 1} x', "command status", "no JSON"),
+        ("status", b"[]", "command status", "[]"),
+        ("status", b"null", "command status", "null"),
+        ("status", b"[" * 4000, "command status", "values nested too deep"),
+        ("status", b'{"version": NaN}', "command status", "the number NaN"),
+        ("status", b'{"version": -Infinity}', "command status", "the number -Infinity"),
+        ("status", b'{"version": 1e999}', "command status", "the number 1e999"),
+        ("status", b'{"version": 1, "version": 1}', 'command status: "version"', "given twice"),
+        ("status", b'{"a": {"b": 1, "b": 2}}', 'command status: "b"', "given twice"),
+        ("status", b"{}", "command status: version", "missing"),
+        ("status", b'{"version": 2}', "command status: version", "2"),
+        ("status", b'{"version": true}', "command status: version", "true"),
+        ("status", b'{"version": 1.0}', "command status: version", "1.0"),
+        ("status", b'{"version": "1"}', "command status: version", '"1"'),
+        ("status", b'{"version": 1, "Version": 1}', 'command status: "Version"', "an unknown key"),
+        ("status", b" " * LONGEST_MESSAGE + b"{}", "command status", f"{LONGEST_MESSAGE + 2} bytes"),
+        ("lease", b'{"version": 1}', "command lease: action", "missing"),
+        ("lease", b'{"version": 1, "action": "steal"}', "command lease: action", '"steal"'),
+        ("lease", b'{"version": 1, "action": ["take"]}', "command lease: action", '["take"]'),
+        ("lease", b'{"version": 1, "action": "take"}', "command lease: holder", "missing"),
+    ],
+)
+def test_what_does_not_hold_is_named(verb: str, payload: bytes, place: str, found: str) -> None:
+    error = refused(verb, payload)
+    assert error.place == place
+    assert error.found.startswith(found)
+    assert error.expected
+    assert error.cure
+
+
+@pytest.mark.parametrize("sequence", ["0", "-1", "1.0", '"1"', "true", "null", "[1]", "9007199254740992"])
+def test_sequences_are_whole_and_positive(sequence: str) -> None:
+    error = refused("arm", f'{{"version": 1, "key": "{KEY}", "sequence": {sequence}}}')
+    assert (error.place, error.found) == ("command arm: sequence", sequence)
+
+
+@pytest.mark.parametrize("seconds", ["4.9", "601", "true", '"30"', "null", "-30", "1e308", "9" * 400])
+def test_leases_last_five_seconds_to_ten_minutes(seconds: str) -> None:
+    payload = f'{{"version": 1, "action": "take", "holder": "Ann", "seconds": {seconds}}}'
+    assert refused("lease", payload).place == "command lease: seconds"
+
+
+@pytest.mark.parametrize("holder", ['""', '" Ann"', '"A\\nB"', '"\\u001b[31m"', '"\\ud800"', "1", "null"])
+def test_holders_are_printable_names(holder: str) -> None:
+    payload = f'{{"version": 1, "action": "take", "holder": {holder}}}'
+    assert refused("lease", payload).place == "command lease: holder"
+
+
+def test_an_error_never_repeats_a_key() -> None:
+    almost = KEY[:-1] + "!"
+    error = refused("arm", json.dumps({"version": 1, "key": almost, "sequence": 1}))
+    assert error.place == "command arm: key"
+    assert almost not in str(error)
+
+
+# Anything at all -------------------------------------------------------------------------------------
+
+JSON: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner, max_size=3),
+    max_leaves=8,
+)
+NAMES = sorted({name for needed, allowed in FORMS.values() for name in (*needed, *allowed)})
+VALUES = JSON | st.sampled_from([1, 2, 30, KEY, "Ann", "take", "renew", "release"])
+OBJECTS = st.dictionaries(st.sampled_from(NAMES) | st.text(max_size=9), VALUES, max_size=6)
+VERBS = st.sampled_from(sorted(Verb)) | st.text()
+
+
+def parsed(verb: str, payload: bytes) -> Command | BenchError:
+    """Return what came of it; any other exception fails the test."""
+    try:
+        return parse_command(verb, payload)
+    except BenchError as caught:
+        error = caught
+    again = parse_error(encode_error(error))
+    assert (again.place, again.found, again.expected, again.cure) == error.args
+    assert len(encode_error(error)) < 2048
+    return error
+
+
+@given(VERBS, st.binary())
+def test_any_bytes_are_a_command_or_an_error(verb: str, payload: bytes) -> None:
+    parsed(verb, payload)
+
+
+@given(VERBS, OBJECTS | JSON)
+def test_any_json_is_a_command_or_an_error(verb: str, message: Any) -> None:
+    parsed(verb, json.dumps(message).encode())
+
+
+@given(st.sampled_from(sorted(Verb)), OBJECTS)
+def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
+    command = parsed(verb, json.dumps(message).encode())
+    if not isinstance(command, BenchError):
+        form = f"{verb} {message['action']}" if verb == "lease" else verb
+        needed, allowed = FORMS[form]
+        assert set(needed) <= message.keys() <= {*needed, *allowed}
+
+
+@given(
+    st.builds(
+        Answer,
+        st.booleans(),
+        st.text(),
+        st.text(),
+        st.text(),
+        st.dictionaries(st.text(), st.integers() | st.text()),
+    )
+)
+def test_answers_come_back_as_they_were(answer: Answer) -> None:
+    assert parse_answer(encode_answer(answer)) == answer
+
+
+@given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
+def test_what_is_no_answer_is_told_so(payload: bytes) -> None:
+    with pytest.raises(BenchError, match="answer of the bench"):
+        parse_answer(payload)
+    assert parse_error(payload).place == "answer of the bench"

@@ -1,0 +1,416 @@
+"""The command plane over real zenoh: everything is answered, stops overtake, memory and time are bounded."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import zenoh
+
+from bench.errors import BenchError
+from bench.lifecycle import Request, State
+from bench.network.command import (
+    CONVENIENCE,
+    LONGEST_MESSAGE,
+    REQUESTS,
+    Answer,
+    Verb,
+    encode_command,
+    parse_answer,
+    parse_error,
+)
+from bench.network.command_plane import LONGEST_WAIT, QUEUE, CommandPlane
+from bench.network.lease import new_key
+from bench.network.zenoh_session import open_client, open_daemon
+from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+
+
+class FakeClock:
+    """Shows what it is set to."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Asker:
+    """Sends what it is told to, valid or not."""
+
+    def __init__(self, session: zenoh.Session, root: str = "golfbench/bench1") -> None:
+        self.session, self.root = session, root
+        self.sequence = 0
+
+    def send(self, verb: str, payload: bytes, **options: Any) -> Callable[[], Answer | BenchError | None]:
+        """Send without waiting; the function returned waits for the answer, None when there is none."""
+        key = verb if verb.startswith("golfbench/") else f"{self.root}/command/{verb}"
+        replies = self.session.get(key, payload=payload, timeout=5.0, **options)
+
+        def wait() -> Answer | BenchError | None:
+            for reply in replies:
+                if reply.ok is not None:
+                    return parse_answer(reply.ok.payload.to_bytes())
+                assert reply.err is not None
+                return parse_error(reply.err.payload.to_bytes())
+            return None
+
+        return wait
+
+    def ask(self, verb: str, payload: bytes | None = None, **values: Any) -> Answer:
+        answer = self.send(verb, encode_command(Verb(verb), **values) if payload is None else payload)()
+        assert isinstance(answer, Answer), answer
+        return answer
+
+    def error(self, verb: str, payload: bytes) -> BenchError:
+        answer = self.send(verb, payload)()
+        assert isinstance(answer, BenchError), answer
+        return answer
+
+    def take(self, holder: str = "Ann", seconds: float = 30.0) -> str:
+        answer = self.ask("lease", action="take", holder=holder, seconds=seconds)
+        assert answer.accepted, answer
+        self.sequence = 0
+        return str(answer.content["key"])
+
+    def ask_keyed(self, verb: str, key: str, **values: Any) -> Answer:
+        self.sequence += 1
+        return self.ask(verb, key=key, sequence=self.sequence, **values)
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def bench(clock: FakeClock) -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), loopback_configuration(), clock) as running:
+        yield running
+
+
+@pytest.fixture
+def asker(bench: RunningPlane) -> Iterator[Asker]:
+    with open_client(bench.configuration.network, "bench1") as session:
+        yield Asker(session)
+
+
+@pytest.fixture
+def another(bench: RunningPlane) -> Iterator[Asker]:
+    with open_client(bench.configuration.network, "bench1") as session:
+        yield Asker(session)
+
+
+def wait_until(holds: Callable[[], bool], timeout: float = 5.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+# What is asked and answered --------------------------------------------------------------------------
+
+
+def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
+    key = asker.take()
+    day = ["reset", "access", "secure", "home", "arm", "tee", "swing", "arm", "disarm"]
+    states = ["SAFE", "ACCESS", "SAFE", "READY", "ARMED", "ARMED", "READY", "ARMED", "READY"]
+    for verb, state in zip(day, states, strict=True):
+        answer = asker.ask(verb) if verb == "disarm" else asker.ask_keyed(verb, key)
+        assert answer == Answer(True, state)
+    assert bench.desk.requests == [REQUESTS[Verb(verb)] for verb in day]
+    assert asker.ask("stop") == Answer(True, "FAULT")
+    assert asker.ask("estop") == Answer(True, "ESTOP", note=CONVENIENCE)
+    assert [what for what, _ in bench.desk.stops] == ["stop", "estop"]
+    assert asker.ask_keyed("lease", key, action="release") == Answer(True, "ESTOP")
+    assert bench.plane.lease() is None
+
+
+def test_the_status_carries_lease_and_counts_but_no_key(
+    asker: Asker, another: Asker, clock: FakeClock
+) -> None:
+    key = asker.take("Ann", 40.0)
+    another.error("fly", b"{}")
+    assert not another.ask("lease", action="take", holder="Bob").accepted
+    clock.now += 10.0
+    answer = another.ask("status")
+    status = answer.content
+    assert answer.state == status["state"] == "ESTOP"
+    assert status["lease"] == {"holder": "Ann", "seconds_left": 30.0}
+    assert status["counts"] == {"commands": 1, "refused": 1, "malformed": 1, "dropped": 0}
+    assert key not in json.dumps(answer)
+
+
+def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> None:
+    answer = asker.ask_keyed("swing", asker.take())
+    assert answer == Answer(False, "ESTOP", "not possible in this state")
+
+
+def test_an_emergency_stop_says_that_it_is_no_safety_function(asker: Asker) -> None:
+    assert "convenience, not a safety function" in asker.ask("estop").note
+
+
+def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
+    bench: RunningPlane, asker: Asker
+) -> None:
+    key = asker.take()
+    bench.desk.error = OSError("the ring is gone")
+    for answer in (asker.ask_keyed("reset", key), asker.ask("stop"), asker.ask("estop")):
+        assert not answer.accepted
+        assert answer.reason == "the bench could not do it, OSError: the ring is gone"
+    bench.desk.error = None
+    assert asker.ask_keyed("reset", key).accepted
+
+
+# The lease -------------------------------------------------------------------------------------------
+
+
+def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+    key = asker.take("Ann")
+    refusal = another.ask("lease", action="take", holder="Bob")
+    assert refusal.reason == "Ann holds the bench for 30 s more: wait, or ask Ann to release it"
+    assert another.ask_keyed("reset", new_key()) == refusal
+    assert not another.ask_keyed("lease", new_key(), action="release").accepted
+    assert bench.desk.requests == []
+    assert asker.ask_keyed("lease", key, action="release").accepted
+    assert another.take("Bob")
+
+
+def test_what_moves_is_refused_without_a_lease(bench: RunningPlane, asker: Asker) -> None:
+    for verb in ("home", "arm", "access", "secure", "swing", "tee", "reset"):
+        answer = asker.ask_keyed(verb, new_key())
+        assert (answer.accepted, answer.reason[:22]) == (False, "nobody holds the bench")
+    assert bench.desk.requests == []
+
+
+def test_a_lease_ends_unless_renewed(bench: RunningPlane, asker: Asker, clock: FakeClock) -> None:
+    key = asker.take("Ann", 30.0)
+    clock.now += 29.0
+    renewed = asker.ask_keyed("lease", key, action="renew", seconds=20.0)
+    assert renewed.content == {"holder": "Ann", "seconds_left": 20.0}
+    clock.now += 19.0
+    assert asker.ask_keyed("reset", key).accepted
+    clock.now += 1.0
+    assert bench.plane.lease() is None
+    assert not asker.ask_keyed("home", key).accepted
+    assert bench.desk.requests == [Request.RESET]
+
+
+def test_commands_repeated_or_out_of_order_are_not_done(bench: RunningPlane, asker: Asker) -> None:
+    key = asker.take()
+    assert asker.ask("reset", key=key, sequence=5).accepted
+    for sequence in (5, 4, 1):
+        answer = asker.ask("home", key=key, sequence=sequence)
+        assert answer.reason.startswith(f"sequence {sequence} after 5")
+    assert bench.desk.requests == [Request.RESET]
+    assert asker.ask("home", key=key, sequence=6).accepted
+
+
+def test_a_restart_voids_every_lease(asker: Asker, bench: RunningPlane) -> None:
+    key = asker.take()
+    bench.plane.close()
+    with CommandPlane(bench.session, "bench1", bench.desk):
+        wait_until(lambda: asker.send("status", encode_command(Verb.STATUS))() is not None)
+        assert not asker.ask_keyed("reset", key).accepted
+
+
+# What does not hold ----------------------------------------------------------------------------------
+
+
+def test_what_does_not_hold_is_answered_with_an_error(asker: Asker) -> None:
+    assert asker.error("fly", b"{}").expected.startswith("one of status, lease, home")
+    assert asker.error("a/b", b"{}").found == "an unknown verb"
+    assert asker.error("status", b"\xff").found == "a byte at 0 that is no UTF-8"
+    assert asker.error("arm", b'{"version": 1}').place == "command arm: key"
+    assert asker.error("status", b" " * (LONGEST_MESSAGE + 1)).found == "4097 bytes"
+    assert asker.error("status", b" " * 500_000).found == "500000 bytes"
+    assert asker.error("golfbench/**", b"{}").found == "an unknown verb"
+    assert asker.ask("status").content["counts"]["malformed"] == 7
+
+
+def test_what_comes_beside_the_payload_counts_for_its_size(asker: Asker) -> None:
+    large = asker.send("status", encode_command(Verb.STATUS), attachment=b"x" * LONGEST_MESSAGE)()
+    assert isinstance(large, BenchError)
+    assert large.expected == f"at most {LONGEST_MESSAGE} bytes"
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b'{"version": 2}', b"x" * 100_000], ids=["empty", "version 2", "long"]
+)
+def test_a_stop_counts_also_when_its_message_does_not_hold(
+    payload: bytes, bench: RunningPlane, asker: Asker
+) -> None:
+    for number, verb in enumerate(("stop", "estop"), 1):
+        asker.error(verb, payload)
+        wait_until(lambda: len(bench.desk.stops) == number)  # noqa: B023
+        assert bench.desk.stops[-1][0] == verb
+
+
+def test_a_stop_may_name_all_benches(bench: RunningPlane, asker: Asker) -> None:
+    answer = asker.send("golfbench/*/command/estop", encode_command(Verb.ESTOP))()
+    assert isinstance(answer, Answer)
+    assert answer.state == "ESTOP"
+    assert [what for what, _ in bench.desk.stops] == ["estop"]
+
+
+# Floods ----------------------------------------------------------------------------------------------
+
+
+def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+    bench.desk.free.clear()
+    key = asker.take()
+    flood = [
+        asker.send("reset", encode_command(Verb.RESET, key=key, sequence=number))
+        for number in range(1, 3 * QUEUE)
+    ]
+    wait_until(lambda: len(bench.desk.requests) == 1)
+    began = time.monotonic()
+    assert another.ask("stop").accepted
+    assert another.ask("estop").accepted
+    assert asker.ask("estop").accepted
+    assert time.monotonic() - began < 2.0
+    assert another.ask("status").accepted
+    bench.desk.free.set()
+    answers = [wait() for wait in flood]
+    busy = [a for a in answers if isinstance(a, Answer) and a.reason.startswith("too many messages wait")]
+    assert len(busy) == len(flood) - QUEUE - 1
+    assert len(bench.desk.requests) == QUEUE + 1
+
+
+def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+    flood = [asker.send("stop", encode_command(Verb.STOP)) for _ in range(20 * QUEUE)]
+    assert another.ask("estop").accepted
+    answers = [wait() for wait in flood]
+    assert all(isinstance(answer, Answer) and answer.accepted for answer in answers)
+    assert {what for what, _ in bench.desk.stops} == {"stop", "estop"}
+
+
+def test_a_request_that_waited_too_long_is_not_done(
+    bench: RunningPlane, asker: Asker, clock: FakeClock
+) -> None:
+    bench.desk.free.clear()
+    key = asker.take()
+    first = asker.send("reset", encode_command(Verb.RESET, key=key, sequence=1))
+    wait_until(lambda: len(bench.desk.requests) == 1)
+    second = asker.send("home", encode_command(Verb.HOME, key=key, sequence=2))
+    asker.ask("status")  # comes after it on the same link
+    clock.now += LONGEST_WAIT + 0.1
+    bench.desk.free.set()
+    answer = first()
+    assert isinstance(answer, Answer)
+    assert answer.accepted
+    late = second()
+    assert isinstance(late, Answer)
+    assert late.reason.startswith("it waited too long")
+    assert bench.desk.requests == [Request.RESET]
+
+
+# The end ---------------------------------------------------------------------------------------------
+
+STUCK = """
+import sys, zenoh
+from bench.config import NetworkSettings
+from bench.network.zenoh_session import open_client
+session = open_client(NetworkSettings(sys.argv[1]), "bench1")
+print("flooding", flush=True)
+while True:
+    session.get("golfbench/bench1/command/status", id, payload=b'{"version": 1}', timeout=60.0)
+"""
+
+
+def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
+    configuration = loopback_configuration()
+    with running_plane(FakeDesk(), configuration) as running:
+        command = [sys.executable, "-c", STUCK, configuration.network.endpoint]
+        client = subprocess.Popen(command, stdout=subprocess.PIPE)
+        assert client.stdout is not None
+        try:
+            client.stdout.readline()
+            wait_until(lambda: running.plane.counts()["commands"] > 100)
+            client.send_signal(signal.SIGSTOP)
+            with open_client(configuration.network, "bench1") as session:
+                assert Asker(session).ask("stop").accepted
+            began = time.monotonic()
+            assert running.plane.close()
+            running.session.close()
+            assert time.monotonic() - began < 2.0
+        finally:
+            client.kill()
+            client.wait()
+            client.stdout.close()
+
+
+def test_it_ends_in_time_although_the_desk_hangs() -> None:
+    with running_plane(FakeDesk(), loopback_configuration()) as running:
+        running.desk.free.clear()
+        with open_client(running.configuration.network, "bench1") as session:
+            asker = Asker(session)
+            key = asker.take()
+            first = asker.send("reset", encode_command(Verb.RESET, key=key, sequence=1))
+            second = asker.send("home", encode_command(Verb.HOME, key=key, sequence=2))
+            wait_until(lambda: len(running.desk.requests) == 1)
+            asker.ask("status")
+            began = time.monotonic()
+            assert not running.plane.close()
+            assert time.monotonic() - began < 2.0
+            running.desk.free.set()
+            assert isinstance(first(), Answer)
+            answer = second()
+            assert isinstance(answer, Answer)
+            assert "going down" in answer.reason
+            assert running.desk.requests == [Request.RESET]
+
+
+def test_nothing_is_left_declared() -> None:
+    configuration = loopback_configuration()
+    before = threading.active_count()
+    with open_daemon(configuration.network) as session, open_client(configuration.network, "bench1") as other:
+        CommandPlane(session, "bench1", FakeDesk()).close()
+        assert Asker(other).send("status", b"{}")() is None
+        CommandPlane(session, "bench1", FakeDesk()).close()
+    assert threading.active_count() == before
+
+
+# What is published -----------------------------------------------------------------------------------
+
+
+def test_the_state_is_told_on_change_and_five_times_a_second(
+    bench: RunningPlane, asker: Asker, clock: FakeClock
+) -> None:
+    heard: list[dict[str, Any]] = []
+    subscriber = asker.session.declare_subscriber(
+        "golfbench/bench1/state", lambda sample: heard.append(json.loads(sample.payload.to_bytes()))
+    )
+    wait_until(lambda: bench.plane._state.matching_status.matching)  # type: ignore[attr-defined]
+    told = []
+    for _ in range(100):
+        told.append(bench.plane.publish_state(bench.desk.status()))
+        clock.now += 0.01
+    assert sum(told) == 5
+    bench.desk.state = State.SAFE
+    assert bench.plane.publish_state(bench.desk.status())
+    asker.take("Ann")
+    assert bench.plane.publish_state(bench.desk.status())
+    wait_until(lambda: len(heard) == 7)
+    assert [status["state"] for status in heard] == ["ESTOP"] * 5 + ["SAFE"] * 2
+    assert [status["lease"] for status in heard[5:]] == [None, {"holder": "Ann", "seconds_left": 30.0}]
+    subscriber.undeclare()
+
+
+def test_events_carry_name_time_and_content(bench: RunningPlane, asker: Asker) -> None:
+    heard: list[dict[str, Any]] = []
+    subscriber = asker.session.declare_subscriber(
+        "golfbench/bench1/event", lambda sample: heard.append(json.loads(sample.payload.to_bytes()))
+    )
+    wait_until(lambda: bench.plane._event.matching_status.matching)  # type: ignore[attr-defined]
+    bench.plane.publish_event("process ended", {"process": "recorder"})
+    wait_until(lambda: bool(heard))
+    assert heard[0] == {"version": 1, "event": "process ended", "time": 1000.0, "process": "recorder"}
+    subscriber.undeclare()

@@ -1,0 +1,163 @@
+"""One holder at a time, a key that only the holder knows, an end that comes by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from bench.network.lease import (
+    LONGEST,
+    LONGEST_HOLDER,
+    SHORTEST,
+    Lease,
+    LeaseBook,
+    LeaseRefused,
+    is_holder,
+    new_key,
+)
+
+DURATIONS = st.floats(SHORTEST, LONGEST)
+NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * LONGEST_HOLDER])
+
+
+def test_a_second_holder_is_told_who_and_how_long_but_no_key() -> None:
+    book = LeaseBook()
+    lease = book.take("Ann", 30.0, now=100.0)
+    with pytest.raises(LeaseRefused, match="Ann holds the bench for 12 s more") as refused:
+        book.take("Bob", 30.0, now=118.0)
+    assert lease.key not in str(refused.value)
+    assert lease.key not in repr(lease)
+
+
+def test_the_holder_of_the_same_name_is_no_holder_without_the_key() -> None:
+    book = LeaseBook()
+    book.take("Ann", 30.0, now=0.0)
+    with pytest.raises(LeaseRefused, match="Ann holds"):
+        book.take("Ann", 30.0, now=1.0)
+
+
+def test_it_ends_at_its_instant_not_before() -> None:
+    book = LeaseBook()
+    lease = book.take("Ann", 30.0, now=0.0)
+    assert book.held(29.999) == lease
+    assert book.held(30.0) is None
+    with pytest.raises(LeaseRefused, match="nobody holds the bench"):
+        book.use(lease.key, 1, now=30.0)
+    assert book.take("Bob", 5.0, now=30.0).holder == "Bob"
+
+
+@pytest.mark.parametrize("sequence", [-1, 0, 1, 6, 7])
+def test_a_command_that_is_repeated_or_overtaken_is_refused(sequence: int) -> None:
+    book = LeaseBook()
+    key = book.take("Ann", 30.0, now=0.0).key
+    book.use(key, 7, now=1.0)
+    with pytest.raises(LeaseRefused, match=f"sequence {sequence} after 7"):
+        book.use(key, sequence, now=1.0)
+    assert book.use(key, 8, now=1.0).sequence == 8
+
+
+def test_a_new_book_voids_all() -> None:
+    key = LeaseBook().take("Ann", 30.0, now=0.0).key
+    with pytest.raises(LeaseRefused, match="take it"):
+        LeaseBook().use(key, 1, now=0.0)
+
+
+@pytest.mark.parametrize("seconds", [4.99, 600.01, -1.0, float("nan"), float("inf")])
+def test_durations_out_of_range_are_no_lease(seconds: float) -> None:
+    book = LeaseBook()
+    with pytest.raises(ValueError, match="no lease"):
+        book.take("Ann", seconds, now=0.0)
+    key = book.take("Ann", 30.0, now=0.0).key
+    with pytest.raises(ValueError, match="no lease"):
+        book.renew(key, 1, seconds, now=0.0)
+    assert book.held(0.0) == Lease("Ann", key, 30.0)
+
+
+@pytest.mark.parametrize(
+    "name", ["", " ", " Ann", "Ann ", "A\nB", "A\x1b[31m", "x" * 65, "\ud800", "A\u202eB"]
+)
+def test_names_that_would_disturb_a_log_or_terminal_are_none(name: str) -> None:
+    assert not is_holder(name)
+    with pytest.raises(ValueError, match="no lease"):
+        LeaseBook().take(name, 30.0, now=0.0)
+
+
+@given(st.text())
+def test_a_name_is_taken_or_not_without_an_error(name: str) -> None:
+    if is_holder(name):
+        assert name in str(LeaseBook().take(name, 30.0, 0.0).holder)
+
+
+def test_keys_do_not_repeat() -> None:
+    assert len({new_key() for _ in range(1000)}) == 1000
+
+
+class OneHolderAtATime(RuleBasedStateMachine):
+    """Whatever is asked in whatever order: only the newest key counts, only until its end, only rising."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.book = LeaseBook()
+        self.now = 0.0
+        self.keys: list[str] = []
+        self.key: str | None = None
+        self.holder, self.end, self.sequence = "", 0.0, 0
+
+    def held(self) -> bool:
+        return self.key is not None and self.now < self.end
+
+    def allowed(self, key: str, sequence: int) -> bool:
+        return self.held() and key == self.key and sequence > self.sequence
+
+    @rule(seconds=st.floats(0.0, 100.0))
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+
+    @rule(holder=NAMES, seconds=DURATIONS)
+    def take(self, holder: str, seconds: float) -> None:
+        if self.held():
+            with pytest.raises(LeaseRefused) as refused:
+                self.book.take(holder, seconds, self.now)
+            assert self.holder in str(refused.value)
+            assert not any(key in str(refused.value) for key in self.keys)
+            return
+        lease = self.book.take(holder, seconds, self.now)
+        assert lease.key not in self.keys
+        self.keys.append(lease.key)
+        self.key, self.holder, self.end, self.sequence = lease.key, holder, self.now + seconds, 0
+
+    @precondition(lambda self: self.keys)
+    @rule(data=st.data(), sequence=st.integers(0, 12), what=st.sampled_from(["use", "renew", "release"]))
+    def command(self, data: st.DataObject, sequence: int, what: str) -> None:
+        key = data.draw(st.sampled_from([*self.keys, new_key()]))
+        seconds = data.draw(DURATIONS)
+        commands: dict[str, Callable[[], object]] = {
+            "use": lambda: self.book.use(key, sequence, self.now),
+            "renew": lambda: self.book.renew(key, sequence, seconds, self.now),
+            "release": lambda: self.book.release(key, sequence, self.now),
+        }
+        if not self.allowed(key, sequence):
+            with pytest.raises(LeaseRefused) as refused:
+                commands[what]()
+            assert key not in str(refused.value)
+            return
+        commands[what]()
+        self.sequence = sequence
+        if what == "renew":
+            self.end = self.now + seconds
+        elif what == "release":
+            self.key = None
+
+    @invariant()
+    def the_book_knows_who_holds_the_bench(self) -> None:
+        lease = self.book.held(self.now)
+        assert (lease is not None) == self.held()
+        if lease is not None:
+            assert (lease.holder, lease.key, lease.expiry) == (self.holder, self.key, self.end)
+
+
+TestOneHolderAtATime = OneHolderAtATime.TestCase

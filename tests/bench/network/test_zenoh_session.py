@@ -1,0 +1,151 @@
+"""Sessions stay on the loopback, and say what is wrong when nobody is there or somebody else is."""
+
+from __future__ import annotations
+
+import ipaddress
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bench.config import NetworkSettings, load_configuration
+from bench.errors import BenchError, ExitCode
+from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, open_daemon
+from tests.bench.fake_desk import loopback_configuration
+
+
+def test_a_port_in_use_is_told_with_its_cure() -> None:
+    network = loopback_configuration().network
+    with open_daemon(network), pytest.raises(BenchError) as caught:
+        open_daemon(network)
+    assert caught.value.place == f"network.endpoint {network.endpoint}"
+    assert caught.value.found == "already in use"
+    assert "golfbench status" in caught.value.cure
+
+
+def test_nobody_there_is_no_answer_at_once() -> None:
+    began = time.monotonic()
+    with pytest.raises(NoAnswer, match="denied or not running") as caught:
+        open_client(loopback_configuration().network, "bench1")
+    assert caught.value.exit_code == ExitCode.NO_ANSWER
+    assert time.monotonic() - began < 2.0
+
+
+def test_nothing_listens_beyond_the_loopback() -> None:
+    network = loopback_configuration().network
+    with open_daemon(network), open_client(network, "bench1"):
+        bound = [c.laddr.ip for c in psutil.Process().net_connections("inet") if c.laddr]
+    assert bound
+    assert all(ipaddress.ip_address(address).is_loopback for address in bound)
+
+
+def test_one_client_hears_another_through_the_daemon() -> None:
+    network = loopback_configuration().network
+    heard: list[bytes] = []
+    with (
+        open_daemon(network),
+        open_client(network, "bench1") as publisher,
+        open_client(network, "bench1") as viewer,
+    ):
+        viewer.declare_subscriber("golfbench/bench1/telemetry", lambda s: heard.append(s.payload.to_bytes()))
+        deadline = time.monotonic() + 5.0
+        while not heard and time.monotonic() < deadline:
+            publisher.put("golfbench/bench1/telemetry", b"cycles")
+            time.sleep(0.01)
+    assert set(heard) == {b"cycles"}
+
+
+def test_what_is_longer_than_the_transport_takes_never_arrives() -> None:
+    network = loopback_configuration().network
+    arrived: list[int] = []
+    with open_daemon(network) as daemon, open_client(network, "bench1") as client:
+        queryable = daemon.declare_queryable("a", lambda query: arrived.append(len(query.payload or b"")))
+        for size in (LONGEST_MESSAGE // 2, LONGEST_MESSAGE + 1):
+            list(client.get("a", payload=b"x" * size, timeout=0.5))
+        queryable.undeclare()
+    assert arrived == [LONGEST_MESSAGE // 2]
+
+
+def configured(folder: Path, **network: str) -> NetworkSettings:
+    """Return [network] with these keys, read from a file."""
+    path = folder / "bench.toml"
+    keys = "".join(f'{key} = "{value}"\n' for key, value in network.items())
+    path.write_text(f'base = "shipped"\n[network]\n{keys}')
+    return load_configuration(path).network
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["tcp/127.0.0.1:7451", "tcp/127.1.2.3:1", "tcp/[::1]:65535", "tls/bench.example:7452", "tls/[::]:7452"],
+)
+def test_endpoints_of_this_machine_and_secure_ones_hold(endpoint: str, tmp_path: Path) -> None:
+    assert configured(tmp_path, endpoint=endpoint, identity="bob").endpoint == endpoint
+
+
+BEYOND_IN_THE_CLEAR = [
+    "tcp/0.0.0.0:7451",
+    "tcp/[::]:7451",
+    "tcp/192.168.1.5:7451",
+    "tcp/bench.example:7451",
+    "tcp/127.0.0.1.1:7451",
+    "udp/127.0.0.1:7451",
+    "quic/192.168.1.5:7451",
+]
+NO_ENDPOINT = [
+    "7451",
+    "tcp/127.0.0.1",
+    "tcp/127.0.0.1:0",
+    "tcp/127.0.0.1:65536",
+    "tcp/127.0.0.1:123456",
+    "tcp/127.0.0.1:7451#iface=eth0",
+    "tcp/127.0.0.1:7451\\n",
+    "tls/:7452",
+    "tls/192.168.1.5",
+    "tls/192.168.1.5:7452?rel=0",
+    "tls/192.168.1.5:7452#verify_name_on_connect=false",
+    "tls/192.168.1.5:7452,tcp/0.0.0.0:7451",
+]
+
+
+@pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
+@pytest.mark.parametrize("endpoint", [*BEYOND_IN_THE_CLEAR, *NO_ENDPOINT])
+def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) -> None:
+    with pytest.raises(ExceptionGroup) as caught:
+        configured(tmp_path, identity="bench1", **{key: endpoint})
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert fault.place.endswith(f"network.{key}")
+    assert "tls/HOST:PORT" in fault.expected
+    if key == "endpoint":
+        assert "an address of this machine only" in fault.expected
+
+
+@pytest.mark.parametrize(("key", "endpoint"), [("endpoint", ""), ("beyond", "tcp/127.0.0.1:7451")])
+def test_only_the_endpoint_must_be_given_and_only_it_may_be_without_tls(
+    key: str, endpoint: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ExceptionGroup, match="does not hold"):
+        configured(tmp_path, **{key: endpoint})
+
+
+@pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
+def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
+    with pytest.raises(ExceptionGroup) as caught:
+        configured(tmp_path, **{key: "tls/192.0.2.5:7452"})
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert fault.place.endswith("network.identity")
+    assert "golfbench certificates" in fault.cure
+
+
+@pytest.mark.parametrize("name", ["", "anna*", "anna bob", "**"])
+def test_roles_are_of_names(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(f'base = "shipped"\n[network]\noperators = ["bob", "{name}"]\n')
+    with pytest.raises(ExceptionGroup) as caught:
+        load_configuration(path)
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert fault.place.endswith("network.operators")
+    assert fault.found == f'"{name}"'

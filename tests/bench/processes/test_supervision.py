@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.control.step import CONTROL_STATE
+from bench.lifecycle import Request
+from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from sim.compiled import new_record
+from sim.shared_record import SharedRecord
+
+SILENCE = 0.25
+
+
+class Supervisor:
+    def __init__(self, folder: Path) -> None:
+        self.shared = SharedRecord.create(folder / SUPERVISION_FILE, SUPERVISION)
+        self.record = new_record(SUPERVISION)
+
+    def say(self, **values: int) -> None:
+        for name, value in values.items():
+            self.record[name] = value
+        self.shared.write(self.record)
+
+
+@pytest.fixture
+def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
+    made = Supervisor(tmp_path)
+    yield made
+    made.shared.close()
+
+
+@pytest.fixture
+def orders(tmp_path: Path, supervisor: Supervisor) -> Iterator[Orders]:
+    supervisor.say(heartbeat=7, request=Request.ARM, request_number=3, stop_count=2, emergency_stop_count=1)
+    made = Orders(tmp_path / SUPERVISION_FILE, SILENCE)
+    yield made
+    made.close()
+
+
+Put = Callable[[float], np.void]
+
+
+@pytest.fixture
+def put(orders: Orders) -> Put:
+    """Put what is new into a controller's state, as the loop does; take the request away, as a step does."""
+    control = new_record(CONTROL_STATE)
+
+    def put(time: float) -> np.void:
+        orders.put(control, time)
+        seen: np.void = control.copy()[0]
+        control["request"] = 0
+        return seen
+
+    return put
+
+
+def test_what_stands_there_at_the_start_is_no_request(put: Put) -> None:
+    assert put(100.0)["request"] == 0
+
+
+def test_a_request_is_put_once_with_its_number(put: Put, supervisor: Supervisor) -> None:
+    put(100.0)
+    supervisor.say(request=Request.RESET, request_number=4)
+    seen = put(100.001)
+    assert (seen["request"], seen["request_number"]) == (Request.RESET, 4)
+    assert put(100.002)["request"] == 0
+
+
+def test_stops_go_before_a_request_and_none_is_lost(put: Put, supervisor: Supervisor) -> None:
+    supervisor.say(request=Request.SWING, request_number=4, stop_count=3, emergency_stop_count=2)
+    found = [int(put(100.0 + 0.001 * k)["request"]) for k in range(4)]
+    assert found == [Request.EMERGENCY_STOP, Request.STOP, Request.SWING, 0]
+
+
+def test_a_silent_supervisor_grants_nothing(put: Put, supervisor: Supervisor) -> None:
+    supervisor.say(heartbeat=8, lease_held=True, support_ready=True)
+    alive = put(100.0)
+    assert alive["supervisor_alive"]
+    assert alive["lease_held"]
+    assert alive["support_ready"]
+    assert put(100.0 + 0.9 * SILENCE)["supervisor_alive"]
+    dead = put(100.0 + 1.1 * SILENCE)
+    assert not any(dead[name] for name in ("supervisor_alive", "lease_held", "support_ready"))
+    supervisor.say(heartbeat=9)
+    assert put(101.0)["supervisor_alive"]
+
+
+def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervisor) -> None:
+    put(100.0)
+    assert not orders.shutdown
+    supervisor.say(shutdown=True)
+    put(100.001)
+    assert orders.shutdown
+
+
+def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
+    put: Put, orders: Orders, supervisor: Supervisor
+) -> None:
+    supervisor.say(heartbeat=8, lease_held=True)
+    assert put(100.0)["supervisor_alive"]
+    orders.give_up()
+    seen = put(100.001)
+    assert not seen["supervisor_alive"]
+    assert not seen["lease_held"]
+    supervisor.say(heartbeat=9)
+    assert not put(100.002)["supervisor_alive"]

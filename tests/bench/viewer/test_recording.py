@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, radians, sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import Phase
+from bench.shot.shot_record import ShotRecord
+from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.whole_file import NotStored
+from bench.viewer.recording import write_recording
+from bench.viewer.scene import ball_at_rest, body_poses, plane_to_golf
+from sim.ball import Ball
+from sim.kinematics import joint_positions
+from sim.plant import PlantParameters, Site
+from sim.robot import RobotParameters
+from tests.bench.telemetry.read_recording import Recording
+
+Records = Callable[[int], list[ShotRecord]]
+SITE = Site(ball_x=0.2315, ball_y=-1.514, ground=-1.57)
+RADIUS = 0.0213
+
+
+@pytest.fixture(scope="module")
+def plant(robot: RobotParameters) -> PlantParameters:
+    return replace(PlantParameters(), robot=robot, site=SITE, ball=Ball(radius=RADIUS))
+
+
+@pytest.fixture(scope="module")
+def three(
+    tmp_path_factory: pytest.TempPathFactory, make_records: Records, plant: PlantParameters
+) -> Recording:
+    path = tmp_path_factory.mktemp("recording") / "demo.rrd"
+    write_recording(path, make_records(3), plant, name="three swings")
+    assert os.listdir(path.parent) == ["demo.rrd"]
+    return Recording(path)
+
+
+def test_signals_are_the_cycles_at_full_rate(three: Recording, make_records: Records) -> None:
+    cycles = np.concatenate([record.cycles for record in make_records(3)])
+    for entity, field in (("actual", "angle"), ("reference", "reference_angle")):
+        time, rows = three.read(f"/signals/angle_deg/{entity}", "Scalars:scalars")
+        assert np.array_equal(rows, np.degrees(cycles[field]))
+        assert len(time) == 6300
+    _, valves = three.read("/signals/valve/applied", "Scalars:scalars")
+    assert np.array_equal(valves, cycles["applied_valve"])
+    _, pressures = three.read("/signals/pressure_bar", "Scalars:scalars")
+    assert np.array_equal(np.array(pressures)[:, :6], cycles["chamber_pressure"] / 1e5)
+
+
+def test_swings_follow_one_another_in_time(three: Recording, make_records: Records) -> None:
+    time, _ = three.read("/signals/head_speed_mps", "Scalars:scalars")
+    assert np.all(np.diff(time) > 0)
+    swings = time.reshape(3, -1)
+    assert np.allclose(swings - swings[:, :1], make_records(1)[0].cycles["time"], atol=1e-9)
+    for record, start, following in zip(make_records(2), swings[:2, 0], swings[1:, 0], strict=True):
+        assert record.flight is not None
+        assert following > start + 1.1 + record.flight.total_time
+
+
+def test_phases_change_when_the_cycles_do(three: Recording, make_records: Records) -> None:
+    time, states = three.read("/signals/phase", "StateChange:state")
+    first = make_records(1)[0].cycles
+    changes = np.concatenate([[0], np.flatnonzero(np.diff(first["phase"].astype(int))) + 1])
+    assert time[: len(changes)] == pytest.approx(first["time"][changes])
+    assert [state[0] for state in states[: len(changes)]] == [
+        Phase(int(code)).name.lower().replace("_", " ") for code in first["phase"][changes]
+    ]
+
+
+def test_the_club_moves_as_the_kinematics_say(
+    three: Recording, make_records: Records, robot: RobotParameters
+) -> None:
+    time, rows = three.read("/scene/robot/club", "Transform3D:translation")
+    cycles = make_records(1)[0].cycles
+    ticks = np.round(time[time < 2.1] * 1000).astype(int)
+    wrist = joint_positions(robot, cycles["angle"][ticks])[:, 2]
+    assert np.allclose(np.array(rows)[: len(ticks), 0, :2], wrist, atol=1e-6)
+    quick = np.flatnonzero(np.isin(cycles["phase"], [Phase.DOWNSWING, Phase.IMPACT]))
+    assert set(quick) <= set(ticks)
+
+
+def test_the_ball_rests_on_its_tee_and_flies_its_flight(three: Recording, make_records: Records) -> None:
+    record = make_records(1)[0]
+    assert record.flight is not None
+    time, rows = three.read("/range/ball", "Points3D:positions")
+    first = time < time[0] + record.flight.total_time + 1e-6
+    assert np.allclose(np.array(rows)[first, 0], record.flight.path[:, 1:], atol=1e-4)
+    assert time[0] == pytest.approx(1.186, abs=2e-3)  # the head crosses the ball then
+    _, speed = three.read("/signals/ball_speed_mps", "Scalars:scalars")
+    assert record.shot.ball_speed_mps is not None
+    assert speed[0][0] == pytest.approx(record.shot.ball_speed_mps, rel=0.01)
+    _, near = three.read("/scene/ball", "Points3D:positions")
+    assert near[0][0][1] == pytest.approx((1.57 - 1.514) * sin(radians(53)) + RADIUS * sin(radians(10.5)))
+
+
+def test_every_shot_says_its_figures(three: Recording) -> None:
+    _, texts = three.read("/shot", "TextDocument:text")
+    joined = "\n".join(text[0] for text in texts)
+    assert "Shot 3: Pro V" in joined
+    assert "216.8 yd" in joined
+
+
+def test_a_shot_without_ball_is_shown_too(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
+    missed = make_records(4)[3]
+    stopped = ShotRecord(missed.shot, np.zeros(0, CYCLE))
+    write_recording(tmp_path / "x.rrd", [missed, stopped], plant)
+    recording = Recording(tmp_path / "x.rrd")
+    assert not any("range/shots" in entity for entity in recording.entities)
+    _, texts = recording.read("/shot", "TextDocument:text")
+    assert "no ball seen on the tee" in texts[0][0]
+
+
+def test_hardware_without_pressure_sensors_shows_gaps_not_zeros(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
+    record = make_records(1)[0]
+    for name in ("chamber_pressure", "plant_pressure"):
+        record.cycles[name] = np.nan
+    write_recording(tmp_path / "x.rrd", [record], plant)
+    _, rows = Recording(tmp_path / "x.rrd").read("/signals/pressure_bar", "Scalars:scalars")
+    assert np.isnan(np.array(rows)[:, :6]).all()
+
+
+def test_the_golf_frame_is_that_of_the_bench(robot: RobotParameters) -> None:
+    axes, origin = plane_to_golf(robot, SITE)
+    assert np.allclose(axes @ axes.T, np.eye(3))
+    assert np.linalg.det(axes) == pytest.approx(1)
+    assert np.allclose(axes[:, 1], [0, sin(robot.lie), -cos(robot.lie)])  # up the plane, towards the golfer
+    contact = axes @ [SITE.ball_x, SITE.ball_y, 0] + origin
+    assert contact == pytest.approx([0, (SITE.ball_y - SITE.ground) * sin(robot.lie), 0])
+    assert ball_at_rest(robot, SITE, RADIUS)[0] > 0  # ahead of the face
+
+
+def test_the_right_arm_points_from_wrist_to_shoulder(robot: RobotParameters) -> None:
+    q = np.random.default_rng(2).uniform([-1, 3.3, 4.8], [2, 4.6, 6.3], (50, 3))
+    poses = body_poses(robot, q)
+    points = joint_positions(robot, q)
+    _, quaternion = poses["right_arm_rod"]
+    angle = 2 * np.arctan2(quaternion[:, 2], quaternion[:, 3])
+    length = np.linalg.norm(points[:, 3] - points[:, 2], axis=1)
+    tip = points[:, 2] + length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    assert np.allclose(tip, points[:, 3])
+
+
+def test_a_full_disk_is_told(tmp_path: Path, make_records: Records, plant: PlantParameters) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+    try:
+        with pytest.raises(NotStored, match="nothing was stored"):
+            write_recording(tmp_path / "x.rrd", make_records(2), plant)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert os.listdir(tmp_path) == []
+
+
+def test_no_shots_and_no_folder_are_refused(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
+    with pytest.raises(ValueError, match="at least one shot"):
+        write_recording(tmp_path / "x.rrd", [], plant)
+    with pytest.raises(NotStored, match="No such file"):
+        write_recording(tmp_path / "absent" / "x.rrd", make_records(1), plant)
+
+
+def test_only_the_record_counts_not_when_it_began(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
+    record = make_records(1)[0]
+    later = record.cycles.copy()
+    later["time"] += 5.0
+    write_recording(tmp_path / "x.rrd", [replace(record, cycles=later)], plant)
+    time, _ = Recording(tmp_path / "x.rrd").read("/range/ball", "Points3D:positions")
+    assert time[0] == pytest.approx(1.186, abs=2e-3)

@@ -1,0 +1,225 @@
+"""The live view beside a bench that only tells, into a file that is read back."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from bench.lifecycle import Cause, Phase, State
+from bench.shot.recorded_shot import Surroundings, shot_to_json
+from bench.shot.shot_record import ShotRecord
+from bench.telemetry.recorder import read_swing, write_swing
+from bench.viewer.feed import Feed
+from bench.viewer.viewer import LiveView, event_words, loop_rows
+from sim.ball import Ball
+from sim.plant import PlantParameters, Site
+from sim.robot import RobotParameters
+from tests.bench.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
+from tests.bench.telemetry.read_recording import Recording
+
+Cycles = np.ndarray[Any, Any]
+HURRY = 15.0
+
+
+@pytest.fixture(scope="module")
+def plant(robot: RobotParameters) -> PlantParameters:
+    site = Site(ball_x=0.2315, ball_y=-1.514, ground=-1.57)
+    return replace(PlantParameters(), robot=robot, site=site, ball=Ball(name="tour"))
+
+
+class Watched:
+    """A bench, a view of it, and the file it goes to."""
+
+    def __init__(self, bench: FakeBench, view: LiveView, file: Path, stream: rr.RecordingStream) -> None:
+        self.bench, self.view, self._file, self._stream, self.cycles = bench, view, file, stream, 0
+
+    def until(self, enough: Callable[[], bool], nudge: Callable[[], None] = lambda: None) -> None:
+        deadline = time.monotonic() + HURRY
+        while not enough():
+            assert time.monotonic() < deadline, "nothing came"
+            nudge()
+            self.cycles += self.view.turn(0.05)
+
+    def subscribed(self) -> None:
+        self.until(
+            lambda: self.view._status is not None,
+            lambda: self.bench.tell("state", state="READY", phase="STANDING", cause=None, lease=None),
+        )
+
+    def send(self, cycles: Cycles) -> None:
+        before = self.cycles
+        self.bench.send(cycles)
+        self.until(lambda: self.cycles >= before + len(cycles))
+
+    def recording(self) -> Recording:
+        self._stream.disconnect()
+        return Recording(self._file)
+
+
+@pytest.fixture
+def watched(tmp_path: Path, plant: PlantParameters) -> Iterator[Watched]:
+    network, file = loopback(), tmp_path / "live.rrd"
+    with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
+        stream = rr.RecordingStream("golfbench")
+        stream.set_sinks(rr.FileSink(file, write_footer=False))
+        view = LiveView(stream, feed, BENCH, plant, Surroundings())
+        made = Watched(bench, view, file, stream)
+        made.subscribed()
+        yield made
+        stream.disconnect()
+
+
+def test_what_is_shown_is_what_the_record_holds(
+    watched: Watched, make_swing: Callable[[int], Cycles], tmp_path: Path
+) -> None:
+    write_swing(tmp_path / "1.parquet", make_swing(1), {})
+    cycles, _ = read_swing(tmp_path / "1.parquet")
+    for part in np.split(cycles, [500, 1000, 1500]):
+        watched.send(part)
+    recording = watched.recording()
+    time_axis, angles = recording.read("/signals/angle_deg/actual", "Scalars:scalars")
+    assert np.array_equal(angles, np.degrees(cycles["angle"]))
+    assert np.allclose(time_axis, cycles["time"] - cycles["time"][0], atol=1e-9)
+    _, pressures = recording.read("/signals/pressure_bar", "Scalars:scalars")
+    assert np.array_equal(np.array(pressures)[:, :6], cycles["chamber_pressure"] / 1e5)
+    _, ticks = recording.read("/signals/tick_us", "Scalars:scalars")
+    assert np.array_equal(np.array(ticks)[:, 1], cycles["work_time"] / 1e-6)
+    changes, phases = recording.read("/signals/phase", "StateChange:state")
+    known = np.concatenate([[0], np.flatnonzero(np.diff(cycles["phase"].astype(int))) + 1])
+    assert [phase[0] for phase in phases] == [
+        Phase(int(code)).name.lower().replace("_", " ") for code in cycles["phase"][known]
+    ]
+    assert np.allclose(changes, cycles["time"][known] - cycles["time"][0], atol=1e-9)
+
+
+def test_the_swing_is_followed_by_its_figures_and_its_flight(
+    watched: Watched, make_swing: Callable[[int], Cycles]
+) -> None:
+    cycles = make_swing(1)
+    watched.send(cycles)
+    (record,) = watched.view.shots.records
+    assert record.shot.delivery_source == "encoders+model"
+    assert record.shot.carry_source == "model"
+    assert record.flight is not None
+    recording = watched.recording()
+    _, texts = recording.read("/shots", "TextDocument:text")
+    assert "tour" in texts[-1][0]
+    flown, _ = recording.read("/range/ball", "Points3D:positions")
+    assert flown[0] == pytest.approx(1.186, abs=0.01)
+    assert "/scene/trace" in recording.entities
+    # Rerun follows the newest time there is: nothing may lie in the future.
+    assert max(recording.last(entity) for entity in recording.entities - recording.static) < 2.11
+
+
+def test_the_ball_is_shown_on_its_way_as_time_goes(
+    watched: Watched, make_swing: Callable[[int], Cycles]
+) -> None:
+    cycles = make_swing(1)
+    watched.send(cycles)
+    rest = np.tile(cycles[-1:], 12_000)
+    rest["tick"] += np.arange(1, 12_001)
+    rest["time"] += np.arange(1, 12_001) * 1e-3
+    for part in np.split(rest, 12):
+        watched.send(part)
+    recording = watched.recording()
+    flown, places = recording.read("/range/ball", "Points3D:positions")
+    (record,) = watched.view.shots.records
+    assert record.flight is not None
+    assert np.allclose(np.array(places)[:, 0], record.flight.path[:, 1:], atol=1e-4)
+    assert np.all(np.diff(flown) > 0)
+    _, speeds = recording.read("/signals/ball_speed_mps", "Scalars:scalars")
+    assert np.isnan(speeds[-1][0])
+
+
+def test_age_is_measured_to_the_subscriber_and_to_rerun(
+    watched: Watched, make_day: Callable[..., Cycles]
+) -> None:
+    watched.send(make_day([(State.READY, 200)]))
+    here, shown = watched.view.to_subscriber.percentile(1.0), watched.view.to_rerun.percentile(0.0)
+    assert here is not None
+    assert shown is not None
+    assert 0 <= here < HURRY
+    assert 0 < shown < HURRY
+
+
+def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Callable[..., Cycles]) -> None:
+    day = make_day([(State.READY, 60)])
+    watched.send(day[:20])
+    watched.bench.sequence += 4
+    watched.bench.lost = 9
+    cause = {"name": "GUARD", "text": "guard open"}
+    watched.bench.tell("state", state="FAULT", phase="HOLD", cause=cause, lease={"holder": "Ann"})
+    watched.bench.tell("loop", ticks=1000, seconds=1.0, skipped=2, late=3, segments={
+        "wake_up": {"p50_us": 5.0, "p99_us": 40.0}, "tick": {"p50_us": None, "p99_us": None},
+    })  # fmt: skip
+    watched.send(day[20:])
+    text = watched.view._text(time.time())
+    for words in (
+        "FAULT",
+        "guard open",
+        "Ann",
+        "1000 Hz, skipped 2, late 3",
+        "p50 5 µs",
+        "4 of ",
+        "9 cycles",
+    ):
+        assert words in text
+    assert "SILENT" not in text
+    assert "SILENT: no telemetry for 30 s" in watched.view._text(time.time() + 30.0)
+
+
+def test_events_and_shots_of_the_bench_are_shown(
+    watched: Watched, make_records: Callable[[int], list[ShotRecord]], make_day: Callable[..., Cycles]
+) -> None:
+    watched.send(make_day([(State.READY, 40)]))
+    for record in make_records(4):
+        watched.bench.tell("shot", version=1, shot=shot_to_json(record.shot))
+    watched.bench.tell("shot", version=1, shot={"shot": "x"})
+    watched.bench.tell("event", event="change", state="FAULT", phase="HOLD", reaction="BRAKE", cause="GUARD")
+    watched.bench.tell("event", event="loop died", text="it froze", loop_time=1000.02)
+    view = watched.view
+    watched.until(lambda: len(view.shots.records) == 4 and view._feed.account.not_understood == 1)
+    watched.until(lambda: not view._feed._others)
+    recording = watched.recording()
+    _, lines = recording.read("/events", "TextLog:text")
+    assert [line[0] for line in lines] == [
+        "FAULT, phase HOLD, reaction BRAKE, cause GUARD",
+        "loop died: it froze",
+    ]
+    _, levels = recording.read("/events", "TextLog:level")
+    assert [level[0] for level in levels] == ["WARN", "CRITICAL"]
+    assert {"/dispersion/Pro_V/shots", "/dispersion/Range/shots"} <= recording.entities
+    _, texts = recording.read("/shots", "TextDocument:text")
+    assert "no ball seen on the tee" in texts[-1][0]
+
+
+def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
+    watched: Watched, make_day: Callable[..., Cycles]
+) -> None:
+    watched.send(make_day([(State.READY, 40)], first_tick=9000, start=400.0))
+    watched.bench.sequence, watched.bench.lost = 0, 0
+    watched.send(make_day([(State.ESTOP, 40)], first_tick=1, start=0.0, trip=(1, Cause.RESTART)))
+    recording = watched.recording()
+    at, angles = recording.read("/signals/angle_deg/actual", "Scalars:scalars")
+    assert np.all(np.diff(at) > 0)
+    assert np.flatnonzero(np.isnan(angles).all(axis=1)).tolist() == [40]
+    _, states = recording.read("/signals/state", "StateChange:state")
+    assert [state[0] for state in states] == ["ready", "estop"]
+    assert watched.view._feed.account.restarts == 1
+
+
+def test_words_of_events_and_loop() -> None:
+    assert event_words({"event": "change", "state": "READY", "cause": "NONE", "phase": "STANDING"}) == (
+        "READY, phase STANDING"
+    )
+    assert event_words({"event": "note"}) == "note"
+    assert loop_rows({"ticks": 1}) == [("loop", "not understood")]
+    assert json.dumps(loop_rows({"ticks": 5, "seconds": 0, "skipped": 0}))
