@@ -1,6 +1,7 @@
 """The viewer beside a running bench: age of what it shows, its work, and what an hour takes on the disk.
 
-The bench swings all the time, on the plant's own clock; the viewer writes a Rerun file and opens no window.
+The bench swings all the time, on the plant's own clock unless told otherwise; the viewer writes a Rerun file
+and opens no window.
 """
 
 from __future__ import annotations
@@ -38,11 +39,12 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Look for `--minutes`; return ages, work and sizes."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks telemetry_viewer")
     parser.add_argument("--minutes", type=float, default=2.0)
+    parser.add_argument("--clock", choices=("wall", "paced"), default="wall")
     options = parser.parse_args(arguments)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         file, saved = write_configuration(folder, "viewer"), folder / "live.rrd"
-        bench = stack.enter_context(running_bench(file, clock="wall"))
+        bench = stack.enter_context(running_bench(file, clock=options.clock))
         over = Event()
         swinging = Thread(target=swing_on, args=(bench, over))
         stack.callback(swinging.join)
@@ -81,7 +83,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     if match is None:
         raise RuntimeError(f"the viewer told {told!r}")
     batches, lost_batches, lost_cycles, *ages = map(float, match.groups())
-    title = f"viewer, {options.minutes:g} min"
+    title = f"viewer, {options.minutes:g} min, {options.clock}"
     hour = 3600.0 / seconds / 1e9
     return [
         Row(title, "batches lost", lost_batches, "", f"of {batches:,.0f}", at_most=0),
