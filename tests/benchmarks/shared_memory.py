@@ -34,7 +34,7 @@ BLOCK, ROUNDS = 500, 12
 """Ticks of one way before the next has its turn, and turns of each."""
 PRIORITY = 80
 KEY = "golfbench/benchmark/cycle"
-PROMISED_MEDIAN = 15.0
+PROMISED_MEDIAN, PROMISED_P99 = 10.0, 40.0
 """us, of ring and record, cold as they are at 1 kHz."""
 
 _READER = """
@@ -142,12 +142,13 @@ def run() -> list[Row]:
     published = BLOCK * ROUNDS
     rows = []
     for name, spent in times.items():
-        promise = None if name == "zenoh put" else PROMISED_MEDIAN
+        promised = (None, None) if name == "zenoh put" else (PROMISED_MEDIAN, PROMISED_P99)
         p50, p99 = np.percentile(spent, (50, 99))
+        worst = f"worst {spent.max():.0f} us"
         note = f"{CYCLE.itemsize} bytes, {published} calls at 1 kHz, {scheduling}"
         rows += [
-            Row("shared memory", f"{name}, p50", float(p50), "us", note, at_most=promise),
-            Row("shared memory", f"{name}, p99", float(p99), "us", f"worst {spent.max():.0f} us"),
+            Row("shared memory", f"{name}, p50", float(p50), "us", note, at_most=promised[0]),
+            Row("shared memory", f"{name}, p99", float(p99), "us", worst, at_most=promised[1]),
         ]
     median = {name: float(np.median(spent)) for name, spent in times.items()}
     return [
