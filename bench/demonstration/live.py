@@ -23,12 +23,12 @@ from bench.campaign.runner import Outcome, Watcher
 from bench.campaign.shot_table import write_shot_table
 from bench.campaign.swings import require_swings
 from bench.config import Configuration
+from bench.demonstration.bench_process import BenchPlan
 from bench.demonstration.lock_step import Files, new_folder
 from bench.demonstration.screen import Screen
 from bench.interrupt import deferred_interrupt
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
-from bench.processes.bench_process import BenchPlan
 from bench.processes.child import Child
 from bench.shot.recorded_shot import read_shot
 from bench.shot.shot import Shot
@@ -96,7 +96,7 @@ def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
     Raises:
         NotStarted: it does not come up.
     """
-    child = Child.start("bench", "bench.processes.bench_process", BenchPlan(configuration, log))
+    child = Child.start("bench", "bench.demonstration.bench_process", BenchPlan(configuration, log))
     patience = 2.0  # nothing moves before it is ready
     try:
         child.wait_until_ready(_START)

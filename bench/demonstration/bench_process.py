@@ -1,6 +1,6 @@
 """A whole bench as a child of a command that needs one for its own time.
 
-`python -m bench.processes.bench_process`.
+`python -m bench.demonstration.bench_process`.
 
 Plan: a pickled BenchPlan on stdin. Told on stdout: `ready`, commands are answered; `failed` as other children
 do. It ends, the robot at rest, by SIGTERM or when its parent is gone; Ctrl-C at the terminal is the parent's.
