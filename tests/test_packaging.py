@@ -34,7 +34,10 @@ def _sources() -> Iterator[Path]:
 
 def _contracts(folder: Path, extra: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Run the import contracts on a skeleton of the packages with `extra` lines in some modules."""
-    modules = dict.fromkeys(["drivers/base", "drivers/mock", "sim/plant", "sim/driver", "bench/loop"], "")
+    contracts = tomllib.loads((TOP / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    floors = next(contract["layers"] for contract in contracts if contract.get("containers") == ["bench"])
+    names = ["drivers/base", "drivers/mock", "sim/plant", "sim/driver", "bench/loop"]
+    modules = dict.fromkeys([*names, *(f"bench/{floor}" for floor in floors)], "")
     modules["sim/driver"] = "from drivers.base import Driver"
     modules["bench/loop"] = "import sim.plant, drivers.mock"
     for package in PACKAGES:
@@ -62,6 +65,8 @@ def test_the_allowed_imports_keep_the_contracts(tmp_path: Path) -> None:
         ("sim/driver", "from drivers.mock import MockDriver"),
         ("sim/plant", "import sympy"),
         ("bench/loop", "import pytest"),
+        ("bench/control", "import bench.telemetry"),
+        ("bench/campaign", "from bench import daemon"),
     ],
 )
 def test_a_forbidden_import_breaks_the_contracts(module: str, line: str, tmp_path: Path) -> None:
