@@ -18,6 +18,7 @@ from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
+from bench.campaign.operate import ask
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Suspended
@@ -25,7 +26,7 @@ from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.swings import require_swings
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
-from bench.lifecycle import Phase
+from bench.lifecycle import Phase, State
 from bench.network.client import CommandRefused
 from bench.network.command import Answer, Verb
 from bench.shot.shot import Status
@@ -334,3 +335,55 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
         assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
             (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
         )
+
+
+def wait_for(store: CampaignStore, name: str, state: CampaignState, process: subprocess.Popen[str]) -> None:
+    """Wait until a campaign stands at `state`."""
+    while store.standing(name).state is not state:
+        time.sleep(0.05)
+        assert process.poll() is None
+
+
+@pytest.mark.timeout(600)
+def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "obeys", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 3"))
+    data_dir = load_configuration(file).bench.data_dir
+
+    def numbers() -> list[int]:
+        return [stored.shot.shot for stored in store.shots(name)]
+
+    with open_database(database_url("", data_dir)) as engine:
+        store = CampaignStore(engine)
+        with running_bench(file) as bench:
+            with campaign(file, "run", tmp_path / "plan.toml") as process:
+                in_swing(bench, 1)
+                name = store.entries()[0][0].id
+                ask(store, data_dir, name, "pause")  # at once: a command takes seconds to start
+                wait_for(store, name, CampaignState.PAUSED, process)
+                assert numbers() == [1], "the shot under way is completed and stored"
+                bench.wait_until(lambda record: record["state"] == State.READY)
+                assert call(file, "resume", name)[0] == ExitCode.OK
+                in_swing(bench, 2)
+                ask(store, data_dir, name, "stop")
+                assert process.wait(60) == ExitCode.REFUSED
+            assert store.standing(name).state is CampaignState.STOPPED
+            assert numbers() == [1, 2]
+            with campaign(file, "resume", name) as process:
+                in_swing(bench, 3)
+                bench.process.kill()  # the loop stops by itself, the runner hears nothing more
+                output, _ = process.communicate(timeout=120)
+                assert process.returncode == ExitCode.REFUSED, output
+            assert store.standing(name).state is CampaignState.SUSPENDED
+            assert numbers() == [1, 2]
+        with running_bench(file) as bench, campaign(file, "resume", name) as process:
+            in_swing(bench, 2)
+            assert numbers() == [1, 2, 3]
+            ask(store, data_dir, name, "abort")
+            assert process.wait(60) == ExitCode.REFUSED
+            assert bench.wait_until(lambda record: record["state"] == State.FAULT)["trip"]
+            assert bench.cause == "OPERATOR_STOP"
+        assert store.standing(name).state is CampaignState.ABORTED
+        assert [stored.shot.status for stored in store.shots(name)][:3] == [Status.VALID] * 3
+        assert store.events(name)[-1].kind == "reset"
+        assert "not shut down in order" in store.events(name)[-1].text

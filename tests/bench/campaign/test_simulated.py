@@ -10,7 +10,7 @@ import pytest
 
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
-from bench.campaign.plan import Plan
+from bench.campaign.plan import Plan, Simulation
 from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import all_trials
 from bench.campaign.simulated import SimulatedShots, Taken
@@ -79,11 +79,31 @@ def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: 
     ).events
 
 
-def test_a_loft_is_seen_and_a_changed_club_is_an_event(source: SimulatedShots, plan: Plan) -> None:
+def test_a_loft_is_seen(source: SimulatedShots, plan: Plan) -> None:
     taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
     lofts: dict[str, set[float]] = {}
     for one in taken:
         assert one.shot.dynamic_loft_deg is not None
         lofts.setdefault(one.shot.club, set()).add(round(one.shot.dynamic_loft_deg))
     assert lofts == {"driver": {11}, "driver-9": {10}, "driver-12": {13}}
-    assert any(kind == "prompt" for one in taken for kind, _ in one.events)
+
+
+def test_a_feeder_that_is_empty_or_brings_another_ball(plan: Plan, configuration: Configuration) -> None:
+    s = replace(plan.simulation, missed_ball=(), feeder_empty=(2,), wrong_ball=(3,))
+
+    def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
+        handling = replace(plan.ball_handling, identify=identify)
+        changed = replace(plan, simulation=simulation, ball_handling=handling)
+        profiles = require_swings(changed, configuration)
+        return _take(SimulatedShots(changed, configuration, profiles, never), changed, number)
+
+    empty = take(2, s, identify=False)
+    assert (empty.shot.reason, empty.cycles) == ("feeder empty: no ball came", None)
+    noticed = take(3, s, identify=True)
+    assert noticed.shot.reason == "feeder: ball tour 2 came, tour 1 was to come"
+    assert not noticed.struck
+    unnoticed = take(3, s, identify=False)
+    right = take(3, replace(s, wrong_ball=()), identify=False)
+    assert unnoticed.shot.status is Status.VALID
+    assert unnoticed.shot.sample == right.shot.sample
+    assert unnoticed.shot.ball_speed_mps != right.shot.ball_speed_mps, "another ball was struck"
