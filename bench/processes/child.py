@@ -43,7 +43,7 @@ class Child:
         The plan lies in memory: into a pipe a large one would go only as the child, still importing, reads.
         """
         # What this process can import, its child can; more BLAS threads only disturb.
-        path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[1])]))
+        path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))
             stdin.seek(0)

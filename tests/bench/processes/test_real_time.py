@@ -54,7 +54,7 @@ def _in_a_process(code: str, preamble: str = "") -> Any:
         check=False,
         capture_output=True,
         text=True,
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
         timeout=60,
     )
     assert answer.returncode == 0, answer.stderr

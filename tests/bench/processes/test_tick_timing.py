@@ -162,7 +162,7 @@ def test_plain_python_counts_the_same() -> None:
         "from test_tick_timing import *\n"
         "print(timing_of(random_ticks(50)).tobytes().hex())"
     )
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     answer = subprocess.run(
         [sys.executable, "-c", program],
         env={"NUMBA_DISABLE_JIT": "1", "PATH": "", "PYTHONPATH": str(root)},
