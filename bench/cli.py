@@ -132,16 +132,13 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Of the small differences between shots.")] = 1,
     swings: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 10,
     engine: Annotated[
-        Literal["bench", "python", "compiled"],
-        typer.Option(
-            help="A running bench in real time; or lock-step in this process: the bench's cycle around the "
-            "simulated driver, or the compiled loop."
-        ),
+        Literal["bench", "compiled"],
+        typer.Option(help="A running bench in real time; or, in seconds, lock-step in this process."),
     ] = "bench",
 ) -> None:
     """Swing the simulated robot at two balls in turn, show what happens and leave report and records.
 
-    Ends with 1 when the test did not come to its end, in lock-step when a swing gave no valid shot.
+    Ends with 1 when the test did not come to its end.
     """
     configuration = context.ensure_object(Session).configuration()
     if engine == "bench":
@@ -149,9 +146,9 @@ def demo(
 
         valid = run_live_demo(configuration, output, swings, seed)
     else:
-        from bench.demonstration.lock_step import run_demo
+        from bench.demonstration.lock_step import run_lock_step_demo
 
-        valid = run_demo(configuration, output, swings, seed, engine)
+        valid = run_lock_step_demo(configuration, output, swings, seed)
     if not valid:
         raise typer.Exit(ExitCode.REFUSED)
 

@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 from statsmodels.nonparametric.smoothers_lowess import lowess
 
@@ -16,9 +17,9 @@ from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.plan import Plan, levels
 from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import FIGURES
-from bench.campaign.report_plots import COLOURS, MARKERS, STYLE, draw_ellipse, styled, to_svg
 from bench.campaign.sequence import Role, sections
 from bench.campaign.verdicts import NAMES
+from bench.shot.plot_style import COLOURS, MARKERS, STYLE, styled, to_svg
 from bench.shot.shot import Shot, Status
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
@@ -82,7 +83,7 @@ def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
         above.plot(*others.T, **{**style, "markerfacecolor": "none"})
         extent += [tuple(p) for p in (*points, *others)]
         if len(points) >= 3:
-            extent += draw_ellipse(above, points, style["color"])
+            extent += _draw_ellipse(above, points, style["color"])
         both = [(s.ball_speed_mps, s.carry_m) for s in flown if s.ball_speed_mps and s.status is Status.VALID]
         speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **style, label=name)
     above.axvline(0, color=_GREY, linewidth=0.8, linestyle=(0, (5, 3)))
@@ -182,3 +183,20 @@ def _delivery(shots: Sequence[Shot]) -> Figure:
 def _points(axes: Axes, shots: Sequence[Shot], column: str, style: dict[str, Any], filled: bool) -> None:
     look = style | {"markersize": 2.0} if filled else style | {"markerfacecolor": "none", "color": _RED}
     axes.plot([s.shot for s in shots], [getattr(s, column) for s in shots], **look)
+
+
+_CHI2_95 = 5.991
+"""95 % quantile of chi-square with two degrees of freedom."""
+
+
+def _draw_ellipse(axes: Axes, points: np.ndarray, colour: str) -> list[tuple[float, float]]:
+    """Draw the ellipse that holds 95 % of a normal scatter like the points'; return its corners."""
+    covariance = np.cov(points.T)
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2 * np.sqrt(_CHI2_95 * np.maximum(values, 0))
+    turn = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    centre = (float(points[:, 0].mean()), float(points[:, 1].mean()))
+    axes.add_patch(Ellipse(centre, width, height, angle=turn, fill=False, edgecolor=colour, linewidth=1.0))
+    axes.add_patch(Ellipse(centre, width, height, angle=turn, color=colour, alpha=0.07, linewidth=0))
+    reach = np.sqrt(_CHI2_95 * np.diag(covariance))
+    return [(centre[0] + sign * reach[0], centre[1] + sign * reach[1]) for sign in (-1, 1)]

@@ -12,15 +12,16 @@ from typing import Any
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.findings import Findings
+from bench.campaign.fitting import Kind
 from bench.campaign.mixed_model import MixedModel
+from bench.campaign.page import TABLE, figure_text, flat, page_template
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
-from bench.campaign.report import TABLE, figure_text, flat, page_template
-from bench.campaign.report_plots import COLOURS
 from bench.campaign.verdicts import NAMES
+from bench.shot.plot_style import COLOURS
 from bench.shot.shot import Shot, Status
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Standing
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, Standing
 from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000
@@ -49,6 +50,7 @@ class CampaignRecord:
     shots: Sequence[Shot]
     events: Sequence[Event]
     hits: Counter[Hit]
+    prompts: Sequence[Prompt] = ()
 
 
 def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
@@ -60,6 +62,7 @@ def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
         [stored.shot for stored in store.shots(entry.id)],
         store.events(entry.id),
         store.hits(entry.hit_scope),
+        store.prompts(entry.id),
     )
 
 
@@ -112,6 +115,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         mixed_words=_mixed,
         reasons=_reasons(found),
         events=list(record.events)[:200],
+        handwork=_handwork(record.prompts),
         table=TABLE,
         all_rows=all_rows,
         rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in rows],
@@ -127,13 +131,11 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
 
 def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
     entry, plan = record.entry, record.plan
-    first = record.shots[0]
-    air = "not recorded"
-    if first.air_temperature_k and first.air_pressure_pa and first.relative_humidity is not None:
-        air = (
-            f"{first.air_temperature_k - 273.15:.1f} °C, {first.air_pressure_pa / 100:.0f} hPa, "
-            f"{100 * first.relative_humidity:.0f} %"
-        )
+    air = (
+        _range([s.air_temperature_k - 273.15 for s in record.shots if s.air_temperature_k], 1, "°C"),
+        _range([s.air_pressure_pa / 100 for s in record.shots if s.air_pressure_pa], 0, "hPa"),
+        _range([100 * s.relative_humidity for s in record.shots if s.relative_humidity is not None], 0, "%"),
+    )
     handling = plan.ball_handling
     return [
         ("Campaign", entry.id),
@@ -143,14 +145,41 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
         ("Plan", entry.digest),
         ("Clubs", ", ".join(plan.design.clubs)),
         ("Swings", ", ".join(plan.design.swings)),
-        ("Air at the first shot", air),
+        ("Air", ", ".join(filter(None, air)) or "not measured"),
         (
             "Balls",
             f"{handling.samples} of each from no. {handling.first_sample}, at most {handling.hits} hits; "
             f"{handling.temperature - 273.15:.0f} ± {handling.temperature_tolerance:g} °C for "
-            f"{handling.conditioning_time / 3600:g} h",
+            f"{handling.conditioning_time / 3600:g} h ({_conditioned(record)})",
         ),
     ]
+
+
+def _range(values: Sequence[float], digits: int, unit: str) -> str:
+    """Return what a figure was over the campaign; empty when it was not measured."""
+    if not values:
+        return ""
+    low, high = (f"{value:.{digits}f}" for value in (min(values), max(values)))
+    return f"{low}{'' if low == high else f' to {high}'} {unit}"
+
+
+def _conditioned(record: CampaignRecord) -> str:
+    """Say who vouches for how the balls were kept."""
+    people = dict.fromkeys(p.by for p in record.prompts if p.kind == Kind.BALLS and p.by)
+    if record.entry.simulated:
+        return "as planned; simulated balls have no temperature"
+    return f"confirmed by {', '.join(people)}" if people else "as planned, confirmed by nobody"
+
+
+def _handwork(prompts: Sequence[Prompt]) -> list[str]:
+    """Return what was done by hand, what a simulation did by itself as a number only."""
+    by_itself = Counter(prompt.kind for prompt in prompts if prompt.by == "simulation")
+    words = [f"{number} times {kind}: done by the simulation itself" for kind, number in by_itself.items()]
+    for prompt in prompts:
+        if prompt.by != "simulation":
+            done = f"{prompt.by}, {prompt.answered:%H:%M:%S}" if prompt.answered else "not done yet"
+            words.append(f"before shot {prompt.before_shot}, {prompt.asked:%H:%M:%S}: {prompt.text} {done}")
+    return words[:200]
 
 
 def _standing_words(standing: Standing) -> str:

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from bench.campaign.analysis import COLUMN, SectionAnalysis, analyse, shots_still_needed
-from bench.campaign.comparison import Verdict
 from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import Plan
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.rules import rule_sets
 from bench.campaign.sequence import sections
-from bench.campaign.verdicts import section_verdicts
+from bench.campaign.verdicts import Verdict, section_verdicts
 from bench.shot.shot import Shot, Status
 
 SCHEMA = 1

@@ -331,7 +331,7 @@ class Runner:
                     return CampaignState.ABORTED, "aborted by request"
                 if requested == "stop" or interrupted():
                     how = "by request" if requested else "by Ctrl-C"
-                    return CampaignState.STOPPED, f"stopped {how} while it waited: {prompt.text}"
+                    return CampaignState.STOPPED, f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
                 if operator and operator.answered():
                     self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
                 else:

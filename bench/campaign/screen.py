@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Column, Table
@@ -43,15 +44,15 @@ class ProgressWatcher(Watcher):
 
 def listing(found: Listed) -> Table:
     """Return the campaigns as a table."""
-    table = Table(Column("id", no_wrap=True), "begun", "state", "shots", "valid", "why")
+    columns = (Column("begun, UTC", no_wrap=True), Column("state", no_wrap=True), "shots", "valid")
+    table = Table(Column("campaign", ratio=1), *columns, box=SIMPLE_HEAD, expand=True)
     for entry, standing, counts in found:
         table.add_row(
-            escape(entry.id),
-            f"{entry.date:%Y-%m-%d %H:%M} UTC",
+            escape(entry.id) + (f"\n[dim]{escape(standing.reason)}[/]" if standing.reason else ""),
+            f"{entry.date:%Y-%m-%d %H:%M}",
             f"{standing.state}{' (sim)' if entry.simulated else ''}",
             str(sum(counts.values())),
             str(counts[Status.VALID]),
-            escape(standing.reason),
         )
     return table
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis, shots_still_needed
-from bench.campaign.comparison import Verdict
+from bench.campaign.page import MPH
 from bench.campaign.plan import Plan, levels
 from bench.campaign.preview import UNITS
+from bench.campaign.repeatability import Repeatability
 
 NAMES = {
     "carry_m": "carry",
@@ -19,6 +22,14 @@ NAMES = {
     "spin_rpm": "spin",
 }
 """Quantities as people call them."""
+
+
+class Verdict(NamedTuple):
+    """The answer to one comparison, in words."""
+
+    resolved: bool
+    headline: str
+    detail: str
 
 
 def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
@@ -110,3 +121,19 @@ def _margin(plan: Plan) -> str:
 
 def _signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "−")
+
+
+def robot_words(delivered: Mapping[tuple[str, str], Sequence[Repeatability]]) -> str:
+    """Say how repeatable the robot was in club speed, a sentence for each swing and club."""
+    words = []
+    for (swing, club), figures in delivered.items():
+        speed = next((f for f in figures if f.column == "club_speed_mps" and f.n > 1), None)
+        if speed is not None:
+            where = f" with {club}, {swing}" if len(delivered) > 1 else ""
+            deviation = speed.overall.deviation
+            words.append(
+                f"The robot delivered {speed.mean:.2f} m/s ({speed.mean / MPH:.1f} mph) of club speed{where} "
+                f"with a standard deviation of {deviation:.3f} m/s ({100 * deviation / speed.mean:.2f} %) "
+                f"over {speed.n} valid shots."
+            )
+    return " ".join(words) or "Fewer than two valid shots: the robot's repeatability is not known."

@@ -15,9 +15,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bench.campaign.comparison import Verdict
-from bench.campaign.report import MPH, robot_words, verdicts
-from bench.campaign.report_plots import YARD
+from bench.campaign.findings import Findings
+from bench.campaign.page import MPH, YARD
+from bench.campaign.verdicts import robot_words
 from bench.progress import progress_bar
 from bench.shot.shot import Shot, Status
 
@@ -107,11 +107,11 @@ class Screen:
         seed: int,
         files: Sequence[Path],
         stopped: str,
-        found: Sequence[Verdict] | None = None,
+        found: Findings,
     ) -> None:
         """Print the result: table, what was varied, verdict, and where the `files` are.
 
-        `stopped`: why it ended early, else empty; `found`: the verdicts, by default those of the valid shots.
+        `stopped`: why it ended early, else empty.
         """
         self._open.close()
         console = Console(highlight=False)
@@ -124,12 +124,11 @@ class Screen:
         console.print(
             f"Everything is simulated. From shot to shot differ, drawn from seed {seed}: {scatter}."
         )
-        valid = [shot for shot in self._shots if shot.status is Status.VALID]
         console.print()
-        for verdict in verdicts(valid) if found is None else found:
+        for verdict in (verdict for section in found.verdicts for verdict in section):
             console.print(verdict.headline, style="bold")
             console.print(verdict.detail)
-        console.print(robot_words(valid))
+        console.print(robot_words(found.repeatability))
         console.print()
         for path in files:
             console.print(_way_to_open(path), soft_wrap=True)

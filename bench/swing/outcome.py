@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from bench.campaign.report_plots import tracking
+from bench.shot.tracking_plot import tracking
 from bench.simulate import SwingResult
 from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS, CHAMBERS

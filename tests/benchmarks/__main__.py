@@ -37,6 +37,7 @@ LONG = (
     "campaign_kills",
     "campaign_speed",
     "campaign_detection",
+    "campaign_examples",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -24,7 +24,7 @@ from bench.campaign.runner import Outcome
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.shot.shot import Status
-from bench.store.campaigns import CampaignState, Event, Hit, Standing
+from bench.store.campaigns import CampaignState, Event, Hit, Prompt, Standing
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -184,3 +184,26 @@ def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.
     )  # fmt: skip
     command = [chromium, *options, action, page.as_uri()]
     return subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
+
+
+def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) -> None:
+    asked = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+    prompts = [
+        Prompt(1, 1, "balls", "Fill the feeder in this order: tour 1.", {}, asked, asked, "Ann"),
+        Prompt(2, 4, "club", "Mount club iron.", {}, asked, asked, "simulation"),
+        Prompt(3, 7, "club", "Mount club wood.", {}, asked),
+    ]
+    real = replace(record, entry=replace(record.entry, simulated=False), prompts=prompts)
+    page = _words(render_campaign_report(real, findings(real.plan, real.shots)))
+    assert "confirmed by Ann" in page
+    assert "before shot 1, 12:00:00: Fill the feeder in this order: tour 1. Ann, 12:00:00" in page
+    assert "1 times club: done by the simulation itself" in page
+    assert "Mount club wood. not done yet" in page
+    nobody = replace(real, prompts=())
+    assert "confirmed by nobody" in _words(render_campaign_report(nobody, findings(real.plan, real.shots)))
+
+
+def test_the_air_is_told_as_it_changed(record: CampaignRecord) -> None:
+    shots = [replace(record.shots[0], air_temperature_k=295.15), *record.shots[1:]]
+    page = _words(render_campaign_report(replace(record, shots=shots), findings(record.plan, shots)))
+    assert "22.0 to 25.0 °C, 1013 hPa, 50 %" in page

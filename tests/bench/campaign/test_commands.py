@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner, Result
 
+from bench.campaign.campaign_report import load_record, render_campaign_report
+from bench.campaign.findings import findings
+from bench.campaign.operate import bench_lock, new_entry, require_free, run_simulated, runner_lock
+from bench.campaign.plan_file import campaign_names, load_plan
+from bench.campaign.runner import Watcher
+from bench.campaign.sequence import all_trials
 from bench.campaign.shot_table import read_shot_table
-from bench.cli import app
+from bench.campaign.simulated import BEGIN
+from bench.cli import app, main
+from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
+from bench.simulate import never
+from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.database import database_url, open_database
+from bench.telemetry.whole_file import NotStored
 
 Call = Callable[..., Result]
 
@@ -111,3 +127,154 @@ def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path)
         done = CliRunner().invoke(app, [*options, "--check", str(gate / "two-balls.baseline.toml")])
         assert done.exit_code == expected, done.output
         assert ("OUTSIDE" in done.stdout) == (expected is ExitCode.REFUSED)
+
+
+User = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> User:
+    """Run `golfbench campaign ...` as a user; return the exit code and what stands on the screen."""
+    (tmp_path / "bench.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    (tmp_path / "short.toml").write_text(SHORT)
+
+    def run(*arguments: str | Path) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as end:
+            main(["--config", str(tmp_path / "bench.toml"), "campaign", *map(str, arguments)])
+        assert isinstance(end.value.code, int)
+        out = capsys.readouterr()
+        assert "Traceback" not in out.err
+        return end.value.code, " ".join((out.out + out.err).split())
+
+    return run
+
+
+SHORT = """
+[campaign]
+name = "short"
+[design]
+balls = ["tour", "range"]
+blocks = 1
+[warm_up]
+at_most = 0
+[gate]
+centre = "planned"
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        (('"range"]', '"rnage"]'), "short.toml: design.balls", "Did you mean range?"),
+        (("blocks = 1", "blocks = 500"), "ball_handling.samples", "500 hits of \"tour\" are planned"),
+        (("blocks = 1", 'blocks = 1\nclubs = ["thesis"]'), "default.toml: club", "[swings.default] thesis ="),
+        (("[gate]", "[swings.fast]\ndriver = \"default\"\n[gate]"), "swings.fast", "Add it to design.swings"),
+        (("[gate]", "[ball_handling]\nmagazine = -1\n[gate]"), "ball_handling.magazine", "0 to 1000"),
+        (("[gate]", "[gate"), "short.toml", "TOML"),
+    ],
+)  # fmt: skip
+def test_a_plan_that_does_not_hold_begins_nothing(
+    user: User, tmp_path: Path, change: tuple[str, str], place: str, words: str
+) -> None:
+    (tmp_path / "short.toml").write_text(SHORT.replace(*change))
+    for command in (("check", tmp_path / "short.toml"), ("run", tmp_path / "short.toml", "--sim")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert place in text
+        assert words in text
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_database_of_a_newer_golfbench_is_refused_untouched(user: User, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    with open_database(database_url("", tmp_path / "data")) as engine, engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE schema_version SET version = 99")
+    before = (tmp_path / "data" / "golfbench.sqlite").read_bytes()
+    for command in (("run", tmp_path / "short.toml", "--sim"), ("list",), ("answer", "short")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert "schema version 99, of a newer golfbench" in text
+    assert (tmp_path / "data" / "golfbench.sqlite").read_bytes() == before
+    assert not (tmp_path / "data" / "campaigns").exists()
+
+
+def test_a_plan_changed_between_a_stop_and_resume_is_refused(
+    user: User, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise NotStored(str(path), "No space left on device", "space for a swing", "Free some.")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("bench.campaign.runner.write_swing", full)
+        code, text = user("run", tmp_path / "short.toml", "--sim")
+        assert (code, "No space left on device" in text) == (ExitCode.FILE, True)
+    (tmp_path / "short.toml").write_text(SHORT.replace("blocks = 1", "blocks = 2"))
+    code, text = user("resume", "short", tmp_path / "short.toml")
+    assert code == ExitCode.REFUSED
+    assert "another plan than it was begun with" in text
+    (tmp_path / "bench.toml").write_text(
+        (tmp_path / "bench.toml").read_text() + "[air]\ntemperature = 300.0\n"
+    )
+    code, text = user("resume", "short")
+    assert code == ExitCode.REFUSED
+    assert "air.temperature" in text
+    assert "short" in user("list")[1]
+
+
+def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
+    """The limit on a file's size makes the operating system itself refuse the write."""
+    limited = (
+        "import resource, sys\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
+        "from bench.cli import main\n"
+        "main(sys.argv[1:])\n"
+    )
+    arguments = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", str(tmp_path / "short.toml")]
+    done = subprocess.run(
+        [sys.executable, "-c", limited, *arguments, "--sim"],
+        capture_output=True, text=True, timeout=110, check=False,
+    )  # fmt: skip
+    assert done.returncode == ExitCode.FILE, done.stderr
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "data").rglob("*.parquet"))
+    code, text = user("resume", "short")
+    assert (code, "finished; 2 shots" in text) == (ExitCode.OK, True)
+
+
+def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path: Path) -> None:
+    configuration = load_configuration(tmp_path / "bench.toml")
+    plan = load_plan(tmp_path / "short.toml", configuration)
+    entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True)
+    with open_database(database_url("", tmp_path / "data")) as engine:
+        CampaignStore(engine).begin(entry)
+    with runner_lock(tmp_path / "data", entry.id):
+        with (
+            pytest.raises(Refused, match=f"runs campaign {entry.id}"),
+            runner_lock(tmp_path / "data", entry.id),
+        ):
+            pass
+        assert "goes on" in user("resume", "short")[1], "it is asked to go on, there is no second one"
+    with bench_lock(tmp_path / "data", entry), pytest.raises(Refused, match=f"runs campaign {entry.id}"):
+        require_free(tmp_path / "data", entry.bench)
+    require_free(tmp_path / "data", entry.bench)
+
+
+@pytest.mark.parametrize("name", campaign_names())
+def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
+    """With two blocks; all of each: `python -m tests.benchmarks campaign_examples`."""
+    shipped = load_configuration(Path("shipped"))
+    configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path))
+    plan = load_plan(Path(name), configuration)
+    plan = replace(plan, design=replace(plan.design, blocks=2), stop=replace(plan.stop, rule="fixed"))
+    entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        outcome = run_simulated(entry, configuration, store, Watcher(), never)
+        record = load_record(store, entry)
+    assert outcome.state is CampaignState.FINISHED, outcome.reason
+    found = findings(plan, record.shots)
+    assert found.by_status["valid"] >= len(all_trials(plan))
+    assert all(found.verdicts)
+    assert entry.title in render_campaign_report(record, found)

@@ -14,7 +14,8 @@ import pytest
 
 from bench.campaign.shot_table import read_shot_table
 from bench.config import load_configuration
-from bench.demonstration.live import demo_configuration, demo_plan
+from bench.demonstration.live import demo_configuration
+from bench.demonstration.result import demo_plan
 from bench.errors import ExitCode
 from bench.shot.shot import Status
 from bench.telemetry.recorder import read_swing

@@ -1,0 +1,62 @@
+"""How pictures of shots and swings look, and figures as inline SVG that is the same for the same input."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+"""Okabe and Ito's colours: told apart also by colour-blind readers; each ball has a marker of its own too."""
+MARKERS = "os^Dvp"
+INK = "#1a1a1a"
+GREY = "#6b7280"
+_WIDTH = 7.4
+"""Inches: the text width of a printed A4 page."""
+
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#9ca3af",
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#e5e7eb",
+    "grid.linewidth": 0.6,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "lines.linewidth": 1.2,
+    "lines.solid_capstyle": "round",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+    "text.parse_math": False,  # names of balls are plain text, dollar signs included
+}
+
+
+def to_svg(figure: Figure, name: str) -> str:
+    """Return `figure` as an SVG element for a page; `name` keeps its ids apart from other figures'."""
+    stream = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    svg = stream.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r'((?:xlink:)?href="|url\()#', rf"\1#{name}-", svg)
+    return svg.replace("<svg ", '<svg aria-hidden="true" focusable="false" ', 1)
+
+
+def styled(height: float) -> Figure:
+    """Return an empty figure of the page's width and `height` (inches)."""
+    return Figure(figsize=(_WIDTH, height), layout="constrained")
