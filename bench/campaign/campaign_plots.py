@@ -94,7 +94,7 @@ def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
         above.set_aspect("equal")
     above.set(title="Landing points from above", xlabel="left  ←  offline, m  →  right", ylabel="carry, m")
     speed.set(title="Carry against ball speed", xlabel="ball speed, m/s", ylabel="carry, m")
-    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7)
+    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return figure
 
 

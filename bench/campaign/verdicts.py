@@ -63,8 +63,12 @@ def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ..
     open_ = count["not enough shots"] + count["open"]
     if open_:
         headline += f", for {open_} there are not enough shots"
-    best = max(analysis.levels, key=lambda level: level.spread.mean if level.spread.n else float("-inf"))
-    detail = f"Highest mean: {best.name}. All pairs together at {100 * plan.analysis.confidence:g} % (Holm)"
+    means = sorted((level.spread.mean, level.name) for level in analysis.levels if level.spread.n)
+    (least, last), (most, first) = means[0], means[-1]
+    detail = (
+        f"Most has {first}, {most:.2f} {UNITS[plan.analysis.quantity]}, least {last}, {least:.2f} "
+        f"{UNITS[plan.analysis.quantity]}. All pairs together at {100 * plan.analysis.confidence:g} % (Holm)"
+    )
     needed, _ = shots_still_needed(plan, comparison)
     if open_ and needed:
         detail += (
