@@ -19,6 +19,7 @@ from bench.calibration.commands import app as calibration_app
 from bench.campaign.commands import app as campaign_app
 from bench.errors import BenchError, ExitCode
 from bench.export.commands import export
+from bench.launch.command import launch_monitor
 from bench.network.certificates_command import certificates
 from bench.network.control_commands import app as control_app
 from bench.nodes_command import nodes
@@ -49,6 +50,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(nodes)
+app.command()(launch_monitor)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)

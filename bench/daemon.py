@@ -10,11 +10,10 @@ import importlib.metadata
 import logging
 import os
 import platform
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Any
 
@@ -24,11 +23,15 @@ from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.config import Configuration
 from bench.errors import BenchError, ExitCode
+from bench.interrupt import wish_to_end
+from bench.launch.shot_join import ShotJoin
+from bench.launch.shot_message import SHOT_VERSION
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
 from bench.network.command_plane import CommandPlane
-from bench.network.desk import LoopStatus, Reply, Status
+from bench.network.desk import LaunchMonitorStatus, LoopStatus, Reply, Status
 from bench.network.zenoh_session import open_daemon
 from bench.processes.child import Child
+from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import Ownership, take_bench
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
@@ -36,11 +39,12 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
-from bench.processes.status import NO_STATISTICS, status_of
+from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, status_of
 from bench.processes.support import Supporter
 from bench.processes.tick_timing import TimingReader, summary
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
 from sim.plant_exchange import PlantPlan
 from sim.plant_process import start_plant
@@ -94,7 +98,11 @@ class Daemon:
         self.wall = not configuration.driver.paced
         """The loop's clock is the wall's."""
         self.children: dict[str, Child] = {}
+        self._run = run_id(now())
         self._support: list[Supporter] = []
+        self._launch_monitor: Supporter | None = None
+        self._monitored: LaunchMonitorStatus = NO_LAUNCH_MONITOR
+        self._shots = ShotJoin()
         self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
         self._statistics: LoopStatus = NO_STATISTICS
@@ -121,7 +129,7 @@ class Daemon:
 
     def status(self) -> Status:
         """Return the snapshot; `lease` and `counts` are the command plane's."""
-        support = {supporter.name: supporter for supporter in self._support}
+        support = {supporter.name: supporter for supporter in self._attending}
         children = self.children | {name: s.child for name, s in support.items() if s.child is not None}
         return status_of(
             self._link.newest(),
@@ -134,6 +142,7 @@ class Daemon:
             profile=self.profile.name,
             club=self.configuration.swing.club,
             support_ready=self._support_ready,
+            launch_monitor=self._launch_monitor_status(),
             loop=self._statistics,
             real_time=self._real_time,
             last_stop=self._marker.last_stop,
@@ -143,6 +152,19 @@ class Daemon:
     @property
     def _support_ready(self) -> bool:
         return bool(self._support) and all(supporter.ready for supporter in self._support)
+
+    @property
+    def _attending(self) -> list[Supporter]:
+        """All processes beside loop and plant; that of the launch monitor nothing waits for."""
+        return [*self._support, *filter(None, [self._launch_monitor])]
+
+    def _launch_monitor_status(self) -> LaunchMonitorStatus | None:
+        """Return what its process told last; while that is not well, nobody listens."""
+        process, told = self._launch_monitor, self._monitored
+        if process is None or process.ready:
+            return None if process is None else told
+        outcomes, note = told["outcomes"], told["note"] or process.note
+        return {**NO_LAUNCH_MONITOR, "outcomes": outcomes, "note": note}
 
     # The run -------------------------------------------------------------------------------------
 
@@ -157,7 +179,7 @@ class Daemon:
         """
         c = self.configuration
         with ExitStack() as stack:
-            wish = stack.enter_context(_wish_to_end())
+            wish = stack.enter_context(wish_to_end())
             owner = stack.enter_context(take_bench(c.bench.id))
             self._marker = RunMarker(c.bench.data_dir, c.bench.id)
             in_order = False
@@ -215,6 +237,10 @@ class Daemon:
             Supporter("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
             Supporter("publisher", folder / "publisher-heart", self._start_publisher),
         ]
+        if c.launch_monitor.enabled:
+            self._launch_monitor = Supporter(
+                "launch monitor", folder / "launch-heart", self._start_launch_monitor, self._note_launch
+            )
         self._folder = folder
 
     def _start_recorder(self) -> Child:
@@ -227,6 +253,7 @@ class Daemon:
             heartbeat=folder / "recorder-heart",
             snapshot_dtype=SNAPSHOT,
             profile=self.profile,
+            run=self._run,
             configuration=c.effective(),
             versions=versions(),
             real_time=self._real_time,
@@ -247,6 +274,21 @@ class Daemon:
         )
         return Child.start("publisher", "bench.processes.publisher", plan)
 
+    def _start_launch_monitor(self) -> Child:
+        c, folder = self.configuration, self._folder
+        plan = LaunchMonitorPlan(
+            run=self._run,
+            ring=folder / RING_FILE,
+            heartbeat=folder / "launch-heart",
+            settings=c.launch_monitor,
+            plant=c.plant,
+            air=c.air,
+            wind=c.wind,
+            turf=c.turf,
+            wall=self.wall,
+        )
+        return Child.start("launch monitor", "bench.processes.launch_monitor", plan)
+
     def _live(self, notifier: ServiceNotifier, wish: threading.Event) -> None:
         """Take turns until somebody wishes the end; pet systemd only while the loop advances.
 
@@ -263,13 +305,15 @@ class Daemon:
 
     def _turn(self, now: float) -> None:
         """Do what is due at `now` (s)."""
-        for supporter in self._support:
+        for supporter in self._attending:
             supporter.turn(now)
         self._grant()
         self._watch_loop(now)
         if now - self._summed_up >= _STATISTICS:
             self._sum_up(now)
         if self._plane is not None:
+            for message in self._shots.take(now):
+                self._plane.publish_shot(message)
             self._plane.publish_state(self.status())
 
     def _grant(self) -> None:
@@ -364,11 +408,23 @@ class Daemon:
             "time_utc": self._now().isoformat(),
         }
 
-    def _note_record(self, stored: dict[str, Any]) -> None:
+    def _note_record(self, told: dict[str, Any]) -> None:
         """Publish where a swing's record is."""
-        if self._plane is not None and stored["kind"] == "swing":
-            facts = ("number", "lost_records", "complete", "replayable", "cause")
-            self._plane.publish_shot(os.path.abspath(stored["path"]), {name: stored[name] for name in facts})
+        if self._plane is None or told["event"] != "stored" or told["kind"] != "swing":
+            return
+        path, shot = os.path.abspath(told["path"]), told["shot_id"]
+        if shot is not None:
+            self._shots.note_record(shot, path)
+        facts = {name: told[name] for name in ("number", "lost_records", "complete", "replayable", "cause")}
+        message = {"version": SHOT_VERSION, "shot_id": shot, "shot": None, "record": path, **facts}
+        self._plane.publish_shot(message)
+
+    def _note_launch(self, told: dict[str, Any]) -> None:
+        """Publish what became of a swing or a launch, and keep how the launch monitor is."""
+        if told["event"] == "link":
+            self._monitored = told["link"]
+        elif told["event"] == "shot":
+            self._shots.note_outcome(told["message"], time.monotonic())
 
     def _publish(self, event: str, content: dict[str, Any]) -> None:
         if self._plane is not None:
@@ -381,7 +437,7 @@ class Daemon:
             LoopDied: it did not end in time.
         """
         self._link.shut_down()
-        for supporter in self._support:
+        for supporter in self._attending:
             supporter.leave_dead()
         loop, deadline = self.children["loop"], time.monotonic() + _LONGEST_STOP
         self._ending = True
@@ -391,27 +447,13 @@ class Daemon:
         if loop.ending != "ended with exit code 0":
             loop.kill()
             raise self._loop_died(loop.ending)
-        for supporter in self._support:
+        for supporter in self._attending:
             supporter.end()
         if (plant := self.children.get("plant")) is not None:
             plant.end(2.0)
 
     def _kill_all(self) -> None:
-        for supporter in self._support:
+        for supporter in self._attending:
             supporter.end()
         for child in self.children.values():
             child.kill()
-
-
-@contextmanager
-def _wish_to_end() -> Iterator[threading.Event]:
-    """Yield an event that SIGTERM and Ctrl-C set."""
-    wish = threading.Event()
-    kept = {
-        number: signal.signal(number, lambda *_: wish.set()) for number in (signal.SIGTERM, signal.SIGINT)
-    }
-    try:
-        yield wish
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)

@@ -168,6 +168,7 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         *realtime_probes(),
         Probe("CAN", "SocketCAN", socketcan),
         Probe("CAN", "attached interfaces", can_channels),
+        Probe("DAQ", "NI-DAQmx", daq_cards),
         *(Probe("optional tools", name, functools.partial(tool, *about)) for name, about in _TOOLS.items()),
     )
 
@@ -444,6 +445,32 @@ def can_channels() -> Outcome:
     if channels:
         return Outcome(Status.OK, ", ".join(channels))
     return Outcome(Status.MISSING, "none", "simulation needs none; attach an adapter and its driver")
+
+
+# DAQ -------------------------------------------------------------------------------------------------
+
+
+def daq_cards() -> Outcome:
+    """Look for the package nidaqmx, for NI's own driver that it needs, and for cards."""
+    found = json.loads(_child("daq"))
+    if not found["package"]:
+        return Outcome(
+            Status.MISSING,
+            "no package nidaqmx",
+            'simulation needs none; for a card: pip install "golfbench[daq]", and NI\'s driver',
+        )
+    package = f"nidaqmx {found['package']}"
+    if not found["runtime"]:
+        return Outcome(
+            Status.MISSING,
+            f"{package}, but NI's driver does not answer: {found['trouble']}",
+            "simulation needs none; for a card: install NI-DAQmx for Linux from ni.com, then restart",
+        )
+    driver = f"{package}, NI-DAQmx {found['runtime']}"
+    if found["trouble"] or not found["cards"]:
+        advice = "attach one, and see that NI's tool nilsdev lists it"
+        return Outcome(Status.LIMITED, f"{driver}, {found['trouble'] or 'no card'}", advice)
+    return Outcome(Status.OK, f"{driver}: {', '.join(found['cards'])}")
 
 
 # Tools -----------------------------------------------------------------------------------------------

@@ -26,3 +26,17 @@ def deferred_interrupt() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, before)
     if asked.is_set():
         raise KeyboardInterrupt
+
+
+@contextmanager
+def wish_to_end() -> Iterator[threading.Event]:
+    """Yield an event that SIGTERM and Ctrl-C set."""
+    wish = threading.Event()
+    kept = {
+        number: signal.signal(number, lambda *_: wish.set()) for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        yield wish
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

@@ -3,6 +3,7 @@
 `python -m bench.probe imports MODULE...` imports each module and prints `module TAB answer`.
 `python -m bench.probe realtime` asks the kernel for what the loop needs and prints JSON.
 `python -m bench.probe can` asks python-can's backends for attached channels and prints JSON.
+`python -m bench.probe daq` asks NI's driver for its version and its cards and prints JSON.
 `python -m bench.probe cache` prints the folder of compiled code as JSON.
 """
 
@@ -66,6 +67,30 @@ def can_channels() -> list[str]:
     return [f"{config['interface']}:{config['channel']}" for config in found]
 
 
+def daq_cards() -> dict[str, Any]:
+    """Return `package` and `runtime`, versions of what drives NI's cards ("" when missing), and `cards`.
+
+    `trouble` says what NI's own driver says where it does not answer.
+    """
+    from importlib.metadata import version
+
+    from drivers.base import DriverError
+    from drivers.daq.package import load_nidaqmx, told
+
+    found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "trouble": ""}
+    try:
+        nidaqmx = load_nidaqmx()
+        found["package"] = version("nidaqmx")
+        system = nidaqmx.system.System.local()
+        found["runtime"] = ".".join(map(str, system.driver_version))
+        found["cards"] = [f"{card.name} ({card.product_type})" for card in system.devices]
+    except DriverError as error:
+        found["trouble"] = str(error)
+    except Exception as error:  # NI's own, of which nothing can be imported where it is missing
+        found["trouble"] = told(error)
+    return found
+
+
 def compiled_code_folder() -> str:
     """Return the folder in which this installation keeps its machine code."""
     from sim.compiled import cache_folder
@@ -80,6 +105,8 @@ if __name__ == "__main__":
         print(json.dumps(realtime()))
     elif sys.argv[1:] == ["can"]:
         print(json.dumps(can_channels()))
+    elif sys.argv[1:] == ["daq"]:
+        print(json.dumps(daq_cards()))
     elif sys.argv[1:] == ["cache"]:
         print(json.dumps(compiled_code_folder()))
     else:

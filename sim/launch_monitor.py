@@ -50,6 +50,8 @@ class MonitorParameters:
     """More than that at most, evenly spread."""
     missing: Share = 0.0
     """Not told at all."""
+    dropped: tuple[int, ...] = ()
+    """Numbers of balls, from 1, that are not told either."""
     double: Share = 0.0
     """Told a second time as a shot of its own, measured anew."""
     repeated: Share = 0.0
@@ -85,7 +87,7 @@ def messages_of(launch: Launch, number: int, p: MonitorParameters) -> list[Plann
     delays = p.delay + p.delay_spread * np.sort(chance.random(3))
     figures = [_measured(launch, p, chance) for _ in range(2)]
     kind = int(chance.integers(3))
-    if missing < p.missing:
+    if missing < p.missing or number in p.dropped:
         return []
     if misread < p.misread:
         figures[0] = _misread(figures[0], kind)

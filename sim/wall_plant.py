@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from drivers.base import COMMAND, PASSIVE, pack_command, unpack_command
-from sim.ball import Ball
 from sim.compiled import new_record
 from sim.driver import hanging_pose
-from sim.impact import impact_parameters
+from sim.handled_plant import HandledPlant
 from sim.plant import advance, build_plant, initial_state, sense
-from sim.plant_exchange import BALL, CONTACT, PLANT_REPORT, PlantPlan
+from sim.plant_exchange import CONTACT, PLANT_REPORT, PlantPlan
 from sim.truth import note_truth
 from sim.valve_node import ValveNode
 
@@ -51,9 +50,7 @@ class WallPlant:
         self._node["watchdog"] = watchdog_ticks * plan.plant.tick
         self._command, self._in_force = new_record(COMMAND), PASSIVE
         pack_command(PASSIVE, self._command)
-        self._frozen = False
-        self._ball_handled = 0
-        self._ball = new_record(BALL).tobytes()
+        self._handled = HandledPlant(self.plant, self.state)
         sense(self.plant.plant, self.state, self._readings)
 
     def hear(self, record: np.ndarray[Any, Any]) -> None:
@@ -63,19 +60,7 @@ class WallPlant:
 
     def surround(self, record: np.ndarray[Any, Any]) -> None:
         """Take over a PLANT_SURROUNDINGS record."""
-        state, new = self.state, record[0]
-        for name in ("emergency_stop_clear", "guard_closed", "local_reset"):
-            state[name] = bool(new[name])
-        state["encoder_valid"] = new["encoder_valid"] != 0
-        self._frozen = bool(new["frozen"])
-        if new["ball_handled"] != self._ball_handled:
-            self._ball_handled = new["ball_handled"]
-            state["ball_present"] = bool(new["ball_present"])
-            if new["ball_present"]:
-                state["struck"] = False
-        if new["ball"].tobytes() != self._ball:
-            self._ball = new["ball"].tobytes()
-            self._change_ball(new["ball"])
+        self._handled.surround(record)
 
     def move(self, instant: float) -> None:
         """Move on by one tick, which ends at `instant` (s on the wall's clock)."""
@@ -94,7 +79,7 @@ class WallPlant:
     def tell(self) -> None:
         """Bring `report` up to date, all but the fields on the process's own timing."""
         state, report, node = self.state, self.report, self.node
-        if not self._frozen:
+        if not self._handled.frozen:
             sense(self.plant.plant, state, self._readings)
         note_truth(state, self._truth)
         if state["struck"][0] or self._contact["struck"][0]:
@@ -107,13 +92,3 @@ class WallPlant:
             self._node["watchdog"][0], node.session, node.operational, node.passive_by_watchdog, node.trips,
             node.counter, node.command_tick, node.passive_tick, node.applied,
         )  # fmt: skip
-
-    def _change_ball(self, ball: Any) -> None:
-        """Strike another ball from here on; one that is no ball is not taken."""
-        parameters = self.plant.parameters
-        try:
-            fields = dict(zip(BALL.names or (), ball.item(), strict=True))
-            model = Ball("surroundings", **fields) if any(fields.values()) else parameters.ball
-            self.plant.impact[:] = impact_parameters(parameters.robot.club, model, parameters.robot.lie)
-        except ValueError:
-            return

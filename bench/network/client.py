@@ -357,7 +357,7 @@ def _read_record(payload: bytes) -> Path | None:
     """Return the path in a message of the key `shot`; None where it tells of none."""
     try:
         match json.loads(payload):
-            case {"record": str(path)}:
+            case {"record": str(path), **more} if more.get("outcome") is None:  # else it was told before
                 return Path(path)
     except (ValueError, RecursionError):
         pass

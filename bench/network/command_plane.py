@@ -58,7 +58,8 @@ _CHANGES = (
     "state", "phase", "reaction", "cause", "homed", "vented", "swings", "support_ready",
     "emergency_stop_clear", "guard_closed", "guard_locked",
 )  # fmt: skip
-"""Parts of the state that are told as soon as they change, as the lease's holder is."""
+"""Parts of the state that are told as soon as they change, as the lease's holder and a launch monitor's
+coming and going are."""
 
 _BUSY = "too many messages wait, this one was not done: ask again"
 _TOO_LATE = "it waited too long behind others and was not done: ask again"
@@ -204,8 +205,9 @@ class CommandPlane:
     def publish_state(self, status: Status) -> bool:
         """Publish `status` if it tells of a change or a heartbeat is due; return whether it was."""
         status = self._completed(status)
-        lease, now = status["lease"], self._clock()
-        telling = (lease and lease["holder"], *(status[name] for name in _CHANGES))  # type: ignore[literal-required]
+        lease, monitor, now = status["lease"], status["launch_monitor"], self._clock()
+        beside = lease and lease["holder"], monitor and monitor["present"]
+        telling = (*beside, *(status[name] for name in _CHANGES))  # type: ignore[literal-required]
         if telling == self._told and now - self._told_at < HEARTBEAT:
             return False
         self._told, self._told_at = telling, now
@@ -219,12 +221,8 @@ class CommandPlane:
         with suppress(zenoh.ZError):
             self._event.put(json.dumps(message, allow_nan=False))
 
-    def publish_shot(self, record: str, facts: Mapping[str, Any]) -> None:
-        """Publish that a swing's record is stored at the path `record`, with `facts` of it.
-
-        `shot` is None: what became of the ball is not the bench's to know; the record tells what can be told.
-        """
-        message = {"version": VERSION, "shot": None, "record": record, **facts}
+    def publish_shot(self, message: Mapping[str, Any]) -> None:
+        """Publish what is known of a shot by now, see `bench.shot_message`."""
         with suppress(zenoh.ZError):
             self._shot.put(json.dumps(message, allow_nan=False))
 

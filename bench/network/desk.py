@@ -73,6 +73,46 @@ class CountStatus(TypedDict):
     """Not answered: the queue was full, or the bench was going down."""
 
 
+class MonitorStatus(TypedDict):
+    """A launch monitor that is connected."""
+
+    address: str
+    device: str
+    """As it calls itself; empty before its first message."""
+    silent_s: float
+    """Since its last byte."""
+    ready: bool | None
+    ball_detected: bool | None
+
+
+class SimulatorStatus(TypedDict):
+    """How passing shots on to GSPro goes."""
+
+    connected: bool
+    trouble: str
+    taken: int
+    refused: int
+    """Refused, not answered or out of date."""
+
+
+class LaunchMonitorStatus(TypedDict):
+    """The launch monitor's side of the bench."""
+
+    listening: str
+    """ADDRESS:PORT where a monitor may connect; empty when it cannot listen."""
+    present: bool
+    """A monitor is connected, so swings may count on it."""
+    monitors: list[MonitorStatus]
+    note: str
+    """What is to be said of it; empty when all is well."""
+    outcomes: dict[str, int]
+    """How many swings and launches came to which `drivers.launch_monitor.matching.Outcome`."""
+    refused: int
+    """Objects of the monitors that were no messages, not whole or too long."""
+    simulator: SimulatorStatus | None
+    """None: shots are not passed on."""
+
+
 class Status(TypedDict):
     """A snapshot of the bench, JSON-able: no NaN, None where a value is not there."""
 
@@ -108,6 +148,8 @@ class Status(TypedDict):
     """A ball lies on the tee."""
     support_ready: bool
     """Recorder and publisher are running."""
+    launch_monitor: LaunchMonitorStatus | None
+    """None: the bench has none."""
     processes: dict[str, ProcessStatus]
     loop: LoopStatus
     real_time: dict[str, Any]

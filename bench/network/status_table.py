@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.network.client import BenchClient
-from bench.network.desk import Status
+from bench.network.desk import LaunchMonitorStatus, Status
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
@@ -111,6 +111,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ),
         ("real time", _real_time(status["real_time"])),
         ("processes", _processes(status)),
+        ("launch monitor", _launch_monitor(status["launch_monitor"])),
         ("swings", f"{status['swings']} of {status['profile']}, driver {status['driver']}"),
         ("commands", _pairs(dict(status["counts"]))),
     ]
@@ -137,6 +138,23 @@ def _processes(status: Status) -> Text:
     told = Text(", ").join(words)
     if not status["support_ready"]:
         told.append("\nnothing is armed without recorder and publisher", "yellow")
+    return told
+
+
+def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
+    """Return who is connected and what came of it, in yellow what is missing."""
+    if link is None:
+        return Text("none configured")
+    where = f"listening at {link['listening']}" if link["listening"] else "not listening"
+    names = ", ".join(one["device"] or one["address"] for one in link["monitors"])
+    told = Text(f"{names}, {where}") if link["present"] else Text(f"none connected, {where}", "yellow")
+    if link["note"]:
+        told.append(f"\n{link['note']}", "yellow")
+    if counted := ", ".join(f"{outcome} {count}" for outcome, count in link["outcomes"].items() if count):
+        told.append(f"\n{counted}")
+    if (simulator := link["simulator"]) is not None:
+        passed = f"passed on to GSPro {simulator['taken']}, refused {simulator['refused']}"
+        told.append(f"\n{passed}" + (f": {simulator['trouble']}" if simulator["trouble"] else ""))
     return told
 
 

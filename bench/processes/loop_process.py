@@ -36,7 +36,7 @@ from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from drivers.base import Driver, DriverError
 from drivers.registry import choose_driver, find_drivers
 from sim.compiled import new_record
-from sim.driver import SimDriver
+from sim.paced_driver import PacedPlantDriver
 from sim.process_driver import ProcessPlantDriver
 from sim.shared_record import SharedMemoryError, SharedRecord
 
@@ -64,7 +64,7 @@ def open_driver(plan: LoopPlan) -> Driver:
     if settings.name == "sim":
         if settings.time == "wall":
             return ProcessPlantDriver(plan.folder, watchdog=settings.watchdog)
-        return SimDriver(plan.configuration.plant)
+        return PacedPlantDriver(plan.folder, plan.configuration.plant)
     return choose_driver(settings.name, find_drivers())(**plan.configuration.driver_arguments())
 
 

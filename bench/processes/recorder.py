@@ -3,7 +3,7 @@
 Plan: a pickled RecorderPlan on stdin. Told on stdout, one JSON line each:
 
 `ready`      the ring is open and the folder can be written to
-`stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `cause`
+`stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are tried again
 `relieved`   that is over
 `dropped`    `count`: records lost so far, as memory had no more room for them
@@ -61,6 +61,8 @@ class RecorderPlan:
     snapshot_dtype: np.dtype[Any]
     """`bench.telemetry.snapshot.SNAPSHOT`: given, as the recorder need not load the controller for it."""
     profile: Profile
+    run: str
+    """Id of the bench's run, of which shots get theirs."""
     configuration: Mapping[str, Any]
     versions: Mapping[str, Any]
     real_time: Mapping[str, Any] = field(default_factory=dict)
@@ -97,7 +99,13 @@ class Recorder:
         """
         self._plan = plan
         self._entries = Surroundings(
-            plan.bench, plan.profile, plan.configuration, plan.versions, plan.real_time, plan.calibrations
+            plan.bench,
+            plan.run,
+            plan.profile,
+            plan.configuration,
+            plan.versions,
+            plan.real_time,
+            plan.calibrations,
         ).entries()
         self._heart = Heart(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)
@@ -243,7 +251,7 @@ class Recorder:
         stored = self._queue.store(now, at_once=at_once)
         if stored is None:
             return
-        facts = ("kind", "number", "lost_records", "complete", "replayable")
+        facts = ("kind", "number", "lost_records", "complete", "replayable", "shot_id")
         outcome = stored.metadata["outcome"]
         tell(
             "stored",

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
-from bench.network.desk import STATUS_VERSION, LoopStatus, ProcessStatus, Status
+from bench.network.desk import STATUS_VERSION, LaunchMonitorStatus, LoopStatus, ProcessStatus, Status
 from bench.processes.child import Child
 from bench.telemetry.cycle_record import CYCLE
 
@@ -19,6 +19,11 @@ NO_STATISTICS = LoopStatus(
     rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0
 )  # fmt: skip
 """Before the loop has run for a second, and on a virtual clock."""
+
+NO_LAUNCH_MONITOR = LaunchMonitorStatus(
+    listening="", present=False, monitors=[], note="", outcomes={}, refused=0, simulator=None
+)
+"""Before the launch monitor's process has told anything."""
 
 
 def status_of(

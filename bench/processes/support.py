@@ -1,4 +1,7 @@
-"""Recorder and publisher: started, watched by their hearts, started anew. Without them nothing is armed."""
+"""Recorder, publisher and their like: started, watched by their hearts, started anew.
+
+Without recorder and publisher nothing is armed.
+"""
 
 from __future__ import annotations
 
@@ -39,14 +42,14 @@ class Supporter:
 
     def __init__(
         self, name: str, heart: Path, start: Callable[[], Child],
-        stored: Callable[[dict[str, Any]], None] = lambda _: None,
+        listener: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:  # fmt: skip
-        """Make the file of its `heart`; `start` starts the process; `stored` hears of each stored record.
+        """Make the file of its `heart`; `start` starts the process; `listener` hears what else it tells.
 
         Raises:
             SharedMemoryError: the file cannot be made.
         """
-        self.name, self._start, self._stored = name, start, stored
+        self.name, self._start, self._listener = name, start, listener
         self._shared = SharedRecord.create(heart, HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
         self._heart = Heart(Condition.STARTING, -1, -np.inf)
@@ -86,8 +89,8 @@ class Supporter:
         for event in self.child.take_events():
             if event["event"] in {"trouble", "dropped", "failed", "relieved"}:
                 _log.warning("%s: %s", self.name, event)
-            elif event["event"] == "stored":
-                self._stored(event)
+            else:
+                self._listener(event)
 
     def _trouble(self, now: float) -> str:
         if self._heart.condition is Condition.STARTING:

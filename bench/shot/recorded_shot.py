@@ -77,6 +77,16 @@ def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: 
     return RecordedShot(record, plant, metadata)
 
 
+def warm_up_shots(plant: PlantParameters, around: Surroundings) -> None:
+    """Run once what is compiled of delivery, impact and flight: the first time it takes many seconds."""
+    robot = plant.robot
+    forward_kinematics(robot, np.array([[0.571, 4.141, 2 * pi]]))
+    forward_kinematics(robot, np.array([0.571, 4.141, 2 * pi]))
+    head, motion = (0.0, -1.5, 1.5 * pi), (40.0, 0.0, 30.0)
+    delivery = delivery_from_plane(head, motion, (0.0, -1.5), robot.club, robot.lie, "encoders+model")
+    fly(strike(delivery, robot.club, plant.ball), around.air, plant.ball, around.wind, around.turf)
+
+
 def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, Surroundings]:
     """Return the plant and the surroundings in a record's configuration, today's defaults where it has none.
 

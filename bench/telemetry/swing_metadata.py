@@ -4,7 +4,9 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 
 `kind`           "swing"; "stop", a stop or fault without a swing; "segment", part of a continuous recording
 `bench`          id of the bench
-`number`         number of the record since the bench was started
+`run`            id of the bench's run, from its start on
+`number`         number of the record in it
+`shot_id`        id of the swing's shot, null when there is no beginning of a swing in it
 `time_utc`       first cycle, ISO 8601; names the file
 `begin`          s; the loop's time is the columns `time` and `encoder_time` + `begin`, exactly: `begin` is
                  the first cycle's time rounded down to 1/1024 s, so neither sum nor difference rounds
@@ -38,6 +40,7 @@ import numpy as np
 from bench.errors import BenchError
 from bench.lifecycle import CAUSE_TEXT, Cause, State
 from bench.swing.profile import Profile
+from bench.telemetry.shot_id import shot_id
 from bench.telemetry.swing_cutter import MOVING, Cut, Cycles
 
 _GRID = 1024
@@ -51,6 +54,7 @@ class Surroundings:
     """What is the same for all records of one run; JSON-able, without NaN."""
 
     bench: str
+    run: str
     profile: Profile
     configuration: Mapping[str, Any]
     versions: Mapping[str, Any]
@@ -65,6 +69,7 @@ class Surroundings:
         """
         given = {
             "bench": self.bench,
+            "run": self.run,
             "configuration": self.configuration,
             "versions": self.versions,
             "real_time": self.real_time,
@@ -101,17 +106,20 @@ def swing_metadata(
         (s for s in snapshots if ticks[0] <= s["tick"][0] < ticks[-1]), key=lambda s: int(s["tick"][0])
     )
     snapshot = within[0] if within else None
+    outcome = _outcome(cut)
+    begun = [tick for tick, state in outcome["states"][1:] if state == State.SWINGING.name]
     return {
         **entries,
         "kind": cut.kind,
         "number": number,
+        "shot_id": shot_id(entries["run"], begun[0]) if begun else None,
         "time_utc": time_utc.astimezone(UTC).isoformat(timespec="microseconds"),
         "begin": begin,
         "complete": not cut.lost and not cut.ended and not cut.continued,
         "lost_records": cut.lost,
         "missed_ticks": max(0, missing - cut.lost),
         "continued": cut.continued,
-        "outcome": _outcome(cut),
+        "outcome": outcome,
         "snapshot": None if snapshot is None else snapshot_entry(snapshot),
         "replayable": snapshot is not None and not cut.lost,
     }

@@ -17,7 +17,7 @@ import rerun as rr
 
 from bench.errors import BenchError
 from bench.lifecycle import Phase
-from bench.shot.recorded_shot import Surroundings, flight_of, shot_from_json, shot_of_cycles
+from bench.shot.recorded_shot import Surroundings, flight_of, shot_from_json, shot_of_cycles, warm_up_shots
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.viewer.clock import ViewClock
@@ -44,8 +44,6 @@ from bench.viewer.signals import (
     send_scalars,
     signals_of,
 )
-from sim.flight import fly
-from sim.impact import delivery_from_angles, delivery_from_plane, strike
 from sim.plant import PlantParameters
 
 PERIOD = 0.05
@@ -100,10 +98,7 @@ def warm_up(plant: PlantParameters, around: Surroundings) -> None:
     recording = rr.RecordingStream("golfbench_warm_up")
     log_signals(recording, bench_time, cycles["time"], cycles, plant)
     log_motion(recording, bench_time, cycles["time"], cycles, plant, quick_and_every(cycles, _EVERY))
-    club = plant.robot.club
-    delivery = delivery_from_angles(40.0, 0.0, 0.0, 0.0, club.loft)
-    delivery_from_plane((0.0, -1.5, 1.5 * np.pi), (40.0, 0.0, 30.0), (0.0, -1.5), club, plant.robot.lie)
-    fly(strike(delivery, club, plant.ball), around.air, plant.ball, around.wind, around.turf)
+    warm_up_shots(plant, around)
 
 
 class LiveView:
@@ -133,6 +128,7 @@ class LiveView:
         self._swing: list[Cycles] = []
         self._swing_start = 0.0
         self._told_shots = False
+        self._last_struck: float | None = None
         self._flying: MovingBall | None = None
         self._heard = -np.inf
         self._shown = self._counted = self._limited = -np.inf
@@ -225,8 +221,14 @@ class LiveView:
         if self._swing and not swinging[-1]:
             swung = np.concatenate([part.view(np.uint8) for part in self._swing]).view(cycles.dtype)
             self._swing.clear()
-            if not self._told_shots:
+            self._last_struck = self._struck(swung)
+            if not self._told_shots and not self._has_monitor:
                 self._show_swing(swung)
+
+    @property
+    def _has_monitor(self) -> bool:
+        """The bench has a launch monitor: what it says of a ball comes seconds after the swing."""
+        return self._status is not None and self._status.get("launch_monitor") is not None
 
     def _show_swing(self, cycles: Cycles) -> None:
         """Show what a swing's cycles tell of its shot."""
@@ -276,16 +278,20 @@ class LiveView:
                 self._loop = message
             case "event":
                 self._show_event(message)
-            case "shot" if message.get("shot", message) is not None:  # None: a record is stored, no more
+            case "shot" if (given := message.get("shot", message)) is not None:
                 try:
-                    shot = shot_from_json(message.get("shot", message), "shot message")
+                    shot = shot_from_json(given, "shot message")
                 except BenchError as error:
                     self._feed.misunderstood(str(error))
                     return
                 self._told_shots = True
-                self._show_shot(
-                    ShotRecord(shot, np.zeros(0, CYCLE), flight_of(shot, self._plant, self._around)), None
-                )
+                record = ShotRecord(shot, np.zeros(0, CYCLE), flight_of(shot, self._plant, self._around))
+                # A launch monitor's word comes late: its ball flew when the swing's was gone.
+                self._show_shot(record, self._last_struck if message.get("outcome") else None)
+            case "shot" if (outcome := message.get("outcome")) is not None:  # of a launch, not of a swing
+                launch = message.get("launch")
+                device = launch.get("device", "") if isinstance(launch, Mapping) else ""
+                self._show_event({"event": "launch monitor", "text": f"{device}: {outcome}".strip(": ")})
 
     def _show_event(self, message: Mapping[str, Any]) -> None:
         """Log an event as a line, at its loop's time where it tells one."""

@@ -93,6 +93,7 @@ class FakeDesk:
             guard_locked=False,
             ball_present=False,
             support_ready=True,
+            launch_monitor=None,
             processes={
                 "loop": ProcessStatus(pid=4711, alive=True, note=""),
                 "recorder": ProcessStatus(pid=4712, alive=False, note="killed by signal 9"),

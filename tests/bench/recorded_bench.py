@@ -55,6 +55,7 @@ class RecordedBench:
                 "heartbeat": self.folder / "heart",
                 "snapshot_dtype": SNAPSHOT,
                 "profile": load_profile(find_profile("default")),
+                "run": "r",
                 "configuration": {"loop": {"rate": 1000}},
                 "versions": {"golfbench": "test"},
                 "real_time": {"scheduling": "FIFO"},

@@ -328,6 +328,43 @@ def test_attached_interfaces(channels: list[str], status: Status, monkeypatch: p
     assert doctor.can_channels().status is status
 
 
+NI_MISSING = "Could not find an installation of NI-DAQmx."
+
+
+@pytest.mark.parametrize(
+    ("found", "status", "value", "advice"),
+    [
+        (["", "", [], "found no package"], Status.MISSING, "no package nidaqmx", "golfbench[daq]"),
+        (["1.7.0", "", [], NI_MISSING], Status.MISSING, NI_MISSING, "NI-DAQmx for Linux"),
+        (["1.7.0", "24.3.0", [], ""], Status.LIMITED, "no card", "nilsdev"),
+        (["1.7.0", "24.3.0", [], "(-50)"], Status.LIMITED, "24.3.0, (-50)", "nilsdev"),
+        (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], Status.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
+    ],
+)
+def test_what_drives_a_daq_card(
+    found: list[object], status: Status, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("package", "runtime", "cards", "trouble")
+    answer = json.dumps(dict(zip(names, found, strict=True)))
+    monkeypatch.setattr(doctor, "_child", lambda question: answer if question == "daq" else "")
+    outcome = doctor.daq_cards()
+    assert outcome.status is status
+    assert value in outcome.value
+    assert advice in outcome.advice
+
+
+def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    nidaqmx = pytest.importorskip("nidaqmx")
+    found = probe.daq_cards()
+    assert found["package"] == nidaqmx.__version__
+    assert found["runtime"] or "NI-DAQmx" in found["trouble"]
+    monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
+    assert probe.daq_cards() == {
+        "package": "", "runtime": "", "cards": [], "trouble": probe.daq_cards()["trouble"],
+    }  # fmt: skip
+    assert "golfbench[daq]" in probe.daq_cards()["trouble"]
+
+
 def test_an_absent_tool_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     outcome = doctor.tool("rt-tests", "compares timing", ["cyclictest"])

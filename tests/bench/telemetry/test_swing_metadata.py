@@ -51,7 +51,7 @@ def some_state(seed: int) -> ControlState:
 
 def describe(cut: Cut, **more: Any) -> dict[str, Any]:
     now = datetime(2026, 11, 21, 12, 0, 0, 123456, UTC)
-    return swing_metadata(cut, {}, number=7, begin=begin_of(cut.cycles), time_utc=now, **more)
+    return swing_metadata(cut, {"run": "r"}, number=7, begin=begin_of(cut.cycles), time_utc=now, **more)
 
 
 @given(st.floats(0, 1e9), st.lists(st.floats(0, 1e4), max_size=20), st.floats(-1.0, 0.0))
@@ -165,7 +165,7 @@ def test_a_profile_that_is_no_good_is_refused(profile: Profile) -> None:
 def test_what_is_no_json_is_told_at_the_start(profile: Profile) -> None:
     for bad in (float("nan"), object()):
         with pytest.raises(BenchError, match="metadata of records"):
-            Surroundings("b", profile, {"x": bad}, {}, {}, {}).entries()
-    entries = Surroundings("b", profile, {"x": (1, 2)}, {}, {}, {"club": 1}).entries()
+            Surroundings("b", "r", profile, {"x": bad}, {}, {}, {}).entries()
+    entries = Surroundings("b", "r", profile, {"x": (1, 2)}, {}, {}, {"club": 1}).entries()
     assert entries["configuration"] == {"x": [1, 2]}
     assert entries["profile"]["name"] == profile.name

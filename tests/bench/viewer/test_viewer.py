@@ -201,6 +201,33 @@ def test_events_and_shots_of_the_bench_are_shown(
     assert "no ball seen on the tee" in texts[-1][0]
 
 
+def test_what_the_launch_monitor_says_is_shown_when_it_comes_where_the_ball_flew(
+    watched: Watched, make_swing: Callable[[int], Cycles], make_records: Callable[[int], list[ShotRecord]]
+) -> None:
+    bench, view = watched.bench, watched.view
+    link = {"present": True}
+    bench.tell("state", state="ARMED", phase="HOLD", cause=None, lease=None, launch_monitor=link)
+    watched.until(lambda: view._has_monitor)
+    cycles = make_swing(1)
+    rest = np.tile(cycles[-1:], 1000)
+    rest["tick"] += np.arange(1, 1001)
+    rest["time"] += np.arange(1, 1001) * 1e-3
+    watched.send(cycles)
+    watched.send(rest)
+    assert view.shots.records == []  # nothing is made up while its word is awaited
+    told = make_records(1)[0].shot
+    bench.tell("shot", version=1, shot=None, record="/x.parquet")
+    bench.tell("shot", version=1, shot=shot_to_json(told), outcome="matched", shot_id="r-1")
+    bench.tell("shot", version=1, shot=None, outcome="launch without a swing", launch={"device": "other"})
+    watched.until(lambda: len(view.shots.records) == 1 and not view._feed._others)
+    assert view.shots.records[0].shot == told
+    recording = watched.recording()
+    flown, _ = recording.read("/range/ball", "Points3D:positions")
+    assert flown[0] == pytest.approx(1.186, abs=0.01)  # the impact, not the message two seconds later
+    _, lines = recording.read("/events", "TextLog:text")
+    assert [line[0] for line in lines] == ["launch monitor: other: launch without a swing"]
+
+
 def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
     watched: Watched, make_day: Callable[..., Cycles]
 ) -> None:

@@ -1,0 +1,49 @@
+"""The simulated launch monitor in lock-step: its messages through the bench's own reading and matching.
+
+No sockets and no clock: the bytes that the monitor would send go straight to where the server would have them
+from, at the times they would come.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from drivers.base import Launch
+from drivers.launch_monitor.conversation import Conversation
+from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.record import LaunchRecord
+from sim.launch_monitor import MonitorParameters, messages_of
+
+NOT_TOLD = "the launch monitor told of no launch"
+
+
+class Heard(NamedTuple):
+    """What came of a shot at the launch monitor."""
+
+    launch: LaunchRecord | None
+    reason: str
+    """Why its figures do not count, or why there are none; empty when they do."""
+
+
+def hear(
+    launch: Launch,
+    number: int,
+    club_speed: float | None,
+    parameters: MonitorParameters,
+    plausible: PlausibleFigures,
+    window: MatchWindow,
+) -> Heard:
+    """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own."""
+    talk, records = Conversation(plausible, 0.0), list[LaunchRecord]()
+    for delay, message in messages_of(launch, number, parameters):
+        records += talk.hear(message, delay).records
+    late = window.latest + window.patience
+    swing = SwingImpact(str(number), 0.0)
+    found: Match = next(
+        one for one in match([swing], records, late + 1.0, window).decided if one.shot == swing.shot
+    )
+    if found.outcome is Outcome.NO_LAUNCH or found.launch is None:
+        return Heard(None, NOT_TOLD)
+    record = judged(found.launch, plausible, club_speed)
+    return Heard(record, "; ".join(filter(None, (found.reason, record.reason))))

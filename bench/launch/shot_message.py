@@ -1,0 +1,131 @@
+"""What `golfbench/<id>/shot` carries, and how it is read again.
+
+JSON with `version` and, as far as they are known when it is sent:
+
+`shot_id`   the shot's id, also in the metadata of its record; null for a launch that no swing made
+`record`    path of the swing's record on the bench's machine; null while it is not stored
+`shot`      the shot as a row of the shot table, null while nothing is known of the ball
+`outcome`   null until it is settled, then one of `drivers.launch_monitor.matching.Outcome`
+`launch`    what the launch monitor told (SI, see `launch_to_json`), null when it told nothing
+`reason`    what speaks against the launch, or why there is none; empty when all is well
+
+A bench without a launch monitor sends one message a swing, when its record is stored, and knows nothing of
+the ball. With one it sends a second message with the outcome, and one for every launch that belongs to no
+swing or came too often.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.errors import BenchError
+from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.record import SOURCE, ClubFigures, LaunchRecord
+
+SHOT_VERSION = 1
+
+_LONGEST_TEXT = 300
+"""Characters that are told of a reason."""
+_PLAIN = ("speed", "launch_angle", "direction", "spin", "spin_axis", "carry")
+_CURE = "Use the same golfbench for bench and command line."
+
+
+class ShotMessage(NamedTuple):
+    """A message that was read; what it does not tell is None or empty."""
+
+    shot_id: str
+    record: Path | None
+    outcome: Outcome | None
+    launch: LaunchRecord | None
+    reason: str
+
+
+def launch_to_json(launch: LaunchRecord) -> dict[str, Any]:
+    """Return `launch` as a JSON object: m/s, rad, rad/s, m, s; figures that are not known are null."""
+    return {
+        "time": launch.time,
+        "device": launch.device,
+        "number": launch.number,
+        **{name: getattr(launch, name) for name in _PLAIN},
+        "club": {name: value for name, value in launch.club._asdict().items() if value is not None},
+        "absent": [[name, shortened(why)] for name, why in launch.absent],
+        "doubts": [shortened(doubt) for doubt in launch.doubts],
+        "source": launch.source,
+    }
+
+
+def launch_from_json(given: Any, place: str) -> LaunchRecord:
+    """Return the launch with the JSON object `given`; `place` names it.
+
+    Raises:
+        BenchError: a figure is missing, no number, or not finite.
+    """
+    if not isinstance(given, Mapping):
+        raise BenchError(place, repr(given)[:60], "an object", _CURE)
+    try:
+        club, number = given["club"], given["number"]
+        if not isinstance(club, Mapping) or not (number is None or type(number) is int):
+            raise TypeError("club or number")
+        return LaunchRecord(
+            time=_figure(given["time"]) or 0.0,
+            device=_text(given["device"]),
+            number=number,
+            **{name: _figure(given[name]) for name in _PLAIN},
+            club=ClubFigures(**{str(name): _figure(value) for name, value in club.items()}),
+            absent=tuple((_text(name), _text(why)) for name, why in given["absent"]),
+            doubts=tuple(_text(doubt) for doubt in given["doubts"]),
+            source=_text(given.get("source", SOURCE)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        names = ", ".join(field.name for field in fields(LaunchRecord))
+        raise BenchError(place, f"{type(error).__name__}: {error}", f"the figures {names}", _CURE) from None
+
+
+def read_shot_message(payload: bytes) -> ShotMessage:
+    """Return what a message of the key `shot` tells.
+
+    Raises:
+        BenchError: it is none of this version.
+    """
+    place = "shot message"
+    try:
+        read = json.loads(payload)
+    except (ValueError, RecursionError):
+        read = None
+    if not isinstance(read, dict) or read.get("version") != SHOT_VERSION:
+        raise BenchError(place, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _CURE)
+    record, outcome, launch = read.get("record"), read.get("outcome"), read.get("launch")
+    try:
+        return ShotMessage(
+            _text(read.get("shot_id") or ""),
+            None if record is None else Path(_text(record)),
+            None if outcome is None else Outcome(outcome),
+            None if launch is None else launch_from_json(launch, f"{place}: launch"),
+            _text(read.get("reason") or ""),
+        )
+    except (TypeError, ValueError) as error:
+        raise BenchError(place, str(error), f"a shot of version {SHOT_VERSION}", _CURE) from None
+
+
+def shortened(text: str) -> str:
+    """Return `text`, cut where it is longer than anybody reads."""
+    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 1]}…"
+
+
+def _figure(value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise TypeError(f"{value!r} is no finite number")
+    return float(value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value
