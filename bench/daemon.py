@@ -163,8 +163,9 @@ class Daemon:
         process, told = self._launch_monitor, self._monitored
         if process is None or process.ready:
             return None if process is None else told
-        outcomes, note = told["outcomes"], told["note"] or process.note
-        return {**NO_LAUNCH_MONITOR, "outcomes": outcomes, "note": note}
+        kept = LaunchMonitorStatus(**told)
+        kept |= {"listening": "", "present": False, "monitors": [], "note": told["note"] or process.note}
+        return kept
 
     # The run -------------------------------------------------------------------------------------
 

@@ -1,8 +1,8 @@
 """Shots of a running bench, over the network and in real time.
 
-A shot is: make the bench ready, raise a ball, swing once it rests at its address, wait for its record.
-What the club did is told by the record. What the ball did is known of a simulated bench only, whose launch
-monitor is computed here from the delivery: a real bench has none yet.
+A shot is: make the bench ready, raise a ball, swing once it rests at its address, wait for its record and for
+the launch. What the club did is told by the record, what the ball did by the bench's launch monitor. A
+simulated bench may do without one: then the ball is computed here from the delivery.
 
 After a stop only a person's reset and arming go on. A simulated bench resets, homes and arms itself, and each
 time is an event of the campaign.
@@ -29,14 +29,21 @@ from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
 from bench.from_toml import shown
+from bench.launch.book import told_figures
+from bench.launch.shot_message import ShotMessage, launch_to_json
 from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.desk import Status as BenchStatus
+from bench.processes.ownership import bench_folder
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, Status
 from bench.telemetry.recorder import read_swing
+from drivers.launch_monitor.matching import Outcome
+from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery, strike
 from sim.robot import Club
+from sim.shared_record import SharedMemoryError
+from sim.surroundings import Surroundings as PlantSurroundings
 
 HOLDER = "campaign "
 """Begin of the name with which a campaign holds the bench."""
@@ -54,6 +61,7 @@ _FEED = 2.0
 """s that a ball may take to the tee."""
 _STORED = 30.0
 """s that its record may take."""
+NO_WORD = "the launch monitor's process told nothing of the swing"
 _RESETS = 3
 """Before one shot, after which even a simulated bench is left to a person."""
 
@@ -92,12 +100,13 @@ def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], stat
         )
     if status["driver"] == "sim":
         return
-    if plan.analysis.quantity != "club_speed_mps":
+    if plan.analysis.quantity != "club_speed_mps" and status["launch_monitor"] is None:
         raise Refused(
             f"{place}: analysis.quantity",
             plan.analysis.quantity,
             "club_speed_mps",
-            "A real bench measures the club only; what the ball does takes a launch monitor.",
+            "This bench measures the club only: what the ball does takes a launch monitor, [launch_monitor] "
+            "enabled = true.",
         )
     if plan.ball_handling.identify or not plan.ball_handling.magazine:
         raise Refused(
@@ -130,8 +139,11 @@ class LiveShots:
         simulated: bool,
         interrupted: Callable[[], bool],
         aborted: Callable[[], bool],
+        monitored: bool = False,
     ) -> None:
-        """`holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
+        """`monitored`: the bench's launch monitor tells of the balls.
+
+        `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
 
         `clubs` are those of the bench's configuration.
         """
@@ -140,9 +152,13 @@ class LiveShots:
         self._interrupted, self._aborted = interrupted, aborted
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held = False
+        self._monitored = monitored
+        self._outcomes: dict[str, ShotMessage] = {}
+        """What became of swings at the launch monitor, by their shots' ids."""
+        self._ball_chosen = False
 
     def __enter__(self) -> Self:
-        self._next_record = self._stack.enter_context(self._client.records())
+        self._next_message = self._stack.enter_context(self._client.shots())
         self._stack.enter_context(self._lease)
         return self
 
@@ -150,10 +166,23 @@ class LiveShots:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.close()
+        if self._ball_chosen:
+            self._choose_ball(None)
 
     def time_of(self, number: int) -> datetime:
         """Return the clock's time."""
         return datetime.now(UTC)
+
+    def hindrance(self) -> str:
+        """Return that no launch monitor is connected, where one is to be."""
+        if not self._monitored:
+            return ""
+        with _suspending():
+            link = self._client.status()["launch_monitor"]
+        if link is None:
+            raise Suspended("the bench was started anew without its launch monitor, [launch_monitor] enabled")
+        note = f": {link['note']}" if link["note"] else ""
+        return "" if link["present"] else f"no launch monitor is connected{note}"
 
     def rest(self) -> None:
         """Let the air out."""
@@ -163,14 +192,18 @@ class LiveShots:
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
         events: list[tuple[str, str]] = []
+        self._outcomes.clear()
+        ball = self._ball_as_hit(step, number, sample)
         with _suspending():
             self._take_lease()
+            self._ball_chosen = self._monitored and self.simulated and self._choose_ball(ball)
             tick = self._swing(events)
             if tick is None:
                 return self._untaken(step, number, sample, tuple(events))
             self._wait_until_over()
             record = self._record_since(tick)
-        return self._taken(step, number, sample, record, tuple(events))
+            told = self._told_of(record) if self._monitored and record is not None else None
+        return self._taken(step, number, sample, record, told, tuple(events))
 
     # A person at the robot -------------------------------------------------------------------------
 
@@ -312,18 +345,49 @@ class LiveShots:
                 raise Suspended(f"a swing was not over after {_SWING:g} s")
             time.sleep(_LOOK)
 
+    def _hear(self) -> ShotMessage | None:
+        """Return the next message about a shot, None for none yet; outcomes of swings are kept."""
+        message = self._next_message()
+        if message is None:
+            time.sleep(_LOOK)
+        elif message.shot_id and message.outcome in (Outcome.MATCHED, Outcome.NO_LAUNCH):
+            self._outcomes[message.shot_id] = message
+        return message
+
     def _record_since(self, tick: int) -> _Record | None:
         """Return the record of the swing begun after `tick`; None when it does not come."""
         deadline = time.monotonic() + _STORED
         while time.monotonic() < deadline:
-            if (path := self._next_record()) is None:
-                time.sleep(_LOOK)
+            message = self._hear()
+            if message is None or message.record is None or message.outcome is not None:
                 continue
-            cycles, metadata = read_swing(path)
+            cycles, metadata = read_swing(message.record)
             states = metadata.get("outcome", {}).get("states", [])
             if any(name == "SWINGING" and at >= tick for at, name in states):
-                return _Record(path, cycles, metadata)
+                return _Record(message.record, cycles, metadata)
         return None
+
+    def _told_of(self, record: _Record) -> ShotMessage | None:
+        """Return what the launch monitor's side says of the swing of `record`; None when it says nothing."""
+        shot, link = record.metadata.get("shot_id"), self._client.status()["launch_monitor"]
+        deadline = time.monotonic() + _STORED + (0.0 if link is None else link["settled_s"])
+        while shot not in self._outcomes and time.monotonic() < deadline:
+            self._hear()
+        return self._outcomes.get(shot or "")
+
+    def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
+        """Return the ball of the shot as the simulation has it."""
+        draw = float(random_of(self._plan, number).standard_normal(6)[0])
+        return ball_as_hit(self._plan, step.trial.arm.ball, sample, number, draw)
+
+    def _choose_ball(self, ball: Ball | None) -> bool:
+        """Let the simulated tee raise balls like `ball`; tell whether it is on this machine and does."""
+        try:
+            with PlantSurroundings(bench_folder(self._client.bench)) as hands:
+                hands.choose_ball(ball)
+        except SharedMemoryError:
+            return False
+        return True
 
     # What came of it -------------------------------------------------------------------------------
 
@@ -342,7 +406,15 @@ class LiveShots:
         )  # fmt: skip
         return Taken(shot, None, {}, False, events)
 
-    def _taken(self, step: Step, number: int, sample: int, record: _Record | None, events: Events) -> Taken:
+    def _taken(
+        self,
+        step: Step,
+        number: int,
+        sample: int,
+        record: _Record | None,
+        told: ShotMessage | None,
+        events: Events,
+    ) -> Taken:
         arm, row = step.trial.arm, _row(step, number, sample)
         if record is None:
             taken = self._untaken(step, number, sample, events, f"no record of it within {_STORED:g} s")
@@ -359,19 +431,33 @@ class LiveShots:
         status = Status.FAILED if reason else Status.VALID
         if not reason and not metadata["complete"]:
             status, reason = Status.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
-        launch, flight, more = None, None, dict[str, Any]()
-        if self.simulated and delivery is not None and struck:
-            draws = random_of(self._plan, number).standard_normal(6)
-            ball = ball_as_hit(self._plan, arm.ball, sample, number, float(draws[0]))
+        ball, more = self._plan.balls[arm.ball], dict[str, Any]()
+        if self.simulated:
+            ball = self._ball_as_hit(step, number, sample)
             more["varied"] = {
                 "restitution_factor": ball.restitution_factor,
-                "struck_in_the_plant": plant.ball.name,
+                "struck_in_the_plant": ball.name if self._ball_chosen else plant.ball.name,
             }
+        launch, figures, doubt = None, dict[str, Any](), ""
+        if self._monitored:
+            doubt = NO_WORD if told is None else told.reason
+            if told is not None and told.launch is not None:
+                figures, launch = told_figures(told.launch), told.launch.launch
+                more["launch"] = launch_to_json(told.launch)
+        elif self.simulated and delivery is not None and struck:
+            draws = random_of(self._plan, number).standard_normal(6)
             try:
                 launch = monitored(self._plan.simulation, strike(delivery, plant.robot.club, ball), draws[2:])
+            except ValueError as error:
+                doubt = f"no launch: {error}"
+        flight = None
+        if launch is not None and not doubt:
+            try:
                 flight = fly(launch, around.air, ball, around.wind, around.turf)
             except ValueError as error:
-                status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
+                doubt = f"no flight: {error}"
+        if doubt and not reason:
+            status, reason = Status.EXCLUDED, doubt
         if self.simulated:  # a real bench measures none of these yet
             row |= {
                 "air_temperature_k": around.air.temperature,
@@ -382,6 +468,7 @@ class LiveShots:
             **row, delivery=delivery, launch=launch, flight=flight, status=status, reason=reason,
             time_utc=datetime.fromisoformat(metadata["time_utc"]),
         )  # fmt: skip
+        shot = replace(shot, **figures)
         metadata |= {"record": record.path.name, **more}
         return Taken(shot, cycles, metadata, struck, events, original=record.path)
 

@@ -135,6 +135,7 @@ def run_live(
             client,
             f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
             simulated=entry.simulated,
+            monitored=bool(entry.real_time.get("launch_monitor")),
             interrupted=interrupted,
             aborted=aborted,
         )
@@ -153,7 +154,7 @@ def bench_facts(plan: Plan, configuration: Configuration, status: Status) -> dic
     require_free(settings.data_dir, settings.id)
     require_live(plan, require_swings(plan, configuration), configuration.clubs, status)
     facts = {name: status[name] for name in ("driver", "profile", "club")}
-    return {**facts, **status["real_time"]}
+    return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 
 
 def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:

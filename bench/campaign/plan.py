@@ -168,6 +168,9 @@ class Simulation:
     direction: Annotated[float, Range(0.0, 0.2, "rad")]
     spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
     drift: Annotated[float, Range(-0.1, 0.1, "")]
+    launch_missing: Annotated[float, Range(0.0, 1.0, "")]
+    launch_misread: Annotated[float, Range(0.0, 1.0, "")]
+    launch_double: Annotated[float, Range(0.0, 1.0, "")]
     missing_launch: tuple[int, ...]
     missed_ball: tuple[int, ...]
     feeder_jam: tuple[int, ...]
@@ -175,6 +178,7 @@ class Simulation:
     wrong_ball: tuple[int, ...]
     door_opened: tuple[int, ...]
     low_supply: tuple[int, ...]
+    monitor_away: tuple[int, ...]
 
 
 @dataclass(frozen=True)

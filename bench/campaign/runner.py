@@ -28,6 +28,8 @@ BATCH = 50
 
 _LOOK = 0.2
 """s between two looks at the database while paused."""
+_SETTLED = 3.0
+"""s for which nothing must be in the way before a campaign that suspended itself goes on."""
 
 
 class Suspended(Exception):
@@ -50,6 +52,10 @@ class ShotSource(Protocol):
             Suspended: it was not taken, and none can be for now.
             KeyboardInterrupt: somebody asked to stop before the swing.
         """
+        ...
+
+    def hindrance(self) -> str:
+        """Return what is in the way of a shot and passes by itself; empty: nothing. Raises Suspended."""
         ...
 
     def rest(self) -> None:
@@ -145,6 +151,8 @@ class Runner:
         self._asked_so_far = 0
         self._open: Prompt | None = None
         self._done_by_itself: list[Prompt] = []
+        self._noted: list[tuple[str, str]] = []
+        """(kind, text) of what happened before the next shot."""
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
@@ -233,6 +241,8 @@ class Runner:
         while not isinstance(step, Ending):
             for state, reason in self._asked(interrupted):
                 return state, reason
+            for state, reason in self._hindered(interrupted):
+                return state, reason
             number = self.taken + 1
             sample = sample_for(self._plan, step.trial.arm.ball, self._hits)
             if sample is None:
@@ -246,7 +256,8 @@ class Runner:
             if taken.stopped:  # by Ctrl-C: as if it had not been begun
                 return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
             shot = self._gated(step, taken)
-            events = tuple(Event(shot.time_utc, number, *event) for event in taken.events)
+            noted, self._noted = (*self._noted, *taken.events), []
+            events = tuple(Event(shot.time_utc, number, *event) for event in noted)
             hits = _used(step, taken, sample)
             self._hits.update(hits)
             for event in events:
@@ -346,6 +357,29 @@ class Runner:
     def _stand(self, state: CampaignState, reason: str) -> None:
         self._store.change(self._entry.id, state=state, reason=reason)
         self._watcher.standing(state, reason)
+
+    def _hindered(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
+        """Suspend while something is in the way that passes by itself; yield as `_asked`."""
+        if not (reason := self._source.hindrance()):
+            return
+        self._commit()
+        self._source.rest()
+        began = free_since = time.monotonic()
+        self._stand(CampaignState.SUSPENDED, reason)
+        self._watcher.say(f"suspended: {reason}")
+        while (now := time.monotonic()) - free_since < _SETTLED:
+            for ending in self._asked(interrupted):
+                yield ending
+                return
+            if found := self._source.hindrance():
+                free_since = now
+                if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
+                    self._stand(CampaignState.SUSPENDED, found)  # it was paused meanwhile
+            time.sleep(_LOOK)
+        self._stand(CampaignState.RUNNING, "")
+        text = f"{reason}; it went on by itself after {now - began:.0f} s"
+        self._watcher.say(text)
+        self._noted.append(("suspended", text))
 
     def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
         """Yield where to go when somebody asks to end; waits while paused."""

@@ -15,13 +15,16 @@ import numpy as np
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.plan import Plan, Simulation
+from bench.campaign.simulated_monitor import Heard, hear
 from bench.campaign.swings import Profiles
 from bench.config import Configuration
+from bench.launch.book import told_figures
 from bench.shot.shot import Shot, Status
 from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import Flight, fly
+from sim.launch_monitor import MonitorParameters
 
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 """A simulated campaign's first shot: its clock is as virtual as its robot, so that it repeats."""
@@ -84,11 +87,27 @@ class SimulatedShots:
         stop: Callable[[], bool],
     ) -> None:
         self._plan, self._configuration, self._profiles, self._stop = plan, configuration, profiles, stop
+        s = plan.simulation
+        self._monitor = MonitorParameters(
+            speed_noise=0.0,
+            angle_noise=0.0,
+            spin_noise=0.0,
+            axis_noise=0.0,
+            missing=s.launch_missing,
+            misread=s.launch_misread,
+            double=s.launch_double,
+            dropped=s.missing_launch,
+            seed=plan.design.seed,
+        )  # fmt: skip - the noise is the plan's, see monitored
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
 
     def time_of(self, number: int) -> datetime:
         """Return when shot `number` is."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
+
+    def hindrance(self) -> str:
+        """Return nothing: what passes by itself has passed."""
+        return ""
 
     def rest(self) -> None:
         """Nothing is to be done: its time stands still between two shots."""
@@ -121,6 +140,8 @@ class SimulatedShots:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
         if number in s.low_supply:
             events.append(("supply", "supply pressure too low; waited until it was back"))
+        if number in s.monitor_away:
+            events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
         if trouble := self._feeder_trouble(arm.ball, number, sample):
             shot = self._shot(step, number, sample, None, None, None, Status.FAILED, trouble)
             return Taken(shot, None, {}, False, tuple(events))
@@ -160,17 +181,25 @@ class SimulatedShots:
     ) -> Shot:
         """Return the shot as launch monitor and flight model see it."""
         status, reason = result.status, result.reason
-        launch, flight = result.launch, None
-        if launch is not None and number in self._plan.simulation.missing_launch:
-            launch, status = None, Status.EXCLUDED
-            reason = reason or "the launch monitor saw no ball"
-        if launch is not None:
-            c, launch = self._configuration, monitored(self._plan.simulation, launch, noise)
-            try:
-                flight = fly(launch, c.air, ball, c.wind, c.turf)
-            except ValueError as error:
-                status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
-        return self._shot(step, number, sample, result, launch, flight, status, reason)
+        heard, flight = Heard(None, ""), None
+        if result.launch is not None:
+            c, s = self._configuration, self._plan.simulation
+            speed = None if result.delivery is None else result.delivery.speed
+            seen = monitored(s, result.launch, noise)
+            heard = hear(
+                seen, number, speed, self._monitor, c.launch_monitor.plausible, c.launch_monitor.window
+            )
+            if heard.reason:
+                status, reason = Status.EXCLUDED, reason or heard.reason
+            elif heard.launch is not None and heard.launch.launch is not None:
+                try:
+                    flight = fly(heard.launch.launch, c.air, ball, c.wind, c.turf)
+                except ValueError as error:
+                    status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
+        shot = self._shot(step, number, sample, result, None, flight, status, reason)
+        if heard.launch is not None:
+            shot = replace(shot, **told_figures(heard.launch), launch_source="simulated")
+        return shot
 
     def _shot(
         self,

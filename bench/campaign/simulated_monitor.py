@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from bench.launch.book import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation
 from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
 from drivers.launch_monitor.plausibility import PlausibleFigures, judged
 from drivers.launch_monitor.record import LaunchRecord
 from sim.launch_monitor import MonitorParameters, messages_of
-
-NOT_TOLD = "the launch monitor told of no launch"
 
 
 class Heard(NamedTuple):

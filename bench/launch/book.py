@@ -23,7 +23,7 @@ from sim.plant import PlantParameters
 
 NO_IMPACT = "no swing through the ball's place"
 NO_BALL = "no ball struck"
-NOT_TOLD = "the launch monitor told of no launch"
+NOT_TOLD = "the launch monitor saw no ball"
 _MOST_OPEN = 64
 """Swings or launches that may wait to be settled; beyond that the oldest are given up as unmatched."""
 

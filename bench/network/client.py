@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import zenoh
 
 from bench.errors import BenchError, Refused
+from bench.launch.shot_message import ShotMessage, read_shot_message
 from bench.lifecycle import ACCEPTED_IN
 from bench.network.command import (
     REQUESTS,
@@ -139,20 +139,21 @@ class BenchClient:
             subscriber.undeclare()
 
     @contextmanager
-    def records(self) -> Iterator[Callable[[], Path | None]]:
-        """Yield a function that returns the path of the next swing's record stored since, None for none yet.
+    def shots(self) -> Iterator[Callable[[], ShotMessage | None]]:
+        """Yield a function that returns the next message about a shot told since, None for none yet.
 
-        The path is one of the bench's machine.
+        Paths of records are those of the bench's machine. The function raises BenchError where it does not
+        understand a message.
         """
         channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(64)
         subscriber = self._session.declare_subscriber(f"{self._root}/shot", channel)
 
-        def newest() -> Path | None:
+        def following() -> ShotMessage | None:
             sample = subscriber.try_recv()
-            return None if sample is None else _read_record(sample.payload.to_bytes())
+            return None if sample is None else read_shot_message(sample.payload.to_bytes())
 
         try:
-            yield newest
+            yield following
         finally:
             subscriber.undeclare()
 
@@ -351,17 +352,6 @@ def _read_status(payload: bytes) -> Status:
     except (ValueError, RecursionError):
         raise _not_understood(payload[:40]) from None
     return _checked_status(read)
-
-
-def _read_record(payload: bytes) -> Path | None:
-    """Return the path in a message of the key `shot`; None where it tells of none."""
-    try:
-        match json.loads(payload):
-            case {"record": str(path), **more} if more.get("outcome") is None:  # else it was told before
-                return Path(path)
-    except (ValueError, RecursionError):
-        pass
-    return None
 
 
 def _checked_status(read: Any) -> Status:

@@ -107,6 +107,8 @@ class LaunchMonitorStatus(TypedDict):
     """What is to be said of it; empty when all is well."""
     outcomes: dict[str, int]
     """How many swings and launches came to which `drivers.launch_monitor.matching.Outcome`."""
+    settled_s: float
+    """After the impact: by then a swing's outcome is settled."""
     refused: int
     """Objects of the monitors that were no messages, not whole or too long."""
     simulator: SimulatorStatus | None

@@ -74,6 +74,7 @@ class LaunchMonitorDesk:
             self._stack.close()
             raise
         around = Surroundings(plan.air, plan.wind, plan.turf)
+        self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
         self._book = LaunchBook(settings.window, settings.plausible, plan.plant, around)
         self._lost = 0
@@ -163,6 +164,7 @@ class LaunchMonitorDesk:
             monitors=monitors,
             note=shortened(note),
             outcomes={str(outcome): count for outcome, count in self._book.counts.items()},
+            settled_s=self._window.latest,
             refused=link.counts.refused + link.counts.too_large + link.counts.cut_off,
             simulator=simulator,
         )

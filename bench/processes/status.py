@@ -21,7 +21,14 @@ NO_STATISTICS = LoopStatus(
 """Before the loop has run for a second, and on a virtual clock."""
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(
-    listening="", present=False, monitors=[], note="", outcomes={}, refused=0, simulator=None
+    listening="",
+    present=False,
+    monitors=[],
+    note="",
+    outcomes={},
+    settled_s=0.0,
+    refused=0,
+    simulator=None,
 )
 """Before the launch monitor's process has told anything."""
 

@@ -38,6 +38,7 @@ LONG = (
     "campaign_speed",
     "campaign_detection",
     "campaign_examples",
+    "campaign_show",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -136,7 +136,7 @@ class StandingBench:
         yield
 
     @contextmanager
-    def records(self) -> Iterator[Any]:
+    def shots(self) -> Iterator[Any]:
         yield lambda: None
 
     def __getattr__(self, verb: str) -> Any:
@@ -148,11 +148,14 @@ def plan() -> Plan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
-def shots_of(plan: Plan, bench: Any, *, simulated: bool = True, interrupted: Any = never) -> LiveShots:
+def shots_of(
+    plan: Plan, bench: Any, *, simulated: bool = True, interrupted: Any = never, monitored: bool = False
+) -> LiveShots:
     configuration = load_configuration(Path("shipped"))
     return LiveShots(
         plan, require_swings(plan, configuration), configuration.clubs, bench, "me",
         simulated=simulated, interrupted=interrupted, aborted=never,
+        monitored=monitored,
     )  # fmt: skip
 
 
@@ -196,7 +199,8 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -
     profiles = require_swings(plan, configuration)
 
     def require(plan: Plan = plan, **status: Any) -> None:
-        given: Any = {"driver": "sim", "profile": "default", "club": "driver", "bench": "b", "lease": None}
+        given: Any = {"driver": "sim", "profile": "default", "club": "driver", "bench": "b", "lease": None,
+                      "launch_monitor": None}  # fmt: skip
         require_live(plan, profiles, configuration.clubs, given | status)
 
     require()
@@ -209,6 +213,8 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
     with pytest.raises(Refused, match=r"launch monitor"):
         require(driver="canopen")
+    with pytest.raises(Refused, match=r"magazine 0"):  # its launch monitor tells of the balls
+        require(driver="canopen", launch_monitor={"present": True})
     by_hand = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
     with pytest.raises(Refused, match=r"magazine 0"):
         require(by_hand, driver="canopen")
@@ -263,6 +269,21 @@ def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
         assert bench.asked[3:] == ["secure"]
         source.take_back(Kind.CLUB)
         assert bench.asked[4:] == []
+
+
+def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(
+    plan: Plan,
+) -> None:
+    bench = StandingBench(launch_monitor={"present": False, "note": "not listening"})
+    assert shots_of(plan, bench).hindrance() == ""  # begun without one
+    assert shots_of(plan, bench, monitored=True).hindrance() == (
+        "no launch monitor is connected: not listening"
+    )
+    bench._status["launch_monitor"] = {"present": True, "note": ""}
+    assert shots_of(plan, bench, monitored=True).hindrance() == ""
+    bench._status["launch_monitor"] = None
+    with pytest.raises(Suspended, match="without its launch monitor"):
+        shots_of(plan, bench, monitored=True).hindrance()
 
 
 TWO_CLUBS = """

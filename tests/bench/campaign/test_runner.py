@@ -57,6 +57,9 @@ class Scripted:
     def time_of(self, number: int) -> datetime:
         return NOW + timedelta(seconds=48 * number)
 
+    def hindrance(self) -> str:
+        return ""
+
     def rest(self) -> None:
         pass
 
@@ -387,3 +390,62 @@ def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -
     options = ["--kills", "3", "--batch", "3", "--blocks", "8"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+class Unseen(Scripted):
+    """A bench whose launch monitor goes before shot 3 and is back for good at the fifth look after it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.looks, self.rests = 0, 0
+
+    def hindrance(self) -> str:
+        if len(self.taken) != 2:
+            return ""
+        self.looks += 1
+        return "no launch monitor is connected" if self.looks < 5 and self.looks != 3 else ""
+
+    def rest(self) -> None:
+        self.rests += 1
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.campaign.runner._LOOK", 0.01)
+    monkeypatch.setattr("bench.campaign.runner._SETTLED", 0.05)
+
+
+def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(bench: Bench, quick: None) -> None:
+    source, stood = Unseen(), []
+
+    class Noting(Watcher):
+        def standing(self, state: CampaignState, reason: str) -> None:
+            stood.append((state, reason, len(source.taken)))
+
+    bench.watcher = Noting()
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.FINISHED
+    assert stood[:3] == [
+        (CampaignState.RUNNING, "", 0),
+        (CampaignState.SUSPENDED, "no launch monitor is connected", 2),
+        (CampaignState.RUNNING, "", 2),
+    ]
+    assert source.looks >= 6  # it must stay away: back for one look is not back
+    assert source.rests == 1
+    (event,) = bench.store.events(bench.entry.id)
+    assert (event.kind, event.before_shot) == ("suspended", 3)
+    assert "no launch monitor is connected; it went on by itself after" in event.text
+
+
+@pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
+def test_who_asks_while_it_is_suspended_is_heard(
+    bench: Bench, quick: None, request_: str, state: str
+) -> None:
+    class Away(Unseen):
+        def hindrance(self) -> str:
+            if len(self.taken) == 2:
+                bench.store.change(bench.entry.id, requested=request_)
+            return super().hindrance() and "away" if len(self.taken) == 2 else ""
+
+    assert bench.run(Away()).state is CampaignState[state]
+    assert len(bench.shots) == 2

@@ -79,6 +79,27 @@ def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: 
     ).events
 
 
+def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
+    plan: Plan, configuration: Configuration
+) -> None:
+    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_away=(6,))
+    source = SimulatedShots(
+        replace(plan, simulation=faulty), configuration, require_swings(plan, configuration), never
+    )
+    misread = _take(source, plan, 6)
+    assert misread.shot.status is Status.EXCLUDED
+    assert misread.shot.reason
+    assert misread.shot.ball_speed_mps is not None  # kept, and not counted
+    assert (misread.shot.carry_m, misread.shot.launch_source) == (None, "simulated")
+    assert [kind for kind, _ in misread.events if kind == "suspended"] == ["suspended"]
+    source._monitor = replace(source._monitor, misread=0.0, double=1.0)
+    assert "2 different launches" in _take(source, plan, 7).shot.reason
+    source._monitor = replace(source._monitor, double=0.0)
+    clean = _take(source, plan, 7).shot
+    assert (clean.status, clean.reason) == (Status.VALID, "")
+    assert (clean.carry_m or 0.0) > 100.0
+
+
 def test_a_loft_is_seen(source: SimulatedShots, plan: Plan) -> None:
     taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
     lofts: dict[str, set[float]] = {}
