@@ -198,7 +198,7 @@ class SimulatedShots:
                     status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
         shot = self._shot(step, number, sample, result, None, flight, status, reason)
         if heard.launch is not None:
-            shot = replace(shot, **told_figures(heard.launch), launch_source="simulated")
+            shot = replace(shot, **{**told_figures(heard.launch), "launch_source": "simulated"})
         return shot
 
     def _shot(

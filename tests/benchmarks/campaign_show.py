@@ -4,9 +4,9 @@
 
 `golfbench run` with the plant, `golfbench launch-monitor` beside it and `golfbench campaign run` against it
 over the network, as people start them. On the way the monitor does not tell of two balls, the campaign is
-paused, the guard is opened in the middle of a swing (a simulated bench resets and arms itself, on a real one a
-person does), and the monitor is ended and started again. What was planned must be there in the end, each shot
-once, every ball told by the monitor; what went wrong must stand in the records.
+paused, the guard is opened in the middle of a swing (a simulated bench resets and arms itself, on a real one
+a person does), and the monitor is ended and started again. What was planned must be there in the end, each
+shot once, every ball told by the monitor; what went wrong must stand in the records.
 """
 
 from __future__ import annotations

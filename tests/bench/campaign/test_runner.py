@@ -415,8 +415,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bench.campaign.runner._SETTLED", 0.05)
 
 
-def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(bench: Bench, quick: None) -> None:
-    source, stood = Unseen(), []
+@pytest.mark.usefixtures("quick")
+def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source, stood = make(), Unseen(), []
 
     class Noting(Watcher):
         def standing(self, state: CampaignState, reason: str) -> None:
@@ -438,9 +441,12 @@ def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(bench
 
 
 @pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
+@pytest.mark.usefixtures("quick")
 def test_who_asks_while_it_is_suspended_is_heard(
-    bench: Bench, quick: None, request_: str, state: str
+    make: Callable[..., Bench], request_: str, state: str
 ) -> None:
+    bench = make()
+
     class Away(Unseen):
         def hindrance(self) -> str:
             if len(self.taken) == 2:
