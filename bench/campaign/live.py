@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from bench.bench_folder import bench_folder
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind, Wish
 from bench.campaign.plan import Plan
@@ -33,7 +34,6 @@ from bench.launch.book import told_figures
 from bench.launch.shot_message import ShotMessage, launch_to_json
 from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.desk import Status as BenchStatus
-from bench.processes.ownership import bench_folder
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, Status
 from bench.telemetry.recorder import read_swing

@@ -63,7 +63,7 @@ def launch_monitor(
     It sees what the plant's balls really do, measures them with noise and faults, and tells the bench of them
     over Open Connect as a real one would: the bench needs [launch_monitor] enabled = true.
     """
-    from bench.processes.ownership import bench_folder
+    from bench.bench_folder import bench_folder
     from sim.launch_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()

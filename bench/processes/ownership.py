@@ -12,7 +12,6 @@ import fcntl
 import json
 import os
 import pwd
-import re
 import shutil
 import stat
 import time
@@ -21,13 +20,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
+from bench.bench_folder import MEMORY, bench_folder
 from bench.errors import BenchError, ExitCode, Refused
-
-MEMORY = Path("/dev/shm")  # noqa: S108 - the folder made in it is checked to be ours alone
-"""Where shared memory has its files unless systemd gives a place."""
-
-BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
-"""What a bench may be called: its id is part of addresses and of files' names."""
 
 OWNER = "owner"
 """Name of the locked file."""
@@ -111,21 +105,6 @@ class Ownership:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.leave()
-
-
-def bench_folder(bench_id: str, memory: Path = MEMORY) -> Path:
-    """Return the folder in `memory` of bench `bench_id`, which exists while the bench is run.
-
-    It is at the same place for a service and for a bench started by hand: they must meet.
-
-    Raises:
-        BenchError: `bench_id` is not of the form BENCH_ID.
-    """
-    if not re.fullmatch(BENCH_ID, bench_id):
-        raise BenchError(
-            "bench.id", repr(bench_id), "letters, digits, - and _, at most 63", "Give the bench another id."
-        )
-    return memory / f"golfbench-{bench_id}"
 
 
 def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:

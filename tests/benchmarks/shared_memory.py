@@ -21,8 +21,8 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
+from bench.bench_folder import MEMORY
 from bench.network.free_port import free_port
-from bench.processes.ownership import MEMORY
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingWriter
 from sim.shared_record import SharedRecord

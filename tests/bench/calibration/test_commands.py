@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.bench_folder import bench_folder
 from bench.calibration.standing_counts import standing_counts
 from bench.cli import main
 from bench.errors import ExitCode, Refused
-from bench.processes.ownership import bench_folder
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingWriter
 
