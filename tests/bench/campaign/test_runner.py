@@ -345,7 +345,7 @@ def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
         ask(bench.store, bench.folder, name, "pause")
     with runner_lock(bench.folder, name):
         assert is_running(bench.folder, name)
-        with pytest.raises(Refused, match="which runs it"), runner_lock(bench.folder, name):
+        with pytest.raises(Refused, match=f"which runs campaign {name}"), runner_lock(bench.folder, name):
             pass
         assert "pauses" in ask(bench.store, bench.folder, name, "pause")
         assert bench.store.standing(name).requested == "pause"
