@@ -1,0 +1,102 @@
+"""A learned correction: tables that are added to a profile's reference and feed-forward."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from bench.errors import BenchError
+from bench.swing.profile import Profile
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is added to a profile's tables, each (n, 3), joints in order."""
+
+    angle: Array
+    """rad"""
+    velocity: Array
+    """rad/s"""
+    valve: Array
+    """Opening."""
+
+    def applied_to(self, profile: Profile) -> Profile:
+        """Return `profile` with the correction; openings stay within -1 to 1.
+
+        Raises:
+            BenchError: the tables are not as long as the profile's.
+        """
+        if self.angle.shape != profile.angle.shape:
+            raise BenchError(
+                f"correction of {profile.name}",
+                f"{len(self.angle)} samples",
+                f"{len(profile.angle)}, as the profile has",
+                "Learn it anew for this profile.",
+            )
+        return replace(
+            profile,
+            angle=profile.angle + self.angle,
+            velocity=profile.velocity + self.velocity,
+            valve=np.clip(profile.valve + self.valve, -1.0, 1.0),
+        )
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Smooth functions of time that corrections are made of: cubic B-splines, one row each.
+
+    A point (m,) holds their weights, in units of `opening` and `shift`: those of the feed-forward, joint by
+    joint, then those of the reference. Address and the swing up to the top stay as planned.
+    """
+
+    valve: Array
+    """(k, n)"""
+    angle: Array
+    """(l, n)"""
+    slope: Array
+    """(l, n), 1/s"""
+    opening: float = 0.2
+    """Valve opening that a weight of 1 stands for."""
+    shift: float = 0.05
+    """Shift of the reference that a weight of 1 stands for, rad."""
+
+    @property
+    def size(self) -> int:
+        """Number of weights."""
+        return 3 * (len(self.valve) + len(self.angle))
+
+    def correction(self, point: Array) -> Correction:
+        """Return what the weights `point` (m,) stand for."""
+        split = 3 * len(self.valve)
+        valve = self.opening * point[:split].reshape(3, -1)
+        shift = self.shift * point[split:].reshape(3, -1)
+        return Correction((shift @ self.angle).T, (shift @ self.slope).T, (valve @ self.valve).T)
+
+
+def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: float = 0.060) -> Basis:
+    """Return the functions for `profile`, their centres so many s apart.
+
+    The feed-forward is corrected in the downswing, the reference from shortly before the top on: what is
+    wrong at the top is carried into the downswing.
+    """
+    tick, top, down, impact = profile.period, profile.begins[2], profile.begins[3], profile.begins[5]
+    valve, _ = _splines(profile, down, impact, round(valve_spacing / tick))
+    lead, spacing = round(0.05 / tick), round(angle_spacing / tick)
+    angle, slope = _splines(profile, max(top - lead, 2 * spacing), impact, spacing)
+    return Basis(valve, angle, slope)
+
+
+def _splines(profile: Profile, first: int, last: int, spacing: int) -> tuple[Array, Array]:
+    """Return cubic B-splines with centres from sample `first` to `last`, and their slopes (1/s)."""
+    element = BSpline.basis_element(np.arange(-2.0, 3.0) * spacing, extrapolate=False)
+    away = np.arange(len(profile.angle)) - np.arange(first, last + 1, spacing)[:, None]
+    # A spline's peak is 2/3.
+    return (
+        1.5 * np.nan_to_num(element(away)),
+        1.5 * np.nan_to_num(element.derivative()(away)) / profile.period,
+    )

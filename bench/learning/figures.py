@@ -1,0 +1,65 @@
+"""The four figures of a delivery that a planar robot can learn."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.impact import Delivery
+
+Array = NDArray[np.float64]
+
+
+class Figures(NamedTuple):
+    """A delivery in figures of the swing plane, SI and rad; NaN where the source does not tell."""
+
+    strike: float
+    """Where on the face the ball is met, along the line in which the swing plane cuts it, m, up the plane."""
+    speed: float
+    """Of the head, m/s."""
+    lean: float
+    """Of the shaft, rad."""
+    attack: float
+    """rad"""
+
+    @property
+    def array(self) -> Array:
+        """All four in order."""
+        return np.array(self)
+
+    @property
+    def shown(self) -> dict[str, float | None]:
+        """The figures with their units in the names; None where nothing is known."""
+        values = (1e3 * self.strike, self.speed, np.degrees(self.lean), np.degrees(self.attack))
+        names = ("strike_mm", "head_speed_mps", "shaft_lean_deg", "attack_angle_deg")
+        return {
+            name: None if np.isnan(value) else float(value) for name, value in zip(names, values, strict=True)
+        }
+
+
+UNKNOWN = Figures(*[float("nan")] * 4)
+
+
+class Tolerance(NamedTuple):
+    """What counts as learned."""
+
+    strike: float = 0.002
+    """m"""
+    speed: float = 0.003
+    """Share of the target."""
+    lean: float = radians(0.3)
+    attack: float = radians(0.3)
+
+    def scale(self, target: Figures) -> Array:
+        """Return the tolerances (4,) in the figures' units."""
+        return np.array([self.strike, self.speed * target.speed, self.lean, self.attack])
+
+
+def figures_of(delivery: Delivery | None) -> Figures:
+    """Return the figures of `delivery`; without one all are unknown."""
+    if delivery is None:
+        return UNKNOWN
+    return Figures(delivery.in_plane_error, delivery.speed, delivery.shaft_lean, delivery.attack_angle)

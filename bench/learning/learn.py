@@ -1,0 +1,159 @@
+"""Learn a swing: swing, look at the delivery, correct, swing again; the best correction is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.learning.correction import Basis, Correction, basis_of
+from bench.learning.figures import UNKNOWN, Figures, Tolerance, figures_of
+from bench.learning.learner import Learner, LearningSettings, Trial
+from bench.learning.measured import delivery_from_encoders
+from bench.learning.response import Model, Response
+from bench.learning.series import Bench, Swing
+from bench.lifecycle import Cause
+from bench.swing.profile import Profile
+
+Array = NDArray[np.float64]
+
+Measure = Callable[[Swing], Figures]
+"""Says what a swing delivered."""
+
+
+class Swinger(Protocol):
+    """A bench that can swing a profile whose tables were corrected."""
+
+    def swing(self, profile: Profile) -> Swing:
+        """Swing and come back to the address; after a stop be ready again."""
+
+
+class Attempt(NamedTuple):
+    """One learning swing."""
+
+    figures: Figures
+    """As measured; unknown when the swing was stopped or missed the ball."""
+    error: Array
+    """(4,) in tolerances."""
+    path_error: float
+    """Root mean square to the planned path up to the impact window or the stop, rad."""
+    cause: Cause
+    saturated: float
+    """Share of the downswing in which a valve stood at its limit."""
+    effort: float
+    """Norm of the correction's weights."""
+
+
+class Lesson(NamedTuple):
+    """What was learned."""
+
+    target: Figures
+    tolerance: Tolerance
+    attempts: tuple[Attempt, ...]
+    """The first is the swing before learning."""
+    chosen: int
+    """The attempt whose correction is kept."""
+    weights: Array
+    """(m,) of the basis."""
+    correction: Correction
+    scatter: Array
+    """(4,) between swings alike, tolerances; as declared when none were alike."""
+
+    @property
+    def within(self) -> bool:
+        """Whether the kept correction's swing is within every tolerance."""
+        error = self.attempts[self.chosen].error
+        return bool(np.nanmax(np.abs(error), initial=np.inf if np.isnan(error).all() else 0.0) <= 1.0)
+
+    @property
+    def used(self) -> int:
+        """Learning swings made."""
+        return len(self.attempts) - 1
+
+
+class Lecture(NamedTuple):
+    """What is to be learned: the model's response, its path as the plan, its delivery as the target."""
+
+    bench: Bench
+    basis: Basis
+    response: Response
+    target: Figures
+
+
+def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> Lecture:
+    """Return the response of `bench`'s model; the target is what the profile delivers on that model.
+
+    Raises:
+        BenchError: the modelled swing is stopped or misses the ball.
+        Refused: the model does not reach its address.
+    """
+    basis = basis_of(bench.profile)
+    response = Model(bench, basis).response(progress=progress)
+    return Lecture(bench, basis, response, Figures(*map(float, response.figures)))
+
+
+def by_encoders(lecture: Lecture) -> Measure:
+    """Return the measure that encoders and model give."""
+    model, free = lecture.bench.model, lecture.response.free
+    return lambda swing: figures_of(delivery_from_encoders(swing.cycles, model, free))
+
+
+def learn(
+    lecture: Lecture,
+    swinger: Swinger,
+    measure: Measure,
+    settings: LearningSettings | None = None,
+    tolerance: Tolerance | None = None,
+    told: Callable[[Attempt], None] = lambda attempt: None,
+) -> Lesson:
+    """Swing until the target is reached and confirmed, or the swings are used up.
+
+    It is reached when two swings in a row with the same correction lie well within every tolerance.
+
+    Raises:
+        Refused: the robot does not come back to its address.
+    """
+    settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
+    learner = Learner(lecture.response, lecture.target, tolerance, settings)
+    attempts: list[Attempt] = []
+    for _ in range(settings.swings + 1):
+        trial, attempt = _attempt(lecture, swinger, measure, learner)
+        attempts.append(attempt)
+        told(attempt)
+        learner.note(trial)
+        if learner.confirmed:
+            break
+    chosen = learner.chosen
+    weights = learner.trials[chosen].point
+    return Lesson(
+        lecture.target,
+        tolerance,
+        tuple(attempts),
+        chosen,
+        weights,
+        lecture.basis.correction(weights),
+        learner.scatter,
+    )
+
+
+def _attempt(lecture: Lecture, swinger: Swinger, measure: Measure, learner: Learner) -> tuple[Trial, Attempt]:
+    bench, response, point = lecture.bench, lecture.response, learner.point
+    swing = swinger.swing(lecture.basis.correction(point).applied_to(bench.profile))
+    cycles = swing.cycles
+    path = cycles["angle"][response.rows].copy()
+    path[cycles["trip"][response.rows] != 0] = np.nan
+    figures = UNKNOWN if swing.cause else measure(swing)
+    trial = Trial(point, figures.array, path)
+    down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
+    off = path - response.path
+    attempt = Attempt(
+        figures,
+        learner.error(trial.figures),
+        float(np.sqrt(np.nanmean(off**2))) if np.isfinite(off).any() else float("nan"),
+        swing.cause,
+        float(np.mean(np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.greatest_opening)),
+        float(np.linalg.norm(point)),
+    )
+    return trial, attempt

@@ -1,0 +1,126 @@
+"""What a swing delivered, by its declared source: encoders and model, launch monitor, marks on the face."""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from bench.learning.figures import UNKNOWN, Figures, figures_of
+from bench.lifecycle import Phase
+from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+
+Array = NDArray[np.float64]
+Cycles = np.ndarray[Any, Any]
+
+Source = Literal["encoders+model", "launch monitor", "impact marks"]
+SOURCES: tuple[Source, ...] = ("encoders+model", "launch monitor", "impact marks")
+
+_BEFORE = 0.004
+"""Distance (m) of face and ball at which the last reading before the contact is looked for: an off-centre
+strike may begin so far before the face's centre is there."""
+_READINGS, _READINGS_BESIDE_PLAN = 5, 12
+"""Before the contact, through which a parabola goes: of the angles themselves, or of what they are off the
+modelled swing, which changes more slowly."""
+_SEARCHED = (-0.0015, 0.0035)
+"""s around the last reading."""
+_DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
+
+
+def delivery_from_encoders(
+    cycles: Cycles, plant: PlantParameters, plan: Array | None = None
+) -> Delivery | None:
+    """Return how the club came to the ball, from the raw counts before the contact; None without a crossing.
+
+    The angles of the last readings are carried on by a parabola to where face and ball touch: an estimator
+    that has to be ready for the impact's jump says less. With `plan` (k, 3), the modelled swing without a
+    ball tick by tick, the parabola is that of the difference to it. A latency that all encoders share does
+    not matter.
+    """
+    robot, site, encoders = plant.robot, plant.site, plant.encoders
+    per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
+    angle = (cycles["encoder_count"] + 0.5 - np.array(encoders.zero_count)) / per_rad
+    angle += 2 * np.pi * np.round((cycles["angle"] - angle) / (2 * np.pi))
+    head = forward_kinematics(robot, angle)
+    # The first crossing forwards at the bottom of the swing; the club also comes by above.
+    ahead, low = site.ball_x - head[:, 0] > _BEFORE, head[:, 1] < site.ball_y + 0.1
+    crossings = np.flatnonzero(ahead[:-1] & ~ahead[1:] & low[1:] & np.isin(cycles["phase"], _DOWN)[1:])
+    readings = _READINGS if plan is None else _READINGS_BESIDE_PLAN
+    if not crossings.size or crossings[0] < readings:
+        return None
+    last = int(crossings[0]) + 1
+    before = np.arange(last - readings, last)
+    if plan is None:
+        curve, angles = (lambda at: 0.0), angle[before]
+    elif last + 4 > len(plan):
+        return None
+    else:
+        window = np.arange(last - readings, last + 4)
+        curve = CubicSpline((window - last + 1) * plant.tick, plan[window])
+        angles = angle[before] - plan[before]
+    powers = np.vander((before - last + 1) * plant.tick, 3, increasing=True)
+    line = np.linalg.lstsq(powers, angles, rcond=None)[0]
+    face = impact_parameters(robot.club, plant.ball, robot.lie)
+
+    def pose(at: float) -> Any:
+        return forward_kinematics(robot, curve(at) + line[0] + at * line[1] + at * at * line[2])
+
+    def gap(at: float) -> float:
+        x, y, theta = pose(at)
+        return float(face_gap(x, y, theta, site.ball_x, site.ball_y, face))
+
+    if not gap(_SEARCHED[0]) > 0.0 > gap(_SEARCHED[1]):
+        return None
+    contact, step = float(brentq(gap, *_SEARCHED)), 1e-6
+    motion = (pose(contact + step) - pose(contact - step)) / (2 * step)
+    try:
+        return delivery_from_plane(
+            tuple(pose(contact)), tuple(motion), (site.ball_x, site.ball_y), robot.club, robot.lie,
+            "encoders+model",
+        )  # fmt: skip
+    except ValueError:
+        return None
+
+
+def strike_from_mark(toe_mm: float, high_mm: float, plant: PlantParameters) -> float:
+    """Return the in-plane strike (m) of a mark on the face, mm towards the toe and up from its centre.
+
+    A planar robot can strike along one line of the face only; the mark is projected on it.
+    """
+    robot = plant.robot
+    normal, up, toe = face_axes(1.5 * np.pi, impact_parameters(robot.club, plant.ball, robot.lie))
+    line = np.cross((0.0, cos(robot.lie), sin(robot.lie)), normal)
+    line /= np.linalg.norm(line)
+    return 1e-3 * float(toe_mm * (line @ np.array(toe)) + high_mm * (line @ np.array(up)))
+
+
+def figures_from(
+    source: Source,
+    cycles: Cycles,
+    plant: PlantParameters,
+    plan: Array | None = None,
+    *,
+    mark: tuple[float, float] | None = None,
+    club_speed: float | None = None,
+    attack_deg: float | None = None,
+) -> Figures:
+    """Return the figures of the swing in `cycles` by `source`; what it does not tell is the encoders'.
+
+    `mark`: mm towards the toe and up. `club_speed` (m/s) and `attack_deg` are a launch monitor's.
+    """
+    figures = figures_of(delivery_from_encoders(cycles, plant, plan))
+    if figures is UNKNOWN or source == "encoders+model":
+        return figures
+    if source == "impact marks":
+        return figures if mark is None else figures._replace(strike=strike_from_mark(*mark, plant))
+    return figures._replace(
+        strike=figures.strike if mark is None else strike_from_mark(*mark, plant),
+        speed=figures.speed if club_speed is None else club_speed,
+        attack=figures.attack if attack_deg is None else radians(attack_deg),
+    )

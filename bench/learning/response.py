@@ -1,0 +1,106 @@
+"""How the modelled swing answers to corrections: finite differences on the plant, the controller included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from bench.learning.correction import Basis
+from bench.learning.figures import figures_of
+from bench.learning.series import Bench, Mark, Series, Swing, quiet, settled
+from bench.lifecycle import CAUSE_TEXT
+
+Array = NDArray[np.float64]
+
+PATH_SPACING = 0.005
+"""s between the instants of the downswing at which the path is compared."""
+_STEP = 0.1
+"""Of a weight."""
+_AFTER = 0.03
+"""s after the planned contact that a swing is followed."""
+
+
+class Response(NamedTuple):
+    """The model's swing with one correction, and its derivatives by the basis' weights."""
+
+    figures: Array
+    """(4,) as in `Figures`."""
+    path: Array
+    """(r, 3) rad, angles at `rows`."""
+    rows: NDArray[np.int64]
+    """Samples of the profile."""
+    by_figures: Array
+    """(4, m)"""
+    by_path: Array
+    """(3 r, m) rad"""
+    free: Array
+    """(k, 3) rad, the plant's angles tick by tick without correction and without a ball, past the contact."""
+
+
+def path_rows(bench: Bench) -> NDArray[np.int64]:
+    """Return the samples of the downswing, up to the impact window, at which paths are compared."""
+    profile = bench.profile
+    return np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
+
+
+class Model:
+    """The plant as the bench believes it to be, ready to swing with any correction from the same instant."""
+
+    def __init__(self, bench: Bench, basis: Basis) -> None:
+        """Arm the model; Refused when it does not reach its address."""
+        self._bench, self._basis = bench, basis
+        self._series, self._mark = _settled_quietly(bench)
+        profile = bench.profile
+        self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
+        self.rows = path_rows(bench)
+
+    def swing(self, point: Array) -> Swing:
+        """Swing with the correction `point` (m,)."""
+        corrected = self._basis.correction(point).applied_to(self._bench.profile)
+        return self._series.swing_from(self._mark, corrected, self._ticks)
+
+    def response(
+        self, point: Array | None = None, progress: Callable[[float], None] = lambda part: None
+    ) -> Response:
+        """Return the response at `point` (default: no correction).
+
+        Raises:
+            BenchError: the modelled swing is stopped or misses the ball.
+        """
+        m = self._basis.size
+        point = np.zeros(m) if point is None else point
+        swing = self.swing(point)
+        if swing.cause or swing.delivery is None:
+            found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
+            place, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
+            raise BenchError(place, found, wanted, "Identify the plant, or design the swing anew.")
+        figures, path = self._seen(swing)
+        free = self._series.swing_from(self._mark, self._bench.profile, self._ticks, ball=False)
+        by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
+        for i in range(m):
+            sides = []
+            for step in (_STEP, -_STEP):
+                trial = point.copy()
+                trial[i] += step
+                varied = self.swing(trial)
+                if varied.delivery is not None and not varied.cause:
+                    sides.append((step, *self._seen(varied)))
+            if len(sides) < 2:
+                sides.append((0.0, figures, path))
+            if len(sides) == 2:  # else: a weight that only breaks the swing stays unused
+                width = sides[0][0] - sides[1][0]
+                by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
+                by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
+            progress((i + 1) / m)
+        return Response(figures, path, self.rows, by_figures, by_path, free.cycles["plant_angle"].copy())
+
+    def _seen(self, swing: Swing) -> tuple[Array, Array]:
+        return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]
+
+
+def _settled_quietly(bench: Bench) -> tuple[Series, Mark]:
+    return settled(bench, quiet(bench.model))
