@@ -55,11 +55,11 @@ class EstimatorSettings:
 class PidSettings:
     """One PID per actuator on its joint angle; output is the valve opening."""
 
-    proportional: NotNegativeTriple = (2.0, 0.65, 0.35)
+    proportional: NotNegativeTriple = (2.0, 0.65, 0.5)
     """Opening per rad."""
     integral: NotNegativeTriple = (0.5, 0.8, 0.3)
     """Opening per rad s."""
-    derivative: NotNegativeTriple = (0.165, 0.024, 0.028)
+    derivative: NotNegativeTriple = (0.165, 0.024, 0.04)
     """Opening per rad/s, on reference less filtered velocity."""
 
 
