@@ -20,6 +20,7 @@ from bench.campaign.commands import app as campaign_app
 from bench.errors import BenchError, ExitCode
 from bench.export.commands import export
 from bench.launch.command import launch_monitor
+from bench.learning.commands import learn
 from bench.network.certificates_command import certificates
 from bench.network.control_commands import app as control_app
 from bench.nodes_command import nodes
@@ -51,6 +52,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(nodes)
 app.command()(launch_monitor)
+app.command()(learn)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)

@@ -113,7 +113,7 @@ class Learner:
         return np.asarray((figures - self._target) / self._scale)
 
     def _reached(self, number: int, share: float) -> bool:
-        """Whether a swing is within `share` of every tolerance; a figure that nobody measures is not asked."""
+        """Whether a swing is within `share` of every tolerance; a figure not measured is not asked."""
         figures = self.trials[number].figures
         known = self.error(figures)[~np.isnan(figures)]
         return bool(known.size and np.max(np.abs(known)) <= share)
@@ -135,7 +135,7 @@ class Learner:
 
     @property
     def chosen(self) -> int:
-        """The swing whose correction is to be kept: the least mean cost, a little less sure of single ones."""
+        """The swing whose correction is to be kept: least mean error, repeated ones preferred."""
         costs = {}
         for k in range(len(self.trials)):
             alike = self._alike(k)
@@ -211,7 +211,7 @@ class Learner:
         errors, matrix = errors[known], matrix[known]
         unit, damping = np.eye(len(start)), 0.01
         while True:
-            # The damping keeps a step within the radius and does not pull it towards zero, as the effort does.
+            # The damping keeps a step within the radius; unlike the effort it does not pull it towards zero.
             left = np.vstack([matrix, s.effort * unit, damping * unit])
             right = -np.concatenate([errors, s.effort * start, np.zeros(len(start))])
             step = np.asarray(lsq_linear(left, right, (-s.bound - start, s.bound - start + 1e-9)).x)

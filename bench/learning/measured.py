@@ -56,23 +56,22 @@ def delivery_from_encoders(
         return None
     last = int(crossings[0]) + 1
     before = np.arange(last - readings, last)
-    if plan is None:
-        curve, angles = (lambda at: 0.0), angle[before]
-    elif last + 4 > len(plan):
+    window = np.arange(last - readings, last + 4)
+    planned = np.zeros((len(window), 3)) if plan is None else plan[window[0] : window[-1] + 1]
+    if len(planned) < len(window):
         return None
-    else:
-        window = np.arange(last - readings, last + 4)
-        curve = CubicSpline((window - last + 1) * plant.tick, plan[window])
-        angles = angle[before] - plan[before]
+    curve = CubicSpline((window - last + 1) * plant.tick, planned)
+    angles = angle[before] - planned[:readings]
     powers = np.vander((before - last + 1) * plant.tick, 3, increasing=True)
     line = np.linalg.lstsq(powers, angles, rcond=None)[0]
     face = impact_parameters(robot.club, plant.ball, robot.lie)
 
     def pose(at: float) -> Any:
-        return forward_kinematics(robot, curve(at) + line[0] + at * line[1] + at * at * line[2])
+        offset = line[0] + at * line[1] + at * at * line[2]
+        return forward_kinematics(robot, np.asarray(curve(at)) + offset)
 
     def gap(at: float) -> float:
-        x, y, theta = pose(at)
+        x, y, theta = map(float, pose(at))
         return float(face_gap(x, y, theta, site.ball_x, site.ball_y, face))
 
     if not gap(_SEARCHED[0]) > 0.0 > gap(_SEARCHED[1]):

@@ -201,8 +201,41 @@ class HitCountRow(Row):
     hits: Mapped[int]
 
 
+class LearnedSwingRow(Row):
+    """One learned correction of a profile. Rows are only added: the newest that holds is used."""
+
+    __tablename__ = "learned_swings"
+    __table_args__ = (UniqueConstraint("bench", "profile", "version"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    bench: Mapped[str]
+    profile: Mapped[str]
+    version: Mapped[int]
+    """Rises by one per bench and profile."""
+    date: Mapped[datetime]
+    simulated: Mapped[bool]
+    source: Mapped[str]
+    """Of the delivery that it was learned from."""
+    digest: Mapped[str]
+    """Of the profile's tables."""
+    club: Mapped[str]
+    supply_pressure: Mapped[float]
+    """Pa absolute, regulated."""
+    temperature: Mapped[float]
+    """K"""
+    within: Mapped[bool]
+    """The target was reached."""
+    content: Mapped[dict[str, Any]]
+    """Weights of the basis functions, and for people target, swings and scatter."""
+
+
+_only_add(Row.metadata.tables[LearnedSwingRow.__tablename__], "learned swings")
+
 VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
 """Tables that came with schema version 2."""
 
 VERSION_3 = ("campaign_prompts",)
 """Tables that came with schema version 3."""
+
+VERSION_4 = ("learned_swings",)
+"""Tables that came with schema version 4."""

@@ -1,0 +1,166 @@
+"""Learned corrections in the bench's database: versioned, with the conditions they hold for, only added."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Engine, func, insert, select
+
+from bench.errors import BenchError
+from bench.learning.correction import Correction, basis_of
+from bench.learning.learn import Lesson
+from bench.store.tables import LearnedSwingRow
+from bench.swing.profile import Profile
+from sim.plant import PlantParameters
+
+PRESSURE_TOLERANCE = 0.02
+"""Share by which the supply may differ from the one that was learned with."""
+TEMPERATURE_TOLERANCE = 8.0
+"""K; friction and air change with it."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a correction holds for."""
+
+    digest: str
+    """Of the profile's tables."""
+    club: str
+    supply_pressure: float
+    """Pa absolute, regulated."""
+    temperature: float
+    """K, of the air."""
+
+    @staticmethod
+    def of(profile: Profile, plant: PlantParameters, temperature: float) -> Conditions:
+        """Return the conditions of a swing of `profile` on `plant`."""
+        tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
+        digest = sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables)).hexdigest()[:16]
+        return Conditions(digest, plant.robot.club.name, plant.supply.pressure, temperature)
+
+    def hold_for(self, other: Conditions) -> bool:
+        """Tell whether what was learned under these may be used under `other`."""
+        return (
+            self.digest == other.digest
+            and self.club == other.club
+            and abs(self.supply_pressure - other.supply_pressure)
+            <= PRESSURE_TOLERANCE * other.supply_pressure
+            and abs(self.temperature - other.temperature) <= TEMPERATURE_TOLERANCE
+        )
+
+    @property
+    def text(self) -> str:
+        """The conditions in words."""
+        pressure, celsius = self.supply_pressure / 1e5, self.temperature - 273.15
+        return f"club {self.club}, {pressure:.2f} bar absolute, {celsius:.0f} °C"
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A correction as it is stored."""
+
+    bench: str
+    profile: str
+    date: datetime
+    simulated: bool
+    source: str
+    conditions: Conditions
+    within: bool
+    """Whether the target was reached."""
+    weights: tuple[float, ...]
+    content: Mapping[str, Any] = field(default_factory=dict)
+    """Target, swings and scatter, for people."""
+    version: int = 0
+
+    def correction(self, profile: Profile) -> Correction:
+        """Return the tables for `profile`, the one that it was learned with."""
+        return basis_of(profile).correction(np.array(self.weights))
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The entry as JSON has it."""
+        return asdict(self) | {"date": self.date.isoformat(timespec="seconds")}
+
+
+def stored(
+    lesson: Lesson,
+    bench: str,
+    profile: str,
+    conditions: Conditions,
+    source: str,
+    date: datetime,
+    *,
+    simulated: bool,
+) -> Learned:
+    """Return `lesson` as it is kept."""
+    content = {
+        "target": lesson.target.shown,
+        "chosen": lesson.chosen,
+        "swings": [attempt.figures.shown | {"cause": attempt.cause.name} for attempt in lesson.attempts],
+        "scatter_in_tolerances": [float(value) for value in lesson.scatter],
+    }
+    weights = tuple(map(float, lesson.weights))
+    return Learned(bench, profile, date, simulated, source, conditions, lesson.within, weights, content)
+
+
+def keep(database: Engine, entry: Learned) -> int:
+    """Add `entry` as the next version of its bench and profile, and return that number."""
+    newest = select(func.max(LearnedSwingRow.version)).where(
+        LearnedSwingRow.bench == entry.bench, LearnedSwingRow.profile == entry.profile
+    )
+    c = entry.conditions
+    values = {
+        "bench": entry.bench, "profile": entry.profile, "date": entry.date, "simulated": entry.simulated,
+        "source": entry.source, "digest": c.digest, "club": c.club, "supply_pressure": c.supply_pressure,
+        "temperature": c.temperature, "within": entry.within,
+        "content": {"weights": list(entry.weights), **entry.content},
+    }  # fmt: skip
+    with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
+        version = int(connection.scalar(newest) or 0) + 1
+        connection.execute(insert(LearnedSwingRow).values(**values, version=version))
+    return version
+
+
+def learned_swings(database: Engine, bench: str, profile: str) -> list[Learned]:
+    """Return what was learned of `profile` on `bench`, oldest first.
+
+    Raises:
+        BenchError: an entry was not written by golfbench.
+    """
+    wanted = select(LearnedSwingRow).where(LearnedSwingRow.bench == bench, LearnedSwingRow.profile == profile)
+    with database.connect() as connection:
+        rows = connection.execute(wanted.order_by(LearnedSwingRow.version)).all()
+    return [_entry(row) for row in rows]
+
+
+def _entry(row: Any) -> Learned:
+    content = dict(row.content)
+    weights = content.pop("weights", None)
+    if not isinstance(weights, list) or not all(isinstance(value, float | int) for value in weights):
+        raise BenchError(
+            f"learned swing {row.profile}, version {row.version}", "no weights", "a list of numbers",
+            "Learn it anew.",
+        )  # fmt: skip
+    conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
+    return Learned(
+        row.bench, row.profile, row.date, row.simulated, row.source, conditions, row.within,
+        tuple(map(float, weights)), content, row.version,
+    )  # fmt: skip
+
+
+def corrected(
+    database: Engine, bench: str, profile: Profile, conditions: Conditions, *, simulated: bool
+) -> tuple[Profile, int]:
+    """Return `profile` with the newest correction that holds for `conditions`, and its version.
+
+    Version 0 and the profile itself when none holds. What was learned in simulation is not used on a machine.
+    """
+    for entry in reversed(learned_swings(database, bench, profile.name)):
+        if entry.within and entry.simulated == simulated and entry.conditions.hold_for(conditions):
+            return entry.correction(profile).applied_to(profile), entry.version
+    return profile, 0

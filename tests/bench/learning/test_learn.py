@@ -1,0 +1,102 @@
+"""Learning on the plant: a robot that differs from the model, delivery read from its encoders."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from bench.learning.figures import Tolerance, figures_of
+from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
+from bench.learning.learner import LearningSettings
+from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
+from bench.learning.series import Bench, Series
+from bench.learning.variation import Variation, drawn
+from bench.lifecycle import Cause
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.plant import PlantParameters
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+PLANT = PlantParameters()
+BENCH = Bench(PLANT, load_profile(find_profile("default")))
+WORN = Variation(friction=(1.1, 1.1, 1.1), flow=(0.97, 0.97, 0.97), latency=0.001).applied_to(PLANT)
+
+
+@pytest.fixture(scope="module")
+def lecture() -> Lecture:
+    return prepare(BENCH)
+
+
+@pytest.fixture(scope="module")
+def lesson(lecture: Lecture) -> Lesson:
+    return learn(lecture, Series(BENCH, WORN), by_encoders(lecture))
+
+
+def test_the_robot_learns_what_the_model_delivers(lecture: Lecture, lesson: Lesson) -> None:
+    assert np.abs(lesson.attempts[0].error).max() > 3.0
+    assert lesson.within
+    assert lesson.used <= LearningSettings().swings
+    series = Series(BENCH, WORN)
+    swing = lesson.correction.applied_to(BENCH.profile)
+    series.swing(swing)
+    truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
+    off = (truth - lecture.target.array) / Tolerance().scale(lecture.target)
+    assert np.abs(off).max() < 0.3 * np.abs(lesson.attempts[0].error).max()
+    assert np.abs(off).max() < 2.0
+
+
+def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: Lecture) -> None:
+    """Also with a latency that the bench does not know."""
+    swing = Series(BENCH, Variation(latency=0.001).applied_to(PLANT)).swing(BENCH.profile)
+    truth = figures_of(swing.delivery)
+    scale = Tolerance().scale(lecture.target)
+    for plan, allowed in ((lecture.response.free, 0.6), (None, 1.5)):
+        seen = figures_of(delivery_from_encoders(swing.cycles, PLANT, plan))
+        assert np.abs((seen.array - truth.array) / scale).max() < allowed
+
+
+def test_other_sources_replace_what_they_tell(lecture: Lecture) -> None:
+    swing = Series(BENCH, PLANT).swing(BENCH.profile)
+    encoders = figures_from("encoders+model", swing.cycles, PLANT, lecture.response.free)
+    marked = figures_from("impact marks", swing.cycles, PLANT, lecture.response.free, mark=(6.0, 4.5))
+    assert marked.strike == pytest.approx(strike_from_mark(6.0, 4.5, PLANT))
+    assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
+    assert marked[1:] == encoders[1:]
+    monitor = figures_from("launch monitor", swing.cycles, PLANT, lecture.response.free, club_speed=42.0)
+    assert monitor.speed == 42.0
+    assert (monitor.strike, monitor.lean, monitor.attack) == (
+        encoders.strike, encoders.lean, encoders.attack,
+    )  # fmt: skip
+
+
+def test_a_mark_is_projected_on_the_line_of_the_swing_plane(lecture: Lecture) -> None:
+    swing = Series(BENCH, PLANT).swing(BENCH.profile)
+    assert swing.delivery is not None
+    toe, high = 1e3 * swing.delivery.strike_x, 1e3 * swing.delivery.strike_y
+    assert strike_from_mark(toe, high, PLANT) == pytest.approx(swing.delivery.in_plane_error, abs=1e-4)
+
+
+def test_a_series_repeats_bit_for_bit_and_goes_on_after_a_stop() -> None:
+    first, second = Series(BENCH, PLANT), Series(BENCH, PLANT)
+    assert first.swing(BENCH.profile).cycles.tobytes() == second.swing(BENCH.profile).cycles.tobytes()
+    weak = Variation(flow=(0.3, 1.0, 1.0)).applied_to(PLANT)
+    first.vary(weak)
+    stopped = first.swing(BENCH.profile)
+    assert stopped.cause is Cause.SHOULDER_FOLLOWING
+    first.vary(PLANT)
+    assert first.swing(BENCH.profile).cause is Cause.NONE
+
+
+def test_a_drawn_robot_is_the_same_for_its_seed_and_within_its_spread() -> None:
+    assert drawn(7, PLANT) == drawn(7, PLANT)
+    assert drawn(7, PLANT) != drawn(8, PLANT)
+    for seed in range(20):
+        variation = drawn(seed, PLANT)
+        factors = (*variation.friction, *variation.flow, *variation.volume, variation.supply, variation.vane)
+        assert all(0.9 <= factor <= 1.1 for factor in factors)
+        assert abs(variation.head_mass) <= 0.1 * PLANT.robot.club.head_mass
+        assert 0.0 <= variation.latency <= 0.001

@@ -1,0 +1,69 @@
+"""Learned swings in the database: versioned, only added, used under their own conditions only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError
+
+from bench.learning.correction import basis_of
+from bench.learning.store import Conditions, Learned, corrected, keep, learned_swings
+from bench.store.database import database_url, open_database
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.plant import PlantParameters
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+PROFILE, PLANT = load_profile(find_profile("default")), PlantParameters()
+HERE = Conditions.of(PROFILE, PLANT, 298.0)
+
+
+def entry(value: float, **changes: object) -> Learned:
+    weights = (value,) * basis_of(PROFILE).size
+    made = Learned("b", PROFILE.name, NOW, True, "encoders+model", HERE, True, weights, {"chosen": 3})
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def test_the_newest_that_holds_is_used_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    with open_database(database_url("", tmp_path), NOW) as database:
+        assert corrected(database, "b", PROFILE, HERE, simulated=True) == (PROFILE, 0)
+        assert [keep(database, entry(value)) for value in (0.1, 0.2)] == [1, 2]
+        assert keep(database, entry(0.9, within=False)) == 3
+        assert keep(database, entry(0.9, conditions=replace(HERE, club="iron7"))) == 4
+        assert keep(database, entry(0.9, simulated=False)) == 5
+        swing, version = corrected(database, "b", PROFILE, HERE, simulated=True)
+        assert version == 2
+        wanted = basis_of(PROFILE).correction(np.full(basis_of(PROFILE).size, 0.2)).applied_to(PROFILE)
+        assert np.array_equal(swing.valve, wanted.valve)
+        assert np.array_equal(swing.angle, wanted.angle)
+        stored = learned_swings(database, "b", PROFILE.name)
+        assert [found.version for found in stored] == [1, 2, 3, 4, 5]
+        assert stored[0] == replace(entry(0.1), version=1)
+        for statement in ("DELETE FROM learned_swings", "UPDATE learned_swings SET within = 1"):
+            with pytest.raises(IntegrityError, match="only added"), database.begin() as connection:
+                connection.execute(text(statement))
+
+
+@pytest.mark.parametrize(
+    ("change", "holds"),
+    [
+        ({}, True),
+        ({"supply_pressure": HERE.supply_pressure * 1.015}, True),
+        ({"supply_pressure": HERE.supply_pressure * 0.95}, False),
+        ({"temperature": 303.0}, True),
+        ({"temperature": 285.0}, False),
+        ({"club": "iron7"}, False),
+        ({"digest": "0"}, False),
+    ],
+)
+def test_conditions(change: dict[str, float], holds: bool) -> None:
+    assert HERE.hold_for(replace(HERE, **change)) is holds  # type: ignore[arg-type]
+
+
+def test_a_profile_designed_anew_has_another_digest() -> None:
+    assert Conditions.of(replace(PROFILE, valve=PROFILE.valve + 1e-6), PLANT, 298.0).digest != HERE.digest
