@@ -130,8 +130,8 @@ class Learner:
         alike = self._alike(last)
         if len(alike) < 2 or not self._reached(last, self._settings.confirm):
             return False
-        errors = np.array([self.error(self.trials[k].figures) for k in alike])
-        return bool(np.nanmax(np.abs(np.nanmean(errors, axis=0))) <= self._settings.enough)
+        mean = np.array([self.error(self.trials[k].figures) for k in alike]).mean(axis=0)
+        return bool(np.nanmax(np.abs(mean)) <= self._settings.enough)
 
     @property
     def chosen(self) -> int:

@@ -13,6 +13,7 @@ from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
+from bench.telemetry.cycle_record import CYCLE
 from sim.impact import Delivery, delivery_from_plane
 from sim.plant import Plant, PlantParameters, build_plant
 from sim.truth import contact_in
@@ -22,6 +23,8 @@ HOLD = 1.0
 _LONGEST_RETURN = 10.0
 _LONGEST_STOP = 6.0
 _LONGEST_VENT = 15.0
+_REQUESTS = 300
+"""For a swing, until the robot is still enough at its address."""
 _CHUNK = 10
 """Ticks between two looks at the phase."""
 
@@ -71,12 +74,15 @@ class Series:
 
     def _arm(self) -> None:
         if not self._stepper.arm():
-            raise Refused(
-                f"arming with profile {self.bench.profile.name!r}",
-                "the robot does not come to rest there",
-                "hold at its address",
-                "Check the profile's address against the plant.",
-            )
+            raise self._no_address()
+
+    def _no_address(self) -> Refused:
+        return Refused(
+            f"address of profile {self.bench.profile.name!r}",
+            "the robot does not come to rest there",
+            "hold at its address",
+            "Check the profile's address against the plant.",
+        )
 
     def vary(self, plant: PlantParameters) -> None:
         """Let the plant be `plant` from here on; its state stays."""
@@ -131,7 +137,16 @@ class Series:
         stepper.plant_state["ball_present"] = stepper.plant_state["struck"] = False
         control["tee"] = ball
         before = float(stepper.plant_state["air_used"][0])
-        cycles = stepper.advance(ticks, SWING)
+        for _ in range(_REQUESTS):
+            first = stepper.advance(1, SWING)
+            if control["answer"][0] == ACCEPTED:
+                break
+            stepper.advance(_CHUNK)
+        else:
+            raise self._no_address()
+        # As bytes: numpy joins records field by field and leaves their padding to chance.
+        parts = [part.view(np.uint8) for part in (first, stepper.advance(ticks - 1))]
+        cycles = np.concatenate(parts).view(CYCLE)
         contact, robot, site = contact_in(stepper.plant_state), self.bench.model.robot, self.bench.model.site
         delivery, time = None, float("nan")
         if contact is not None:
