@@ -55,11 +55,11 @@ class EstimatorSettings:
 class PidSettings:
     """One PID per actuator on its joint angle; output is the valve opening."""
 
-    proportional: NotNegativeTriple = (2.0, 0.65, 0.5)
+    proportional: NotNegativeTriple = (2.0, 0.65, 0.75)
     """Opening per rad."""
-    integral: NotNegativeTriple = (0.5, 0.8, 0.3)
+    integral: NotNegativeTriple = (0.5, 0.8, 0.45)
     """Opening per rad s."""
-    derivative: NotNegativeTriple = (0.165, 0.024, 0.04)
+    derivative: NotNegativeTriple = (0.165, 0.024, 0.028)
     """Opening per rad/s, on reference less filtered velocity."""
 
 
@@ -70,7 +70,7 @@ class ControlSettings:
     pid: PidSettings = field(default_factory=PidSettings)
     feed_forward: bool = True
     """Use the profile's openings beside the PIDs."""
-    damping: NotNegativeTriple = (0.0046, 0.00067, 0.001)
+    damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""

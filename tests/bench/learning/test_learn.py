@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
 
+from bench.config import load_configuration
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
 from bench.learning.learner import LearningSettings
@@ -15,14 +18,14 @@ from bench.learning.variation import Variation, drawn
 from bench.lifecycle import Cause
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.plant import PlantParameters
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-PLANT = PlantParameters()
-BENCH = Bench(PLANT, load_profile(find_profile("default")))
+STEADY = load_configuration(Path("steady"))
+PLANT = STEADY.plant
+BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
 WORN = Variation(friction=(1.1, 1.1, 1.1), flow=(0.97, 0.97, 0.97), latency=0.001).applied_to(PLANT)
 
 
