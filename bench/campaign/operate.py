@@ -22,7 +22,7 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
-from bench.campaign.swings import Profiles, require_swings
+from bench.campaign.swings import Profiles, require_swings, with_learned
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.network.client import BenchClient
@@ -85,6 +85,7 @@ def run_simulated(
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     profiles = require_swings(plan, configuration)
+    profiles = with_learned(profiles, plan, configuration, store.database, entry.date)
     data_dir = configuration.bench.data_dir
     with runner_lock(data_dir, entry.id):
         runner = Runner(

@@ -82,7 +82,7 @@ def learn(
             told=lambda attempt: bar.update(task, advance=1),
         )  # fmt: skip
     settings, now = configuration.bench, datetime.now(UTC)
-    conditions = Conditions.of(swing, plant, configuration.air.temperature)
+    conditions = Conditions.of(swing, plant, configuration.air.temperature, truth)
     entry = stored(lesson, settings.id, swing.name, conditions, "encoders+model", now, simulated=True)
     with open_database(database_url(settings.database, settings.data_dir), now) as database:
         version = keep(database, entry)

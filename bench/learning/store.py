@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from hashlib import sha256
 from typing import Any
@@ -29,7 +29,7 @@ class Conditions:
     """What a correction holds for."""
 
     digest: str
-    """Of the profile's tables."""
+    """Of the profile's tables, in simulation also of the robot: another one has other faults."""
     club: str
     supply_pressure: float
     """Pa absolute, regulated."""
@@ -37,11 +37,20 @@ class Conditions:
     """K, of the air."""
 
     @staticmethod
-    def of(profile: Profile, plant: PlantParameters, temperature: float) -> Conditions:
-        """Return the conditions of a swing of `profile` on `plant`."""
+    def of(
+        profile: Profile,
+        plant: PlantParameters,
+        temperature: float,
+        simulated: PlantParameters | None = None,
+    ) -> Conditions:
+        """Return the conditions of a swing of `profile` on `plant`; `simulated` is the robot in simulation."""
         tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
-        digest = sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables)).hexdigest()[:16]
-        return Conditions(digest, plant.robot.club.name, plant.supply.pressure, temperature)
+        told = sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables))
+        if simulated is not None:
+            # Supply and ball differ from shot to shot; the rest is another robot.
+            alike = replace(simulated, supply=plant.supply, ball=plant.ball, seed=0)
+            told.update(repr(alike).encode())
+        return Conditions(told.hexdigest()[:16], plant.robot.club.name, plant.supply.pressure, temperature)
 
     def hold_for(self, other: Conditions) -> bool:
         """Tell whether what was learned under these may be used under `other`."""
@@ -154,13 +163,37 @@ def _entry(row: Any) -> Learned:
 
 
 def corrected(
-    database: Engine, bench: str, profile: Profile, conditions: Conditions, *, simulated: bool
+    database: Engine,
+    bench: str,
+    profile: Profile,
+    conditions: Conditions,
+    *,
+    simulated: bool,
+    until: datetime | None = None,
 ) -> tuple[Profile, int]:
     """Return `profile` with the newest correction that holds for `conditions`, and its version.
 
-    Version 0 and the profile itself when none holds. What was learned in simulation is not used on a machine.
+    Version 0 and the profile itself when none holds. What was learned in simulation is not used on a machine,
+    nor what was learned after `until`: a campaign goes on with what it began with.
     """
     for entry in reversed(learned_swings(database, bench, profile.name)):
+        if until is not None and entry.date > until:
+            continue
         if entry.within and entry.simulated == simulated and entry.conditions.hold_for(conditions):
-            return entry.correction(profile).applied_to(profile), entry.version
+            swing = entry.correction(profile).applied_to(profile)
+            return replace(swing, text=f"{swing.text}; learned, version {entry.version}"), entry.version
     return profile, 0
+
+
+def drifted(scatter: Sequence[float], errors: Sequence[Sequence[float]]) -> bool:
+    """Tell whether a block's shots have left what was learned, so that it is to be refreshed.
+
+    `errors` (n, k) are the shots' figures off the target, `scatter` (k,) their standard deviation when it was
+    learned, both in tolerances. It has when the mean of a figure is off by more than one tolerance and by
+    more than three standard errors: fewer shots ask for more.
+    """
+    values = np.asarray(errors, dtype=float)
+    if not len(values):
+        return False
+    mean, noise = np.abs(values.mean(axis=0)), np.asarray(scatter) / np.sqrt(len(values))
+    return bool(np.any((mean > 1.0) & (mean > 3.0 * noise)))

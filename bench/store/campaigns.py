@@ -126,6 +126,11 @@ class CampaignStore:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
 
+    @property
+    def database(self) -> Engine:
+        """The database, for what else is in it."""
+        return self._engine
+
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
 

@@ -39,6 +39,7 @@ LONG = (
     "campaign_detection",
     "campaign_examples",
     "campaign_show",
+    "learning",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 
 from bench.learning.correction import basis_of
-from bench.learning.store import Conditions, Learned, corrected, keep, learned_swings
+from bench.learning.store import Conditions, Learned, corrected, drifted, keep, learned_swings
 from bench.store.database import database_url, open_database
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -67,3 +67,33 @@ def test_conditions(change: dict[str, float], holds: bool) -> None:
 
 def test_a_profile_designed_anew_has_another_digest() -> None:
     assert Conditions.of(replace(PROFILE, valve=PROFILE.valve + 1e-6), PLANT, 298.0).digest != HERE.digest
+
+
+def test_in_simulation_another_robot_is_another_condition() -> None:
+    worn = replace(PLANT, shoulder=replace(PLANT.shoulder, dead_volume=2 * PLANT.shoulder.dead_volume))
+    nominal = Conditions.of(PROFILE, PLANT, 298.0, PLANT)
+    assert not nominal.hold_for(Conditions.of(PROFILE, PLANT, 298.0, worn))
+    weaker = replace(PLANT, supply=replace(PLANT.supply, pressure=0.99 * PLANT.supply.pressure), seed=9)
+    assert nominal.hold_for(Conditions.of(PROFILE, PLANT, 298.0, weaker))
+
+
+def test_a_campaign_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
+    with open_database(database_url("", tmp_path), NOW) as database:
+        keep(database, entry(0.1))
+        keep(database, entry(0.2, date=NOW + timedelta(hours=1)))
+        for until, version in ((None, 2), (NOW, 1), (NOW - timedelta(hours=1), 0)):
+            found = corrected(database, "b", PROFILE, HERE, simulated=True, until=until)
+            assert found[1] == version
+
+
+@pytest.mark.parametrize(
+    ("errors", "refresh"),
+    [
+        ([], False),
+        ([[0.4, -0.3]] * 8, False),
+        ([[0.4, -2.0], [0.4, -1.6], [0.1, -1.9], [0.3, -1.2]], True),
+        ([[0.4, -1.2]], False),
+    ],
+)
+def test_drift_is_what_scatter_does_not_explain(errors: list[list[float]], refresh: bool) -> None:
+    assert drifted((0.5, 0.5), errors) is refresh

@@ -1,0 +1,130 @@
+"""Learning on robots that differ from the one that the bench believes in: `... learning [--draws N]`.
+
+The configuration is the variant `steady`. One robot is worn: friction +40 %, valve flow -8 %, supply -4 %,
+head +10 g, vane +3 %, encoder latency +1 ms. The others are drawn: friction and dead volume of each joint,
+flow of each valve, supply, vane and head mass uniformly within 10 %, up to 1 ms more latency; seeds 1 to N.
+Each learns for at most twelve swings by its encoders; judged is what the plant knows, in the mean of five
+swings with the kept correction. The worn robot then makes a hundred with noise in encoders and supply.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.config import load_configuration
+from bench.learning.figures import Tolerance, figures_of
+from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
+from bench.learning.series import Bench, Series
+from bench.learning.variation import WORN, Variation, drawn
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from tests.benchmarks.row import Row
+
+NAME = "learning"
+CHECKED = 5
+REPEATED = 100
+ENCODER_NOISE = 2e-5
+"""rad"""
+SUPPLY_SCATTER = 0.002
+"""Share, from swing to swing."""
+
+Array = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What became of one robot; errors in tolerances."""
+
+    robot: str
+    before: Array
+    after: Array
+    used: int
+    stops: int
+    saturated: float
+    supply: float
+
+    @property
+    def learned(self) -> bool:
+        """Whether every figure is within its tolerance."""
+        return bool(np.all(np.abs(self.after) <= 1.0))
+
+    @property
+    def why(self) -> str:
+        """What to say of a robot that did not learn."""
+        names = ("strike", "speed", "lean", "attack")
+        worst = int(np.argmax(np.abs(np.nan_to_num(self.after, nan=np.inf))))
+        valves = f"a valve at its limit for {100 * self.saturated:.0f} % of the downswing"
+        return (
+            f"{names[worst]} {self.after[worst]:+.1f} tolerances, {valves}, supply {self.supply:.3f}, "
+            f"{self.stops} stops"
+        )
+
+
+def run(arguments: list[str]) -> list[Row]:
+    """Let all robots learn; tell of each on the way."""
+    parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {NAME}", description=__doc__)
+    parser.add_argument("--draws", type=int, default=50, help="robots drawn (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    configuration = load_configuration(Path("steady"))
+    plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
+    lecture = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
+    worn, lesson, series = _taught(lecture, "worn", WORN)
+    outcomes = [_taught(lecture, f"seed {n}", drawn(n, plant))[0] for n in range(1, options.draws + 1)]
+    good = sum(outcome.learned for outcome in outcomes)
+    rows = [
+        Row(NAME, f"worn robot: {name} off before", float(value), f"x {unit}")
+        for name, value, unit in zip(_NAMES, worn.before, _UNITS, strict=True)
+    ]
+    rows += [
+        Row(NAME, f"worn robot: {name} off after", abs(float(value)), f"x {unit}", at_most=1.0)
+        for name, value, unit in zip(_NAMES, worn.after, _UNITS, strict=True)
+    ]
+    rows.append(Row(NAME, "drawn robots that learned", good, "", at_least=round(0.9 * options.draws)))
+    rows.append(Row(NAME, "learning swings, mean", float(np.mean([o.used for o in outcomes])), ""))
+    rows.append(Row(NAME, "stops in all learning swings", sum(o.stops for o in outcomes), ""))
+    for name, value, unit in zip(_NAMES, _repeated(lecture, lesson, series), _UNITS, strict=True):
+        rows.append(Row(NAME, f"{REPEATED} swings with noise: SD of {name}", float(value), f"x {unit}"))
+    return rows
+
+
+_NAMES = ("strike", "head speed", "shaft lean", "attack angle")
+_UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
+
+
+def _taught(lecture: Lecture, robot: str, variation: Variation) -> tuple[Outcome, Lesson, Series]:
+    plant = variation.applied_to(lecture.bench.model)
+    series = Series(lecture.bench, plant)
+    lesson = learn(lecture, series, by_encoders(lecture))
+    swing, scale = lesson.correction.applied_to(lecture.bench.profile), Tolerance().scale(lecture.target)
+    figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
+    outcome = Outcome(
+        robot,
+        lesson.attempts[0].error,
+        (np.mean(figures, axis=0) - lecture.target.array) / scale,
+        lesson.used,
+        sum(bool(attempt.cause) for attempt in lesson.attempts),
+        lesson.attempts[lesson.chosen].saturated,
+        variation.supply,
+    )
+    before, after = (np.array2string(v, precision=2) for v in (outcome.before, outcome.after))
+    told = "learned" if outcome.learned else f"NOT learned: {outcome.why}"
+    print(f"{robot}: {before} -> {after} in {outcome.used} swings, {told}", flush=True)
+    return outcome, lesson, series
+
+
+def _repeated(lecture: Lecture, lesson: Lesson, series: Series) -> Array:
+    """Return the standard deviations of many swings with noise, in tolerances."""
+    plant = series.plant.parameters
+    noisy = replace(plant, encoders=replace(plant.encoders, noise=ENCODER_NOISE))
+    swing, random = lesson.correction.applied_to(lecture.bench.profile), np.random.default_rng(1)
+    figures = []
+    for _ in range(REPEATED):
+        pressure = plant.supply.pressure * (1 + SUPPLY_SCATTER * float(random.standard_normal()))
+        series.vary(replace(noisy, supply=replace(plant.supply, pressure=pressure)))
+        figures.append(figures_of(series.swing(swing).delivery).array)
+    return np.asarray(np.nanstd(figures, axis=0) / Tolerance().scale(lecture.target))
