@@ -43,7 +43,7 @@ class Conditions:
         temperature: float,
         simulated: PlantParameters | None = None,
     ) -> Conditions:
-        """Return the conditions of a swing of `profile` on `plant`; `simulated` is the robot in simulation."""
+        """Return the conditions of a swing of `profile` on `plant`; `simulated`: the robot in simulation."""
         tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
         told = sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables))
         if simulated is not None:
