@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import load_configuration
+from bench.errors import Refused
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
 from bench.learning.series import Bench, Series
@@ -74,7 +75,12 @@ def run(arguments: list[str]) -> list[Row]:
     plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
     lecture = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
     worn, lesson, series = _taught(lecture, "worn", WORN)
-    outcomes = [_taught(lecture, f"seed {n}", drawn(n, plant))[0] for n in range(1, options.draws + 1)]
+    outcomes = []
+    for n in range(1, options.draws + 1):
+        try:
+            outcomes.append(_taught(lecture, f"seed {n}", drawn(n, plant))[0])
+        except Refused as refusal:  # after a stop it did not come back: this robot learned nothing
+            print(f"seed {n}: NOT learned: {refusal}", flush=True)
     good = sum(outcome.learned for outcome in outcomes)
     rows = [
         Row(NAME, f"worn robot: {name} off before", float(value), f"x {unit}")
