@@ -25,7 +25,7 @@ NO_IMPACT = "no swing through the ball's place"
 NO_BALL = "no ball struck"
 NOT_TOLD = "the launch monitor saw no ball"
 _MOST_OPEN = 64
-"""Swings or launches that may wait to be settled; beyond that the oldest are given up as unmatched."""
+"""Launches that may wait for their swing; beyond that the oldest are given up as nobody's."""
 
 
 class Told(NamedTuple):
