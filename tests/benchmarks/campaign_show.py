@@ -249,7 +249,8 @@ def rows_of(result: Result, title: str, drops: int) -> list[Row]:
         Row(title, "valid shots out of the plan's order", float(in_order != r.planned), "", "", 0, 0),
         Row(title, "balls not of the launch monitor", float(sources != {"launch monitor"}), "", "", 0, 0),
         Row(title, "shots without an id of their own", len(r.metadata) - len(ids), "", "", 0, 0),
-        Row(title, "dropped launches, invalid and repeated", len(unseen), "", NOT_TOLD, drops, drops),
+        # One more where the monitor was ended in the middle of a swing.
+        Row(title, "dropped launches, invalid and repeated", len(unseen), "", NOT_TOLD, drops, drops + 1),
         Row(title, "shots stopped by the guard", len(stopped), "", CAUSE_TEXT[Cause.GUARD], 1, 1),
         Row(title, "resets of the simulated bench", len(resets), "", resets[-1] if resets else "", 2),
         Row(title, "suspended by itself and gone on", len(waits), "", waits[-1] if waits else "", 1),
