@@ -11,6 +11,12 @@ from sim.shared_record import SharedMemoryError, SharedRecord
 from sim.truth import Contact, contact_in
 
 
+def warm_up() -> None:
+    """Compile what a contact's launch needs: the first ball must not wait for it."""
+    at_rest = (0.0, 0.0, 0.0)
+    _ = Contact(0.0, at_rest, at_rest, (60.0, 10.0, 0.0), (0.0, 0.0, -300.0)).launch
+
+
 class ContactWatch:
     """Looks at the report of the plant in a folder; plants may come and go."""
 

@@ -90,10 +90,11 @@ def play(
         NoPlant: the plant there is of other code.
     """
     from bench.interrupt import wish_to_end
-    from sim.contact_watch import ContactWatch
+    from sim.contact_watch import ContactWatch, warm_up
     from sim.launch_monitor import SimulatedMonitor
     from sim.shared_record import SharedMemoryError
 
+    warm_up()
     watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
     where = f"{address[0]} port {address[1]}"
     balls, attach_at = 0, -1.0

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import PASSIVE, DriverError
 from sim.ball import Ball
-from sim.contact_watch import ContactWatch
+from sim.contact_watch import ContactWatch, warm_up
 from sim.driver import SimDriver
 from sim.paced_driver import PacedPlantDriver
 from sim.plant import PlantParameters
@@ -95,6 +95,17 @@ def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDri
     driver.open()
     assert attached(watch)
     assert watch.look() is None  # what another plant did is no news
+    watch.close()
+
+
+def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver, tmp_path: Path) -> None:
+    warm_up()
+    watch = ContactWatch(tmp_path)
+    assert attached(watch)
+    strike(driver, 0.001, 60.0)
+    contact = watch.look()
+    assert contact is not None
+    assert contact.launch.speed == pytest.approx(np.hypot(60.0, 10.0))
     watch.close()
 
 
