@@ -20,7 +20,7 @@ from bench.campaign.commands import app as campaign_app
 from bench.errors import BenchError, ExitCode
 from bench.export.commands import export
 from bench.launch.command import launch_monitor
-from bench.learning.commands import learn
+from bench.learning.commands import compare, learn
 from bench.network.certificates_command import certificates
 from bench.network.control_commands import app as control_app
 from bench.nodes_command import nodes
@@ -56,6 +56,7 @@ app.command()(learn)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)
+swing_app.command()(compare)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")

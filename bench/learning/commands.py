@@ -132,3 +132,52 @@ def _verdict(lesson: Lesson, entry: Learned, version: int) -> str:
         f"Not within the tolerances after {lesson.used} learning swings: the nearest is kept. {kept}\n"
         "A share of saturation that stays high says that the robot has not enough air for this swing."
     )
+
+
+def compare(
+    context: typer.Context,
+    profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")],
+    draw: Annotated[
+        int | None,
+        typer.Option(metavar="SEED", min=0, help="A robot drawn within 10 % of the configured one."),
+    ] = None,
+    swings: Annotated[int, typer.Option(min=1, max=100, help="Of each controller.")] = 3,
+) -> None:
+    """Compare controllers on one swing and one simulated robot: PIDs alone, and with more beside them."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    from bench.learning.compare import compare as compared
+    from bench.learning.series import Bench
+    from bench.learning.variation import drawn
+    from bench.lifecycle import CAUSE_TEXT
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+    from bench.swing.validate import require_possible
+
+    configuration = context.ensure_object(Session).configuration()
+    path, plant = find_profile(profile), configuration.plant
+    swing = load_profile(path)
+    require_possible(swing, plant, configuration.envelope, str(path))
+    truth = plant if draw is None else drawn(draw, plant).applied_to(plant)
+    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    with Console(stderr=True).status("comparing") as status:
+        rows = compared(bench, truth, swings, lambda name: status.update(f"swinging: {name}"))
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{swing.name}, mean of {swings} swings")
+    for column in ("controller", "strike", "speed", "lean", "attack", "tracking", "saturated", "air", ""):
+        table.add_column(column, justify="left" if column in ("controller", "") else "right")
+    forms = ("{:+.1f} mm", "{:.2f} m/s", "{:+.2f}°", "{:+.2f}°")
+    for row in rows:
+        figures = [
+            "" if value is None else form.format(value)
+            for form, value in zip(forms, row.figures.shown.values(), strict=True)
+        ]
+        rest = ["", "", ""]
+        if row.air == row.air:
+            tracking = " · ".join(f"{1e3 * value:.0f}" for value in row.tracking) + " mrad"
+            rest = [tracking, f"{100 * row.saturated:.0f} %", f"{1e3 * row.air:.1f} g"]
+        table.add_row(row.controller, *figures, *rest, CAUSE_TEXT[row.cause] if row.cause else "")
+    console = Console()
+    console.width = max(console.width, 150)
+    console.print(table)
