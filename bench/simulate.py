@@ -52,6 +52,9 @@ _LONGEST_ARMING = 15.0
 _LONGEST_RETURN = 10.0
 _LONGEST_STOP = 6.0
 _LONGEST_SETTLING = 3.0
+_SETTLING = 1.0
+"""Time at the address before the instant at which all swings of an ArmedBench begin, s: until joints and
+chambers rest, as before a swing of a running bench."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,13 @@ class ArmedBench:
         self._stepper: Lockstep = rig.stepper
         if not rig.arm():
             raise KeyboardInterrupt
+        self._keep_instant()
+        # Arming leaves other air in the closed chambers than a swing does: begin where a swing ends.
+        if rig.swing(None).cause is Cause.NONE and rig.holding():
+            rig.step(round(_SETTLING / rig.period))
+            self._keep_instant()
+
+    def _keep_instant(self) -> None:
         self._tick = self._stepper.tick
         self._instant = [array.copy() for array in self._arrays()]
 

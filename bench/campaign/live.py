@@ -156,6 +156,7 @@ class LiveShots:
         self._outcomes: dict[str, ShotMessage] = {}
         """What became of swings at the launch monitor, by their shots' ids."""
         self._ball_chosen = False
+        self._freshly_armed, self._stays_armed = False, True
 
     def __enter__(self) -> Self:
         self._next_message = self._stack.enter_context(self._client.shots())
@@ -279,6 +280,10 @@ class LiveShots:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
                     if status["time"] - held_since >= _HOLD:
+                        if self._must_practise and not status["ball_present"]:
+                            self._practise(events)
+                            deadline, held_since = time.monotonic() + _READY, np.inf
+                            continue
                         if not self._tee_up():
                             return None
                         self._client.swing()
@@ -299,6 +304,18 @@ class LiveShots:
                 raise Suspended(f"{_words(status)}, not at rest at its address after {_READY:g} s")
             self._pause()
 
+    @property
+    def _must_practise(self) -> bool:
+        return self._plan.warm_up.practice and self._freshly_armed and self._stays_armed
+
+    def _practise(self, events: list[tuple[str, str]]) -> None:
+        """Swing without a ball; a bench that does not stay armed after it has nothing to get used to."""
+        self._client.swing()
+        self._freshly_armed = False
+        self._wait_until_over()
+        self._stays_armed = self._client.status()["state"] == "ARMED"
+        events.append(("practice", "a swing without a ball, as the bench was armed anew"))
+
     def _tee_up(self) -> bool:
         """Raise the next ball; tell whether one came."""
         self._client.tee()
@@ -314,6 +331,7 @@ class LiveShots:
         match status["state"]:
             case "READY":
                 self._client.arm()
+                self._freshly_armed = True
             case "ESTOP" | "FAULT" | "SAFE" if not self.simulated:
                 raise Suspended(f"{_words(status)}: reset and home it, then resume")
             case "ESTOP" | "FAULT":

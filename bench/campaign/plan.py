@@ -72,6 +72,8 @@ class WarmUp:
     """Greatest range of their club speeds."""
     at_most: Annotated[int, Range(0, 200, "")]
     """Shots after which the campaign is refused; 0: no warm-up."""
+    practice: bool
+    """A swing without a ball after each arming of a bench that stays armed between shots."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ balls = ["tour", "range"]
 blocks = 1
 [warm_up]
 at_most = 0
+practice = false
 [gate]
 centre = "planned"
 club_speed = 4.0
@@ -297,6 +298,7 @@ blocks = 1
 seed = 1                          # driver first
 [warm_up]
 at_most = 0
+practice = false
 [gate]
 centre = "planned"
 club_speed = 4.0
