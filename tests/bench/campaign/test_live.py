@@ -410,3 +410,48 @@ def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
         assert [stored.shot.status for stored in store.shots(name)][:3] == [Status.VALID] * 3
         assert store.events(name)[-1].kind == "reset"
         assert "not shut down in order" in store.events(name)[-1].text
+
+
+class ArmableBench(StandingBench):
+    """Arms, swings and stays armed, or not (`series`), at once."""
+
+    def __init__(self, *, series: bool) -> None:
+        super().__init__(time=0.0, ball_present=False)
+        self._series = series
+
+    def status(self) -> dict[str, Any]:
+        self._status["time"] += 2.0
+        return self._status
+
+    def arm(self) -> None:
+        self.asked.append("arm")
+        self._status |= {"state": "ARMED", "phase": "HOLD"}
+
+    def tee(self) -> None:
+        self.asked.append("tee")
+        self._status["ball_present"] = True
+
+    def swing(self) -> None:
+        self.asked.append("swing")
+        self._status |= {"ball_present": False, "state": "ARMED" if self._series else "READY"}
+
+
+@pytest.mark.parametrize(
+    ("series", "practice", "asked"),
+    [
+        (True, True, ["arm", "swing", "tee", "swing", "tee", "swing"]),
+        (False, True, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
+        (True, False, ["arm", "tee", "swing", "tee", "swing"]),
+    ],
+)
+def test_a_swing_without_a_ball_follows_each_arming(
+    plan: Plan, series: bool, practice: bool, asked: list[str]
+) -> None:
+    plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
+    bench, events = ArmableBench(series=series), list[tuple[str, str]]()
+    with shots_of(plan, bench) as source:
+        source._take_lease()
+        for _ in range(2):
+            source._swing(events)
+    assert bench.asked == asked
+    assert [kind for kind, _ in events] == ["practice"] * practice
