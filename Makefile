@@ -39,6 +39,14 @@ coverage: $(VENV)/.dev  ## every branch of envelope, stopping table and answers 
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
 
+faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the hazard table made from it
+	@unsafe=0; $(BIN)/golfbench faults run --compare --output data/faults $(ARGS) || unsafe=$$?; \
+	[ $$unsafe -le 1 ]; cp data/faults/matrix.json sim/FAULTS.json; \
+	$(BIN)/golfbench faults table sim/FAULTS.json --output sim/FAULTS.md; exit $$unsafe
+
+mutation: $(VENV)/.dev  ## do the tests of envelope and lifecycle notice small mistakes put into them?
+	@$(BIN)/python -m tests.mutation $(ARGS)
+
 reference: $(VENV)/.dev  ## renew the reference swings of the replay, after a meant change of the controller
 	@$(BIN)/python -m tests.replay.renew
 
@@ -72,4 +80,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test lint coverage benchmark reference clean
+.PHONY: help demo test lint coverage benchmark faults mutation reference clean

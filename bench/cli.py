@@ -19,6 +19,7 @@ from bench.calibration.commands import app as calibration_app
 from bench.campaign.commands import app as campaign_app
 from bench.errors import BenchError, ExitCode
 from bench.export.commands import export
+from bench.faults.commands import app as faults_app
 from bench.launch.command import launch_monitor
 from bench.learning.commands import compare, learn
 from bench.network.certificates_command import certificates
@@ -61,6 +62,7 @@ app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)
 app.add_typer(calibration_app, name="calibrate")
 app.add_typer(campaign_app, name="campaign")
+app.add_typer(faults_app, name="faults")
 
 
 def _version(wanted: bool) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
 from ipaddress import ip_address
-from math import asin, hypot, pi
+from math import asin, hypot, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,6 +23,7 @@ from bench.control.settings import (
     EstimatorSettings,
     HomingSettings,
     LifecycleSettings,
+    ModelSettings,
 )
 from bench.errors import BenchError
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
@@ -31,6 +32,7 @@ from drivers.daq.settings import DaqSettings
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.air import Air
 from sim.ball import Ball
+from sim.faults import LONGEST_DELAY, Fault
 from sim.flight import Wind
 from sim.plant import HISTORY, PlantParameters
 from sim.ranges import Range, short
@@ -146,6 +148,8 @@ class Configuration:
     air: Air
     wind: Wind
     turf: Turf
+    faults: dict[str, Fault] = field(default_factory=dict)
+    """What breaks while the simulated robot runs, by name."""
     files: tuple[Path, ...] = field(default=(), compare=False)
     """Where it comes from, the base first."""
 
@@ -159,6 +163,17 @@ class Configuration:
         if club is not None:
             plant = replace(plant, robot=replace(plant.robot, club=_choice(self, "clubs", club)))
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
+
+    def with_driver(self, driver: DriverSettings) -> Configuration:
+        """Return the configuration with another driver, and what follows from it.
+
+        The model's limits are the simulated plant's: with any other driver that check is off, unless it is
+        asked for "always".
+        """
+        envelope = self.envelope
+        if driver.name != "sim" and envelope.model.check == "simulated":
+            envelope = replace(envelope, model=replace(envelope.model, check="off"))
+        return replace(self, driver=driver, envelope=envelope)
 
     @property
     def is_machine(self) -> bool:
@@ -309,7 +324,7 @@ def _with_derived(c: Configuration, files: tuple[Path, ...]) -> Configuration:
     club, ball = c.clubs.get(c.swing.club), c.balls.get(c.swing.ball)
     robot = c.plant.robot if club is None else replace(c.plant.robot, club=club)
     plant = replace(c.plant, robot=robot, tick=1.0 / c.loop.rate, ball=ball or c.plant.ball)
-    return replace(c, plant=plant, files=files)
+    return replace(c, plant=plant, files=files).with_driver(c.driver)
 
 
 def _choice(c: Configuration, section: str, name: str) -> Any:
@@ -330,6 +345,8 @@ def _plain(value: Any) -> Any:
             return [_plain(item) for item in value]
         case Path():
             return str(value)
+        case float() if isnan(value):
+            return None
         case _:
             return value
 
@@ -371,6 +388,12 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"
         yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
+    for kind in ("air", "velocity", "jump", "effort"):
+        watched = getattr(ModelSettings(), kind).keys()
+        for name in getattr(c.envelope.model, kind).keys() ^ watched:
+            found = "nothing" if name in watched else "an unknown phase"
+            expected = f"each of {', '.join(watched)} once"
+            yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."
 
 
 def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -536,6 +559,29 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield "canopen.answer_time", found, f"at most {short(longest)} s, part of the period", "Lower it."
 
 
+_LOOPS_OWN = frozenset({"clock", "loop", "supervisor", "recorder", "lease", "launch monitor"})
+
+
+def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    """Faults belong to a simulated robot, and only to what a running bench can spoil of it."""
+    for name, fault in c.faults.items():
+        key = f"faults.{name}"
+        if c.is_machine or c.driver.name == "mock":
+            found, wanted = (
+                f"a fault, with driver {shown(c.driver.name)}",
+                'none: faults are for driver "sim"',
+            )
+            yield key, found, f"{wanted} and simulated nodes", "Delete it, or set driver.name."
+        if fault.signal in _LOOPS_OWN:
+            cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
+            yield f"{key}.signal", shown(fault.signal), "a signal or part of the simulated robot", cure
+        if fault.phase != "any" and not c.driver.paced:
+            cure = 'Give time, or joint and angle, or run with driver.time = "paced".'
+            yield f"{key}.phase", shown(fault.phase), '"any": a plant on its own clock knows no phase', cure
+        if fault.kind == "delayed" and fault.value > (longest := LONGEST_DELAY * c.plant.tick):
+            yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
+
+
 _CHECKS: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
-    _names, _network, _actuators, _linkage, _times, _air, _site, _bus,
+    _names, _network, _actuators, _linkage, _times, _air, _site, _bus, _faults,
 )  # fmt: skip

@@ -212,7 +212,9 @@ class Daemon:
         if c.driver.name == "sim" and self.wall:
             _log.info("starting the plant; the first start compiles for about half a minute")
             priority = c.loop.priority - 1 if c.loop.realtime != "off" else 0
-            plan = PlantPlan(folder, c.plant, c.driver.watchdog, priority=priority)
+            plan = PlantPlan(
+                folder, c.plant, c.driver.watchdog, priority=priority, faults=tuple(c.faults.values())
+            )
             self.children["plant"] = Child("plant", start_plant(plan, _START))
         first = Cause.RESTART if self._marker.was_killed else Cause.POWER_UP
         loop = Child.start(

@@ -131,7 +131,8 @@ def shown(value: Any) -> str:
 class Builder:
     """Builds values from one tree; `faults` collects what does not hold.
 
-    Fields whose dotted path is in `left_out` are no keys and keep their defaults.
+    Fields whose dotted path is in `left_out` are no keys and keep their defaults; those with `optional` in
+    their metadata may be left out.
     """
 
     tree: Tree
@@ -171,6 +172,7 @@ class Builder:
     def _dataclass(self, kind: Any, node: Tree, path: str, given: dict[str, Any]) -> Any:
         hints = get_type_hints(kind, include_extras=True)
         prefix = f"{path}." if path else ""
+        optional = {f.name for f in fields(kind) if f.metadata.get("optional")}
         keys = {
             f.name: hints[f.name]
             for f in fields(kind)
@@ -182,7 +184,7 @@ class Builder:
         for name, hint in keys.items():
             if name in node:
                 values[name] = self._value(hint, node[name], f"{prefix}{name}")
-            else:
+            elif name not in optional:
                 self._fault(f"{prefix}{name}", "nothing", expected(hint), self.add)
         if len(self.faults) > faults_before:
             return _BAD

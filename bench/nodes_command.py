@@ -35,6 +35,7 @@ def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
         plant=c.plant,
         folder=folder,
         priority=c.loop.priority - 1 if c.loop.realtime != "off" else 0,
+        faults=tuple(c.faults.values()),
     )
 
 

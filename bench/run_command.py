@@ -32,6 +32,7 @@ def run(
     """
     import logging
 
+    from bench.config import contradictions
     from bench.daemon import Daemon
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
@@ -44,7 +45,9 @@ def run(
     swing = configuration.swing
     if profile is not None:
         swing = replace(swing, profile=profile)
-    configuration = replace(configuration, driver=settings, swing=swing)
+    configuration = replace(configuration, swing=swing).with_driver(settings)
+    if configuration.faults and (mistakes := contradictions(configuration)):
+        raise ExceptionGroup("the configuration does not hold", mistakes)
     daemon = Daemon(configuration, read_only=read_only)
     daemon.run(
         lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)

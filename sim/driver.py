@@ -24,6 +24,17 @@ from drivers.base import (
     unpack_readings,
 )
 from sim.compiled import new_record
+from sim.faults import (
+    Fault,
+    Faults,
+    break_parts,
+    deliver_command,
+    deliver_readings,
+    new_faults,
+    notice_onsets,
+    own_records,
+    revive,
+)
 from sim.kane import bias_forces
 from sim.kinematics import theta2_from_right_arm
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state, sense
@@ -59,16 +70,33 @@ def hanging_pose(parameters: PlantParameters) -> NDArray[np.float64]:
 class SimDriver:
     """A bench made of software: `read` moves the plant on, with the command that was written last.
 
-    `plant_state` (PLANT_STATE) is open to tests and fault injection.
+    `plant_state` (PLANT_STATE) is open to tests.
     """
 
-    def __init__(self, plant: Plant | PlantParameters | None = None, angle: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        plant: Plant | PlantParameters | None = None,
+        angle: ArrayLike | None = None,
+        *,
+        faults: tuple[Fault, ...] = (),
+        watchdog: float = 0.02,
+        seed: int = 1,
+    ) -> None:
         """Stand vented at joint angles `angle` (3,) rad, by default as the robot hangs.
 
+        `faults` are put between plant and bench, with the device's `watchdog` (s); their time counts from
+        the first reading, their phases from `phase`, which whoever runs the loop sets before a tick.
+
         Raises:
-            ValueError: `angle` is not three finite numbers.
+            ValueError: `angle` is not three finite numbers, or a fault cannot be.
         """
         self.plant = plant if isinstance(plant, Plant) else build_plant(plant or PlantParameters())
+        self.faults: Faults | None = None
+        if faults:
+            self.plant = own_records(self.plant)
+            self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
+        self.phase = -1
+        """Of the bench, for faults that begin with one; -1: not told."""
         start = np.asarray(hanging_pose(self.plant.parameters) if angle is None else angle, dtype=float)
         if start.shape != (3,) or not np.all(np.isfinite(start)):
             raise ValueError(f"sim driver: start angles are {angle!r}, expected three finite numbers in rad")
@@ -82,14 +110,14 @@ class SimDriver:
         """Loop's time of the first reading after opening."""
         self._offset = 0.0
         """Loop's time less plant's."""
-        self._ticks = 0
-        """Ticks since the first reading."""
+        self._ticks = self._written = 0
+        """Ticks since the first reading, and of them the one of the last command."""
         self._is_open = False
 
     @property
     def operational(self) -> bool:
-        """Always: the plant moves only when it is read."""
-        return True
+        """Unless a fault silenced the link for too long: the plant moves only when it is read."""
+        return self.faults is None or not self.faults.device["passive"][0]
 
     def open(self) -> None:
         """Start with the passive command where the plant stands; DriverError when it is open already."""
@@ -98,6 +126,8 @@ class SimDriver:
         self._apply(PASSIVE)
         self._first_time, self._ticks = None, 0
         self._is_open = True
+        if self.faults is not None:
+            revive(self.faults)
 
     def read(self, time: float) -> Readings:
         """Move the plant on to the last whole tick at or before `time` (s) and return what its sensors show.
@@ -117,12 +147,28 @@ class SimDriver:
                 f"{first + self._ticks * self._period} s on; give it the loop's monotonic time"
             )
         due = int(part)
-        for _ in range(due - self._ticks):
-            advance(*self.plant.records, self.plant_state, self._command)
+        if self.faults is None:
+            for _ in range(due - self._ticks):
+                advance(*self.plant.records, self.plant_state, self._command)
+            sense(self.plant.plant, self.plant_state, self._readings)
+        else:
+            self._read_faulty(self.faults, due)
         self._ticks = due
-        sense(self.plant.plant, self.plant_state, self._readings)
         readings = unpack_readings(self._readings)
         return readings if self._offset == 0.0 else _moved(readings, self._offset)
+
+    def _read_faulty(self, faults: Faults, due: int) -> None:
+        """Move the plant on to tick `due` with its faults, and read through them."""
+        robot, plant, _ = self.plant.records
+        if due == 0:
+            notice_onsets(faults, plant, self.plant_state, self.phase)
+        for k in range(self._ticks, due):
+            # A tick for which nothing was written is one in which the bench said nothing.
+            deliver_command(faults, plant, self._command, k == self._written)
+            break_parts(faults, robot, plant, self.plant_state)
+            advance(*self.plant.records, self.plant_state, faults.sent)
+            notice_onsets(faults, plant, self.plant_state, self.phase)
+        deliver_readings(faults, plant, self.plant_state, self._readings)
 
     def write(self, command: Command) -> Command:
         """Apply `command` within the device's limits from here on and return what is applied.
@@ -157,6 +203,7 @@ class SimDriver:
 
     def _apply(self, command: Command) -> Command:
         self.applied = command
+        self._written = self._ticks
         pack_command(command, self._command)
         return command
 

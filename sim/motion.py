@@ -97,7 +97,7 @@ def _relief(p: Any, pressure: float) -> float:
 
 
 @compiled
-def _chambers(
+def chambers(
     p: Any, i: int, y: Any, dy: Any, opening: float, position: float, speed: float, vent: float
 ) -> tuple[float, float]:
     """Write actuator i's pressure rates; return its force (N, N m) and what it takes from the supply (W)."""
@@ -156,9 +156,9 @@ def _derivative(
     extension, arm_speed = arm_length - r.l56, arm_lever * u2
     stroke, wrist_lever = p.wrist_lever * s3, p.wrist_lever * c3
     wrist_speed = wrist_lever * u3
-    force1, taken1 = _chambers(p, 0, y, dy, x1, q1, u1, vent)
-    force2, taken2 = _chambers(p, 1, y, dy, x2, extension, arm_speed, vent)
-    force3, taken3 = _chambers(p, 2, y, dy, x3, stroke, wrist_speed, vent)
+    force1, taken1 = chambers(p, 0, y, dy, x1, q1, u1, vent)
+    force2, taken2 = chambers(p, 1, y, dy, x2, extension, arm_speed, vent)
+    force3, taken3 = chambers(p, 2, y, dy, x3, stroke, wrist_speed, vent)
     stop1 = stop_push(p, 0, stop_depth(p, 0, q1), u1)
     stop2 = stop_push(p, 1, stop_depth(p, 1, extension), arm_speed)
     stop3 = stop_push(p, 2, stop_depth(p, 2, q3), u3)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.base import Triple
+from sim.faults import Fault
 from sim.plant import PlantParameters
 from sim.plant_exchange import PlantPlan
 
@@ -32,8 +33,12 @@ class NodesPlan:
     """The core it stays on; -1: any."""
     burst: int = 5
     """Most ticks of the plant made up at once after a stall."""
+    faults: tuple[Fault, ...] = ()
+    """What breaks; no onset by phase."""
 
     @property
     def plant_plan(self) -> PlantPlan:
         """What the plant is started with; its own valve node is out of work."""
-        return PlantPlan(self.folder, self.plant, 1.0, self.angle, self.priority, self.cpu, self.burst)
+        return PlantPlan(
+            self.folder, self.plant, 1.0, self.angle, self.priority, self.cpu, self.burst, faults=self.faults
+        )  # fmt: skip

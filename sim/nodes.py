@@ -119,7 +119,12 @@ class BenchNodes:
 
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
         """Stand vented and without power; ValueError when the plan does not hold."""
-        self.plant = WallPlant(plan.plant_plan)
+        self.plant = plant = WallPlant(plan.plant_plan)
+
+        def speak(identifier: int, data: bytes) -> None:
+            if plant.link_up:
+                send(identifier, data)
+
         self._latency = plan.plant.encoders.latency
         self._tick, resolution = plan.plant.tick, plan.plant.encoders.counts_per_revolution
         self._now = self.instant = 0.0
@@ -129,10 +134,10 @@ class BenchNodes:
         self._speed = self._speed_before = [0.0, 0.0, 0.0]
         self.readings = unpack_readings(self.plant.report["readings"])
         self.encoders = [
-            EncoderNode(number, EDS / "encoder.eds", send, resolution, partial(self._count, joint))
+            EncoderNode(number, EDS / "encoder.eds", speak, resolution, partial(self._count, joint))
             for joint, number in enumerate(plan.encoders)
         ]
-        self.valve_node = ValveNode401(plan.valve_node, EDS / "valve_node.eds", send, self._obey)
+        self.valve_node = ValveNode401(plan.valve_node, EDS / "valve_node.eds", speak, self._obey)
         self.devices: list[CanopenDevice] = [*self.encoders, self.valve_node]
 
     def boot(self, now: float) -> None:
@@ -145,6 +150,8 @@ class BenchNodes:
     def hear(self, identifier: int, data: bytes, now: float) -> None:
         """Let the devices hear a frame."""
         self._now = now
+        if not self.plant.link_up:
+            return
         for device in self.devices:
             device.hear(identifier, data, now)
 

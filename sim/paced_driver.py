@@ -14,6 +14,7 @@ import numpy as np
 from drivers.base import Command, DriverError, Readings
 from sim.compiled import new_record
 from sim.driver import SimDriver
+from sim.faults import Fault
 from sim.handled_plant import HandledPlant
 from sim.plant import PlantParameters
 from sim.plant_exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS
@@ -24,9 +25,12 @@ from sim.shared_record import SharedMemoryError
 class PacedPlantDriver:
     """A `sim.driver.SimDriver` with hands and eyes around it."""
 
-    def __init__(self, folder: Path, plant: PlantParameters) -> None:
-        """`folder` is the bench's, where the files are while it is open."""
-        self._folder, self._driver = folder, SimDriver(plant)
+    def __init__(
+        self, folder: Path, plant: PlantParameters, *, faults: tuple[Fault, ...] = (), watchdog: float = 0.02
+    ) -> None:
+        """`folder` is the bench's, where the files are while it is open; `faults` as of the `SimDriver`."""
+        self._folder = folder
+        self._driver = SimDriver(plant, faults=faults, watchdog=watchdog, seed=plant.seed)
         self.note_truth = self._driver.note_truth
         self._files: PlantFiles | None = None
         self._surroundings, self._report = new_record(PLANT_SURROUNDINGS), new_record(PLANT_REPORT)
@@ -36,8 +40,12 @@ class PacedPlantDriver:
 
     @property
     def operational(self) -> bool:
-        """Always: the plant moves only when it is read."""
+        """Unless a fault silenced the link for too long: the plant moves only when it is read."""
         return self._driver.operational
+
+    def tell_phase(self, phase: int) -> None:
+        """Hear the bench's phase before a tick, for faults that begin with one."""
+        self._driver.phase = phase
 
     def open(self) -> None:
         """Make the files and start with the passive command.

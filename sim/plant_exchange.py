@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.base import COMMAND, READINGS, Triple
+from sim.faults import Fault
 from sim.plant import PlantParameters
 
 COMMAND_FILE = "plant-command"
@@ -38,6 +39,8 @@ class PlantPlan:
     """Most ticks made up at once after a stall; what is left slips."""
     lonely: float = 5.0
     """Without a command for so long (s), and without the process that started it, the plant ends."""
+    faults: tuple[Fault, ...] = ()
+    """What breaks; no onset by phase, as the plant knows none."""
 
 
 PLANT_COMMAND = np.dtype(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,15 @@ import numpy as np
 from drivers.base import COMMAND, PASSIVE, pack_command, unpack_command
 from sim.compiled import new_record
 from sim.driver import hanging_pose
+from sim.faults import (
+    Faults,
+    break_parts,
+    deliver_command,
+    deliver_readings,
+    new_faults,
+    notice_onsets,
+    own_records,
+)
 from sim.handled_plant import HandledPlant
 from sim.plant import advance, build_plant, initial_state, sense
 from sim.plant_exchange import CONTACT, PLANT_REPORT, PlantPlan
@@ -40,6 +50,12 @@ class WallPlant:
             raise ValueError(
                 f"plant: watchdog {plan.watchdog} s is shorter than its tick of {plan.plant.tick} s"
             )
+        self.faults: Faults | None = None
+        if plan.faults:
+            self.plant = own_records(self.plant)
+            self.faults = new_faults(plan.faults, self.plant, watchdog=math.inf, seed=plan.plant.seed)
+        self.link_up = True
+        """Whether commands arrive in this tick."""
         self.state = initial_state(self.plant, angle)
         self.node = ValveNode(watchdog_ticks)
         self.ticks = 0
@@ -55,6 +71,8 @@ class WallPlant:
 
     def hear(self, record: np.ndarray[Any, Any]) -> None:
         """Let the valve node hear a PLANT_COMMAND record."""
+        if not self.link_up:
+            return
         counter, session, mode, _ = record.item()
         self.node.hear(self.ticks, counter, session, mode, unpack_command(record["command"]))
 
@@ -71,7 +89,9 @@ class WallPlant:
             pack_command(node.applied, self._command)
         was_struck = state["struck"][0]
         state["time"] = instant - self.plant.parameters.tick
-        advance(*self.plant.records, state, self._command)
+        advance(
+            *self.plant.records, state, self._command if self.faults is None else self._spoilt(self.faults)
+        )
         state["time"] = instant  # to the bit, so that stamps are the grid's
         self.ticks += 1
         self.contacts += int(state["struck"][0] and not was_struck)
@@ -80,7 +100,10 @@ class WallPlant:
         """Bring `report` up to date, all but the fields on the process's own timing."""
         state, report, node = self.state, self.report, self.node
         if not self._handled.frozen:
-            sense(self.plant.plant, state, self._readings)
+            if self.faults is None:
+                sense(self.plant.plant, state, self._readings)
+            else:
+                deliver_readings(self.faults, self.plant.plant, state, self._readings)
         note_truth(state, self._truth)
         if state["struck"][0] or self._contact["struck"][0]:
             for name in CONTACT.names or ():
@@ -92,3 +115,13 @@ class WallPlant:
             self._node["watchdog"][0], node.session, node.operational, node.passive_by_watchdog, node.trips,
             node.counter, node.command_tick, node.passive_tick, node.applied,
         )  # fmt: skip
+
+    def _spoilt(self, faults: Faults) -> np.ndarray[Any, Any]:
+        """Return the command that reaches the plant in this tick; break what is to break in it."""
+        robot, plant, _ = self.plant.records
+        notice_onsets(faults, plant, self.state, -1)
+        self.link_up = bool(faults.device["link_up"][0])
+        faults.device["link_up"] = True  # what the link loses the node has not heard; it lets go by itself
+        deliver_command(faults, plant, self._command, True)
+        break_parts(faults, robot, plant, self.state)
+        return faults.sent  # type: ignore[no-any-return]

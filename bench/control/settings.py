@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le
 from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
+from bench.control.model import MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
@@ -27,7 +28,7 @@ from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.compiled import new_record
 from sim.driver import hanging_pose, joint_travel
-from sim.plant import PlantParameters
+from sim.plant import PlantParameters, build_plant
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
@@ -114,6 +115,8 @@ class LifecycleSettings:
     """Chambers below it are empty, Pa absolute."""
     vent_time: Positive = 10.0
     """In which they are to be empty; without chamber sensors the proof itself, s."""
+    vented_still: NotNegative = 2.0
+    """For which the robot must rest with empty chambers until they count as vented, s."""
     local_reset: bool = False
     """A reset also takes the button beside the robot; true with hardware."""
     local_reset_time: Positive = 10.0
@@ -160,6 +163,70 @@ class HomingSettings:
 
 
 @dataclass(frozen=True)
+class ModelSettings:
+    """The model-based check (`bench.control.model`): limits by phase, above what healthy swings show."""
+
+    check: Literal["off", "simulated", "always"] = "off"
+    """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver."""
+    air: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "homing": (4.0e4, 8.0e4, 8.0e4),
+            "hold": (3.0e4, 3.0e4, 3.0e4),
+            "backswing": (3.0e4, 3.0e4, 4.0e4),
+            "top": (3.0e4, 3.0e4, 4.0e4),
+            "downswing": (3.5e4, 4.0e4, 6.0e4),
+            "committed": (3.0e4, 5.0e4, 5.0e4),
+            "impact": (3.0e4, 7.0e4, 6.0e4),
+            "follow_through": (4.0e4, 4.0e5, 1.5e5),
+            "return": (3.0e4, 6.0e4, 8.0e4),
+        }
+    )
+    """Chamber pressures from the observer's, Pa."""
+    velocity: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "homing": (1.5, 1.2, 3.0),
+            "hold": (0.8, 0.6, 0.8),
+            "backswing": (1.6, 1.2, 5.0),
+            "top": (1.5, 1.5, 6.5),
+            "downswing": (3.5, 3.0, 10.0),
+            "committed": (3.5, 3.5, 9.0),
+            "impact": (30.0, 30.0, 60.0),
+            "follow_through": (18.0, 25.0, 12.0),
+            "return": (1.5, 1.2, 2.5),
+        }
+    )
+    """Joint velocities from their reference, rad/s."""
+    jump: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "homing": (0.002, 0.002, 0.002),
+            "hold": (0.001, 0.001, 0.001),
+            "backswing": (0.001, 0.001, 0.001),
+            "top": (0.001, 0.001, 0.001),
+            "downswing": (0.0015, 0.0015, 0.002),
+            "committed": (0.0015, 0.0015, 0.002),
+            "impact": (0.004, 0.004, 0.04),
+            "follow_through": (0.02, 0.025, 0.015),
+            "return": (0.001, 0.001, 0.001),
+        }
+    )
+    """Samples from their prediction, rad."""
+    effort: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "homing": (30.0, 70.0, 15.0),
+            "hold": (30.0, 70.0, 15.0),
+            "backswing": (25.0, 60.0, 12.0),
+            "top": (25.0, 60.0, 12.0),
+            "downswing": (30.0, 50.0, 12.0),
+            "committed": (30.0, 50.0, 12.0),
+            "impact": (120.0, 150.0, 30.0),
+            "follow_through": (150.0, 120.0, 15.0),
+            "return": (30.0, 70.0, 15.0),
+        }
+    )
+    """Torque from the chambers' pressures from what the motion needs, N m."""
+
+
+@dataclass(frozen=True)
 class EnvelopeSettings:
     """Limits that nothing gets around."""
 
@@ -171,7 +238,7 @@ class EnvelopeSettings:
             "hold": (0.10, 0.08, 0.15),
             "backswing": (0.30, 0.15, 0.40),
             "top": (0.15, 0.10, 0.25),
-            "downswing": (0.20, 0.12, 0.35),
+            "downswing": (0.20, 0.12, 0.45),
             "committed": (0.25, 0.15, 0.45),
             "follow_through": (0.80, 0.40, 1.0),
             "return": (0.35, 0.20, 0.50),
@@ -200,6 +267,7 @@ class EnvelopeSettings:
     """Least |sin beta| of the wrist."""
     minimum_stop_margin: NotNegative = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""
+    model: ModelSettings = field(default_factory=ModelSettings)
 
 
 _FOLLOWED = {
@@ -213,6 +281,8 @@ _FOLLOWED = {
     "return": Phase.RETURN,
 }
 
+
+_WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
 
 SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
 """Of a bench without anybody beside it: no warning, and the address is held after a swing."""
@@ -263,7 +333,9 @@ def build_controller(
             highest=(1.0,) * 3,
         ),
         envelope=_envelope_record(envelope, plant, profile),
+        model=_model_record(envelope.model),
         robot=robot.record,
+        plant=build_plant(plant).plant,
         profile=_profile_record(profile),
         angle=profile.angle,
         velocity=profile.velocity,
@@ -329,6 +401,16 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         record[name] = getattr(settings, name)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"] = profile.ball[0]
+    return record
+
+
+def _model_record(settings: ModelSettings) -> np.ndarray:
+    record = new_record(MODEL_LIMITS)
+    record["check"] = settings.check != "off"
+    for kind in ("air", "velocity", "jump", "effort"):
+        record[kind] = inf
+        for name, limits in getattr(settings, kind).items():
+            record[kind][0, _WATCHED[name]] = limits
     return record
 
 

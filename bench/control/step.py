@@ -18,6 +18,7 @@ from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
 from bench.control.homing import begin_search, bounded, search, search_cause
+from bench.control.model import MODEL_STATE, model_cause, observe
 from bench.control.pid import PID_STATE, control, reset_integral
 from bench.control.requests import near_address, note_local_reset, take_request
 from bench.lifecycle import (
@@ -25,6 +26,7 @@ from bench.lifecycle import (
     EMERGENCY,
     LOST,
     TRUSTED,
+    WRIST_DISOBEYED,
     Answer,
     Cause,
     Phase,
@@ -61,7 +63,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("address_tolerance", "f8", (3,)),
         ("rest_band", "f8", (3,)),
         ("strike_drop", "f8"),
-        ("reactions", "u1", (len(Phase), 4)),
+        ("reactions", "u1", (len(Phase), 5)),
         ("accepted", "u1", (len(Request), len(State))),
         ("needs_lease", "u1", (len(Request),)),
         ("emergencies", "u1", (len(Cause),)),
@@ -69,6 +71,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("armed_time", "f8"),
         ("vented_pressure", "f8"),
         ("vent_time", "f8"),
+        ("vented_still", "f8"),
         ("local_reset", "?"),
         ("local_reset_time", "f8"),
         ("series", "?"),
@@ -180,6 +183,8 @@ _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(React
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
 _E_STOP_CAUSE, _OPERATOR = int(Cause.EMERGENCY_STOP), int(Cause.OPERATOR_STOP)
 _FOLLOWING, _ADDRESS_TIMEOUT = int(Cause.SHOULDER_FOLLOWING), int(Cause.ADDRESS_TIMEOUT)
+_AIR, _JUMP = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_JUMP)
+_TICK_GAP = int(Cause.TICK_GAP)
 _NETWORK, _SUPERVISOR, _HOMING_FAILED = (
     int(Cause.NETWORK_STOP), int(Cause.SUPERVISOR), int(Cause.HOMING_FAILED),
 )  # fmt: skip
@@ -204,6 +209,8 @@ class ControlState(NamedTuple):
     encoder: Any
     estimator: Any
     pid: Any
+    model: Any
+    """Of the model-based check; no part of a snapshot, as it forgets within milliseconds."""
 
 
 class ControlParameters(NamedTuple):
@@ -214,7 +221,10 @@ class ControlParameters(NamedTuple):
     estimator: Any
     pid: Any
     envelope: Any
+    model: Any
     robot: Any
+    plant: Any
+    """The machine's data for the model-based check."""
     profile: Any
     angle: Any
     """(n, 3) rad, reference at the profile's period."""
@@ -236,6 +246,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
         new_record(ENCODER_STATE),
         new_record(ESTIMATOR_STATE),
         new_record(PID_STATE),
+        new_record(MODEL_STATE),
     )
     control, begun = made.control, state != State.STARTING
     control["state"], control["first_cause"] = state, Cause.POWER_UP
@@ -243,7 +254,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
     control["device_operational"] = True
-    control["reset_pressed"] = control["vent_start"] = -np.inf
+    control["reset_pressed"] = control["vent_start"] = control["still_since"] = -np.inf
     return made
 
 
@@ -427,8 +438,12 @@ def _carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
 
 
 @compiled
-def _watch_vent(p: Any, s: Any, readings: Any, time: float) -> bool:
-    """Judge whether the chambers are empty; return True when they should be and are not."""
+def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
+    """Judge whether the chambers are empty; return True when they should be and are not.
+
+    A raised arm hangs on what little air is left and then sinks: before anybody goes near, it has to rest
+    for a while with empty chambers.
+    """
     fitted = empty = True
     for i in range(6):
         pressure = readings[0].chamber_pressure[i]
@@ -436,8 +451,15 @@ def _watch_vent(p: Any, s: Any, readings: Any, time: float) -> bool:
             fitted = False
         elif pressure > p.vented_pressure:
             empty = False
+    still = empty
+    for i in range(3):
+        if s.lost == 0 and abs(e.velocity[i]) > p.still_speed[i]:
+            still = False
+    if not still:
+        s.still_since = time
+    rests = time - s.still_since >= p.vented_still or s.state == _IN_ACCESS
     late = time - s.vent_start >= p.vent_time
-    s.vented = empty and (fitted or late)
+    s.vented = empty and rests and (fitted or late)
     return late and not empty
 
 
@@ -464,7 +486,7 @@ def _watch_standing(
 ) -> None:
     """Latch what must not be while the robot stands, and move on the states in which it does."""
     s, p = state.control[0], parameters.control[0]
-    pressed = _watch_vent(p, s, readings, time)
+    pressed = _watch_vent(p, s, state.estimator[0], readings, time)
     for i in range(3):
         if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
             s.homed = False
@@ -676,6 +698,11 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
         parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
     )
+    if parameters.model[0].check:
+        observe(
+            state.model[0], parameters.robot, parameters.plant, state.estimator, readings, s.applied,
+            s.measured_step,
+        )  # fmt: skip
     s.lost = readings_cause(parameters.envelope, state.estimator)
     for i in range(3):
         # An absolute count that is none any more, as after a loss of the encoder's power.
@@ -712,6 +739,17 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
 
 
 @compiled
+def _column(cause: int) -> int:
+    """Return the column of the stopping table for a broken limit of motion or of the model."""
+    if cause >= _JUMP:
+        return LOST
+    if cause >= _AIR or _FOLLOWING <= cause < _FOLLOWING + 3:
+        joint = (cause - (_AIR if cause >= _AIR else _FOLLOWING)) % 3
+        return WRIST_DISOBEYED if joint == 2 else DISOBEYED
+    return TRUSTED
+
+
+@compiled
 def _watch_motion(
     state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
 ) -> None:
@@ -719,7 +757,11 @@ def _watch_motion(
     s = state.control[0]
     emergency = interlock == _E_STOP_CAUSE or asked == _NETWORK
     s.emergency = s.emergency or emergency
-    if s.lost != 0:
+    if s.tick > 1 and not s.measured_step > 0.0 and s.reaction < _PASSIVE:
+        # A clock that stands still, runs backwards or is none would never end a reaction that takes time.
+        _react(state, parameters, _TICK_GAP, TRUSTED, time)
+        s.reaction = _PASSIVE
+    elif s.lost != 0:
         _react(state, parameters, s.lost, LOST, time)
     elif interlock != 0:
         _react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
@@ -745,12 +787,15 @@ def _watch_motion(
             parameters.envelope, parameters.robot, state.estimator, readings, s.reference, s.phase,
             s.measured_step, _charging(s, time),
         )  # fmt: skip
+        if broken == 0 and not _charging(s, time):
+            broken = model_cause(
+                parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase
+            )
         longest = s.move_time + parameters.control[0].move_timeout
         if broken == 0 and s.moving and time - s.move_start > longest:
             broken = _ADDRESS_TIMEOUT
         if broken != 0:
-            column = DISOBEYED if _FOLLOWING <= broken < _FOLLOWING + 3 else TRUSTED
-            _react(state, parameters, broken, column, time)
+            _react(state, parameters, broken, _column(broken), time)
 
 
 @compiled
@@ -771,7 +816,7 @@ def limit_tick(
                 s.desired[i] = bounded(p, s.desired[i])
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
-    c.supply_enable = c.exhaust_closed = powered
+    c.supply_enable = c.exhaust_closed = state.model[0].exhaust_closed = powered
     c.beacon = s.phase != _STANDING and s.reaction != _PASSIVE and not p.read_only
     c.guard_lock = s.state != _IN_ACCESS or s.securing
     s.tee = s.tee and powered  # after a stop no ball rises by itself

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import sys
 import time as wall
+from collections.abc import Callable
 from contextlib import ExitStack
 from statistics import median
 from typing import Any
@@ -64,7 +65,10 @@ def open_driver(plan: LoopPlan) -> Driver:
     if settings.name == "sim":
         if settings.time == "wall":
             return ProcessPlantDriver(plan.folder, watchdog=settings.watchdog)
-        return PacedPlantDriver(plan.folder, plan.configuration.plant)
+        c = plan.configuration
+        return PacedPlantDriver(
+            plan.folder, c.plant, faults=tuple(c.faults.values()), watchdog=settings.watchdog
+        )
     return choose_driver(settings.name, find_drivers())(**plan.configuration.driver_arguments())
 
 
@@ -83,6 +87,9 @@ class LoopProcess:
         self._period_ns = round(1e9 / c.loop.rate)
         self.driver = open_driver(plan)
         self.paced = c.driver.paced
+        self._tell_phase: Callable[[int], None] | None = None
+        if c.faults and isinstance(self.driver, PacedPlantDriver):
+            self._tell_phase = self.driver.tell_phase
         self.parameters = build_controller(
             c.plant, plan.profile, c.control, c.envelope, c.estimator, c.lifecycle, c.homing,
             read_only=plan.read_only,
@@ -183,6 +190,8 @@ class LoopProcess:
         record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
         record["work_time"] = 1e-9 * (marks[-1] - marks[0])
         control = cycle.state.control
+        if self._tell_phase is not None:
+            self._tell_phase(int(control["phase"][0]))
         self.orders.put(control, time)
         if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
             try:

@@ -16,67 +16,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.control.step import STOP, SWING, ControlParameters, ControlState, step
+from bench.control.step import STOP, SWING
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
-from sim.compiled import compiled, new_record
-from sim.plant import Plant, PlantParameters, advance, build_plant, sense
+from drivers.base import JOINTS
+from sim.faults import Fault
+from sim.plant import Plant, PlantParameters, build_plant
 
 _TOUCH = 0.005
 """Depth (m) to which the ground may be pressed: a club that sinks to the ground while the air leaves touches
 it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
 
 _LONG_STILL = 1.5  # s
+_STILL = 0.2  # rad/s
+_CHUNK = 100  # ticks
 _WATCHED = 14.0
 """How long a stop is watched (s): a raised arm sinks slowly on the air that its throttled vents let go."""
-_STANDING = int(Phase.STANDING)
-
-FAULT = np.dtype(
-    [
-        ("emergency_stop", "?"),
-        ("lost_encoders", "?"),
-        ("silent", "?"),
-        ("stuck", "i8"),
-        ("opening", "f8"),
-        ("request", "u1"),
-    ],
-    align=True,
-)
-"""One fault: e-stop circuit open, encoders without readings, bench silent, valve `stuck` (-1: none) at
-`opening` (NaN: where it stands), or a request."""
 
 
-class Fault(NamedTuple):
-    """A fault to provoke, by name."""
+class Trial(NamedTuple):
+    """What is tried, by name: things that break, a request, a missing ball."""
 
     name: str
-    emergency_stop: bool = False
-    lost_encoders: bool = False
-    silent: bool = False
-    stuck: int = -1
-    opening: float = 0.0
+    faults: tuple[Fault, ...] = ()
     request: int = 0
     ball: bool = True
 
 
-_VALVES = ("shoulder", "arm", "wrist")
+_ESTOP = (Fault("emergency stop", "emergency stop", "off"),)
+_LOST = tuple(Fault(f"{joint} encoder", f"{joint} encoder", "off") for joint in JOINTS)
+_SILENT = (Fault("bench silent", "loop", "off"),)
 
-FAULTS = (
-    Fault("none"),
-    Fault("no ball", ball=False),
-    Fault("operator stop", request=STOP),
-    Fault("operator stop, no ball", request=STOP, ball=False),
-    Fault("emergency stop", emergency_stop=True),
-    Fault("emergency stop, no ball", emergency_stop=True, ball=False),
-    Fault("encoders lost", lost_encoders=True),
-    Fault("encoders lost, no ball", lost_encoders=True, ball=False),
-    Fault("bench silent", silent=True),
-    Fault("bench silent, no ball", silent=True, ball=False),
+TRIALS = (
+    Trial("none"),
+    Trial("no ball", ball=False),
+    Trial("operator stop", request=STOP),
+    Trial("operator stop, no ball", request=STOP, ball=False),
+    Trial("emergency stop", _ESTOP),
+    Trial("emergency stop, no ball", _ESTOP, ball=False),
+    Trial("encoders lost", _LOST),
+    Trial("encoders lost, no ball", _LOST, ball=False),
+    Trial("bench silent", _SILENT),
+    Trial("bench silent, no ball", _SILENT, ball=False),
     *(
-        Fault(f"{valve} valve stuck {name}", stuck=i, opening=opening)
-        for i, valve in enumerate(_VALVES)
+        Trial(f"{joint} valve stuck {name}", (Fault("valve", f"{joint} valve", "stuck", opening),))
+        for joint in JOINTS
         for name, opening in (("open", 1.0), ("open in reverse", -1.0), ("shut", 0.0))
     ),
 )
@@ -117,51 +102,6 @@ class Outcome:
         return "; ".join(reasons)
 
 
-@compiled
-def run_fault(
-    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
-    readings: Any, command: Any, cycle: Any, fault: Any, first_tick: int, ticks: int, still: float,
-) -> float:  # fmt: skip
-    """Run `ticks` ticks under `fault`; return the time (s) after which no joint exceeded `still` rad/s."""
-    f = fault[0]
-    period = plant[0].tick
-    rest = 0.0
-    stuck_at = 0.0
-    if f.stuck >= 0:
-        stuck_at = plant_state[0].spool[f.stuck] if np.isnan(f.opening) else f.opening
-    for k in range(ticks):
-        sense(plant, plant_state, readings)
-        if f.emergency_stop:
-            readings[0].emergency_stop_clear = False
-        if f.lost_encoders:
-            for i in range(3):
-                readings[0].encoder_valid[i] = 0
-        if f.silent:
-            c = command[0]
-            for i in range(3):
-                c.valve[i] = 0.0
-            c.supply_enable = c.exhaust_closed = c.beacon = False
-        else:
-            if k == 0 and f.request != 0:
-                state.control[0].request = f.request
-            step(state, parameters, readings, (first_tick + k) * period, command, cycle)
-        if f.stuck >= 0:
-            command[0].valve[f.stuck] = stuck_at
-        advance(robot, plant, impact, plant_state, command)
-        for i in range(3):
-            if not abs(plant_state[0].speed[i]) <= still:
-                rest = (k + 1) * period
-        # Standing still without energy for long enough: nothing more will come.
-        standing = f.silent or state.control[0].phase == _STANDING
-        if standing and (k + 1) * period - rest > _LONG_STILL:
-            break
-    return rest
-
-
-def _copied(state: ControlState) -> ControlState:
-    return ControlState(*(record.copy() for record in state))
-
-
 class SwingCheck:
     """A plant, a profile and settings, checked fault by fault."""
 
@@ -194,38 +134,33 @@ class SwingCheck:
 
     def outcomes(
         self,
-        faults: tuple[Fault, ...] = FAULTS,
+        trials: tuple[Trial, ...] = TRIALS,
         spacing: int = 10,
         progress: Callable[[float], None] = lambda part: None,
     ) -> list[Outcome]:
-        """Return how each of `faults` ends from every `spacing`-th tick of the swing.
+        """Return how each of `trials` ends from every `spacing`-th tick of the swing.
 
         Raises:
             RuntimeError: the undisturbed swing does not run.
         """
         found = []
         for part, ball in enumerate((True, False)):
-            wanted = [fault for fault in faults if fault.ball == ball]
+            wanted = [trial for trial in trials if trial.ball == ball]
             for tick, bench in self._bases(spacing, ball=ball) if wanted else ():
-                found += [self._outcome(fault, tick, bench) for fault in wanted]
+                found += [self._outcome(trial, tick, bench) for trial in wanted]
                 progress((part + tick / len(self.profile.angle)) / 2)
         return found
 
-    def _outcome(self, fault: Fault, tick: int, bench: Lockstep) -> Outcome:
-        plant_state, state = bench.plant_state.copy(), _copied(bench.state)
-        command, readings = bench.command.copy(), bench.readings.copy()
+    def _outcome(self, trial: Trial, tick: int, base: Lockstep) -> Outcome:
+        bench = base.copy()
+        plant_state = bench.plant_state
         plant_state["stop_energy"] = plant_state["stop_work"] = 0.0
         plant_state["peak_pressure"] = plant_state["pressure"]
         plant_state["lowest_clearance"], plant_state["peak_head_speed"] = np.inf, 0.0
-        record = new_record(FAULT)
-        for name in FAULT.names or ():
-            record[name] = getattr(fault, name)
-        if tick == 0:
-            state.control["request"] = SWING if not fault.request else fault.request
-        rest = run_fault(
-            *self.plant.records, plant_state, state, self.parameters, readings, command,
-            new_record(CYCLE), record, bench.tick, self.watched, 0.2,
-        )  # fmt: skip
+        if trial.faults:
+            bench.break_with(trial.faults, watchdog=0.0)  # at its worst it lets go at once
+        request = SWING if tick == 0 and not trial.request else trial.request
+        rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
         actuators = self.plant.parameters.actuators
         energies: NDArray[Any] = plant_state["stop_energy"][0] / np.array(
             [[a.stop.energy] for a in actuators]
@@ -236,17 +171,32 @@ class SwingCheck:
         joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
         unrest = rest >= (self.watched - 1) * self.plant.parameters.tick
         return Outcome(
-            fault=fault.name,
+            fault=trial.name,
             time=tick * self.profile.period,
             phase=self.profile.phase_of(tick),
             stop_share=float(energies.max()),
-            stop=f"{_VALVES[joint]} {('lower', 'upper')[side]} stop",
+            stop=f"{JOINTS[joint]} {('lower', 'upper')[side]} stop",
             pressure_share=float(pressures.max()),
             clearance=float(plant_state["lowest_clearance"][0]),
             head_speed=float(plant_state["peak_head_speed"][0]),
             rest_time=float("inf") if unrest else float(rest),
-            cause=Cause(int(state.control["cause"][0])),
+            cause=Cause(int(bench.state.control["cause"][0])),
         )
+
+    def _run_to_rest(self, bench: Lockstep, request: int, *, silent: bool) -> float:
+        """Run `bench`; return the time (s) after which no joint exceeded `_STILL`."""
+        period, rest, ticks = self.plant.parameters.tick, 0, 0
+        while ticks < self.watched:
+            speed = bench.advance(min(_CHUNK, self.watched - ticks), request)["plant_velocity"]
+            moving = np.flatnonzero((np.abs(speed) > _STILL).any(axis=1))
+            if len(moving):
+                rest = ticks + int(moving[-1])
+            ticks, request = ticks + len(speed), 0
+            # Standing still without energy for long enough: nothing more will come.
+            standing = silent or bench.state.control["phase"][0] == Phase.STANDING
+            if standing and (ticks - rest) * period > _LONG_STILL:
+                break
+        return rest * period
 
 
 @dataclass(frozen=True)

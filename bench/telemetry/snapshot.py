@@ -32,21 +32,23 @@ SNAPSHOT = np.dtype(
     ],
     align=True,
 )
-"""All of a ControlState after the step of `tick` at `time` (s, the loop's)."""
+"""A ControlState after the step of `tick` at `time` (s, the loop's), but for the model check's memory."""
+
+_KEPT = ("control", "encoder", "estimator", "pid")
 
 
 def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
     """Copy `state` into `snapshot` (one-element array of SNAPSHOT)."""
     snapshot["tick"], snapshot["time"] = state.control["tick"], state.control["time"]
-    for name, record in zip(ControlState._fields, state, strict=True):
-        snapshot[name] = record
+    for name in _KEPT:
+        snapshot[name] = getattr(state, name)
 
 
 def unpack_snapshot(snapshot: np.ndarray[Any, Any]) -> ControlState:
     """Return a ControlState of its own with the values of `snapshot`."""
     state = new_control_state()
-    for name, record in zip(ControlState._fields, state, strict=True):
-        record[:] = snapshot[name]
+    for name in _KEPT:
+        getattr(state, name)[:] = snapshot[name]
     return state
 
 

@@ -304,7 +304,7 @@ def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
 
 
 def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
-    for keys in [keys for keys, _ in LEAVES if "following" not in keys and keys[-1] != "like"][::7]:
+    for keys in [keys for keys, _ in LEAVES if not {"following", "model", "like"} & {*keys}][::7]:
         text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
         (fault,) = faults(overlay(text))
         assert fault.place.endswith(".".join(keys) + "x")
@@ -432,3 +432,38 @@ def test_any_value_is_taken_or_refused_in_words(
     except (BenchError, ExceptionGroup) as error:
         refused = list(error.exceptions) if isinstance(error, ExceptionGroup) else [error]
     assert all(isinstance(fault, BenchError) and fault.expected and fault.cure for fault in refused)
+
+
+# Faults and the model-based check ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ('[faults.a]\nsignal = "no such"\nkind = "off"', "faults.a"),
+        ('[faults.a]\nsignal = "club head"\nkind = "stuck"', "faults.a"),
+        ('[faults.a]\nsignal = "clock"\nkind = "stuck"', "faults.a.signal"),
+        ('[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"', "faults.a.phase"),
+        ('[faults.a]\nsignal = "arm valve"\nkind = "delayed"\nvalue = 0.2', "faults.a.value"),
+        ('[faults.a]\nsignal = "tee"\nkind = "off"\n[driver]\nname = "mock"', "faults.a"),
+        ('[faults.a]\nsignal = "tee"\nkind = "off"\n[driver]\nname = "canopen"', "faults.a"),
+        ("[envelope.model.air]\nswing = [1.0, 1.0, 1.0]", "envelope.model.air.swing"),
+    ],
+)
+def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, place: str) -> None:
+    assert any(place in fault.place for fault in faults(overlay(text)))
+
+
+def test_a_fault_gives_only_what_it_needs(overlay: Overlay) -> None:
+    text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\ntime = "paced"'
+    (fault,) = load_configuration(overlay(text)).faults.values()
+    assert (fault.name, fault.signal, fault.phase, fault.duration) == ("a", "tee", "top", 0.0)
+
+
+def test_the_models_limits_are_the_simulated_plants(overlay: Overlay) -> None:
+    simulated = '[envelope.model]\ncheck = "simulated"'
+    assert load_configuration(overlay(simulated)).envelope.model.check == "simulated"
+    mock = f'[driver]\nname = "mock"\n{simulated}'
+    assert load_configuration(overlay(mock)).envelope.model.check == "off"
+    always = '[driver]\nname = "mock"\n[envelope.model]\ncheck = "always"'
+    assert load_configuration(overlay(always)).envelope.model.check == "always"

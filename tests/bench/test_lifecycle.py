@@ -17,6 +17,7 @@ from bench.lifecycle import (
     LOST,
     STOPPING,
     TRUSTED,
+    WRIST_DISOBEYED,
     Cause,
     Phase,
     Reaction,
@@ -53,19 +54,20 @@ def test_every_cause_tells_the_operator_something_of_its_own() -> None:
 
 
 def test_causes_of_a_joint_stand_side_by_side() -> None:
-    for name in ("ENCODER", "RANGE", "SPEED", "FOLLOWING", "STOP_DISTANCE"):
+    names = ("ENCODER", "RANGE", "SPEED", "FOLLOWING", "STOP_DISTANCE", "AIR", "VELOCITY", "JUMP", "EFFORT")
+    for name in names:
         first = Cause[f"SHOULDER_{name}"]
         assert [Cause[f"{joint}_{name}"] - first for joint in ("SHOULDER", "ARM", "WRIST")] == [0, 1, 2]
 
 
 def test_the_table_names_a_reaction_for_every_phase_and_column() -> None:
     assert list(STOPPING) == list(Phase)
-    assert {TRUSTED, LOST, EMERGENCY, DISOBEYED} == set(range(4))
+    assert {TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED} == set(range(5))
     for row in STOPPING.values():
-        assert len(row) == 4
+        assert len(row) == 5
         assert Reaction.NONE not in row
     table = reaction_table()
-    assert table.shape == CONTROL_PARAMETERS["reactions"].shape == (PHASES, 4)
+    assert table.shape == CONTROL_PARAMETERS["reactions"].shape == (PHASES, 5)
     assert table.dtype == np.uint8
     for phase, column in np.ndindex(table.shape):
         assert Reaction(int(table[phase, column])) is STOPPING[Phase(phase)][column]
@@ -96,13 +98,19 @@ def test_past_the_no_return_instant_only_an_emergency_stop_brakes() -> None:
 
 @pytest.mark.parametrize("phase", sorted(BLOW))
 def test_from_the_blow_on_the_swing_brakes_as_planned(phase: Phase) -> None:
-    assert {STOPPING[phase][column] for column in (TRUSTED, EMERGENCY, DISOBEYED)} == {Reaction.COMPLETE}
+    assert {STOPPING[phase][column] for column in (TRUSTED, EMERGENCY, WRIST_DISOBEYED)} == {
+        Reaction.COMPLETE
+    }
 
 
-def test_an_actuator_that_does_not_follow_loses_its_air_while_the_robot_is_slow() -> None:
-    assert {phase for phase in MOVING if STOPPING[phase][DISOBEYED] is Reaction.PASSIVE} == SLOW
+def test_a_shoulder_or_arm_that_does_not_obey_loses_its_air() -> None:
+    assert {STOPPING[phase][DISOBEYED] for phase in MOVING} == {Reaction.PASSIVE}
+
+
+def test_a_wrist_that_does_not_obey_loses_its_air_only_while_it_is_slow() -> None:
+    assert {phase for phase in MOVING if STOPPING[phase][WRIST_DISOBEYED] is Reaction.PASSIVE} == SLOW
     fast = MOVING - SLOW - BLOW
-    assert {STOPPING[phase][DISOBEYED] for phase in fast} == {Reaction.BRAKE}
+    assert {STOPPING[phase][WRIST_DISOBEYED] for phase in fast} == {Reaction.BRAKE}
 
 
 def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
@@ -117,4 +125,4 @@ def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
     assert sorted(Reaction) == order
     for row in STOPPING.values():
         assert row[LOST] >= row[TRUSTED] <= row[EMERGENCY]
-        assert row[DISOBEYED] >= row[TRUSTED]
+        assert row[DISOBEYED] >= row[WRIST_DISOBEYED] >= row[TRUSTED]

@@ -11,7 +11,13 @@ import pytest
 
 import bench.loop
 from bench.clock import FreeClock, PacedClock
-from bench.control.settings import ControlSettings, PidSettings, build_controller
+from bench.control.settings import (
+    ControlSettings,
+    EnvelopeSettings,
+    ModelSettings,
+    PidSettings,
+    build_controller,
+)
 from bench.control.step import ACCEPTED, ARM, REFUSED, RESET, SWING, ControlParameters
 from bench.interrupt import deferred_interrupt
 from bench.lifecycle import Cause, Phase, Reaction, State
@@ -27,6 +33,7 @@ ADDRESS = np.array([0.1, 4.05, 6.1])
 TOP = np.array([-0.7, 3.8, 5.4])
 PERIOD = 1e-3
 PLANT = PlantParameters()
+UNMODELLED = EnvelopeSettings(model=ModelSettings(check="off"))
 WEIGHTLESS = ControlSettings(
     pid=PidSettings((1.0,) * 3, (0.0,) * 3, (0.0,) * 3),
     damping=(0.0,) * 3,
@@ -80,7 +87,7 @@ def parameters() -> ControlParameters:
         "mock", "", "", "", PERIOD, begins, angle, velocity, velocity * WEIGHTLESS.move_gain,
         20, np.zeros((n // 20 + 1, 6)), (0.25, -1.56), 0.9,
     )  # fmt: skip
-    return build_controller(PLANT, profile, WEIGHTLESS)
+    return build_controller(PLANT, profile, WEIGHTLESS, UNMODELLED)
 
 
 @pytest.fixture

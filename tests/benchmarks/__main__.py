@@ -28,6 +28,7 @@ LONG = (
     "launch_monitor_fuzz",
     "campaign_statistics",
     "reactions",
+    "healthy_swings",
     "canopen_reactions",
     "kills",
     "recorder_kills",

@@ -15,7 +15,7 @@ from bench.control.settings import build_controller
 from bench.control.step import ACCEPTED, RESET, SWING
 from bench.lifecycle import Cause, Phase, Reaction
 from bench.lockstep import Lockstep
-from bench.swing.check import FAULTS, Outcome, SwingCheck
+from bench.swing.check import TRIALS, Outcome, SwingCheck
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 SPACING = 101
 """Ticks between the instants that are tried."""
-FAULT = {fault.name: fault for fault in FAULTS}
+TRIAL = {trial.name: trial for trial in TRIALS}
 
 StoppedAt = Callable[[str], list[Outcome]]
 
@@ -34,7 +34,7 @@ StoppedAt = Callable[[str], list[Outcome]]
 def stopped(default_profile: Profile) -> StoppedAt:
     """Return how a fault, by its name, ends from each instant."""
     check = SwingCheck(PlantParameters(), default_profile)
-    return lambda name: check.outcomes((FAULT[name],), SPACING)
+    return lambda name: check.outcomes((TRIAL[name],), SPACING)
 
 
 def test_the_instants_lie_in_all_parts_of_the_swing(default_profile: Profile) -> None:

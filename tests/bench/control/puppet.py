@@ -11,8 +11,10 @@ import numpy as np
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
+    EnvelopeSettings,
     HomingSettings,
     LifecycleSettings,
+    ModelSettings,
     build_controller,
 )
 from bench.control.step import ACCEPTED, ARM, SWING, new_control_state, step
@@ -30,6 +32,8 @@ SAMPLES, SPACING = 700, 20
 BEGINS = (0, 100, 200, 300, 400, 500, 600)
 COUNTS = PlantParameters().encoders.counts_per_revolution
 QUICK = ControlSettings(precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
+UNMODELLED = EnvelopeSettings(model=ModelSettings(check="off"))
+"""These joints obey no law of motion."""
 GOOD = ("emergency_stop_clear", "guard_closed", "guard_locked")
 
 
@@ -63,7 +67,7 @@ class Puppet:
         """Stand at the profile's address, which is also where the vented robot hangs."""
         plant = replace(PlantParameters(), tick=tick)
         self.parameters = build_controller(
-            plant, profile, control, lifecycle=lifecycle, homing=homing, read_only=read_only
+            plant, profile, control, UNMODELLED, lifecycle=lifecycle, homing=homing, read_only=read_only
         )
         self.parameters.control["home_pose"] = ADDRESS
         self.state = new_control_state(state)

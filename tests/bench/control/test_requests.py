@@ -209,6 +209,29 @@ def test_access_waits_for_the_last_chamber() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
+def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
+    puppet = reach(State.READY, vent_time=5.0, vented_still=0.05)
+    empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
+    puppet.give(chamber_pressure=(full,) * 6).tick()
+    puppet.give(chamber_pressure=(empty,) * 6).run(45)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(10)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
+    puppet = reach(State.READY, vented_still=0.05)
+    puppet.give(chamber_pressure=(TIMES.vented_pressure - 1.0,) * 6).run(60)
+    assert puppet.control["vented"]
+    puppet.follows = False
+    for _ in range(100):
+        puppet.offset[0] -= 5e-4
+        puppet.tick()
+    assert not puppet.control["vented"]
+    puppet.run(100)
+    assert puppet.control["vented"]
+
+
 def test_pressure_in_the_chambers_while_the_guard_is_unlocked_locks_it() -> None:
     puppet = reach(State.ACCESS)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()

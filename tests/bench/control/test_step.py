@@ -32,6 +32,7 @@ from bench.lifecycle import (
     LOST,
     STOPPING,
     TRUSTED,
+    WRIST_DISOBEYED,
     Cause,
     Phase,
     Reaction,
@@ -343,6 +344,10 @@ def _emergency(puppet: Puppet) -> None:
 
 
 def _disobeyed(puppet: Puppet) -> None:
+    puppet.parameters.envelope["following"][0, :, 0] = -1.0
+
+
+def _wrist_disobeyed(puppet: Puppet) -> None:
     puppet.parameters.envelope["following"][0, :, 2] = -1.0
 
 
@@ -350,20 +355,21 @@ PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
     TRUSTED: (_guard, Cause.GUARD),
     LOST: (_lost, Cause.ARM_ENCODER),
     EMERGENCY: (_emergency, Cause.EMERGENCY_STOP),
-    DISOBEYED: (_disobeyed, Cause.WRIST_FOLLOWING),
+    DISOBEYED: (_disobeyed, Cause.SHOULDER_FOLLOWING),
+    WRIST_DISOBEYED: (_wrist_disobeyed, Cause.WRIST_FOLLOWING),
 }
 
 
 @moving_phase
-@pytest.mark.parametrize("column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed"])
+@pytest.mark.parametrize("column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed", "wrist"])
 def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
-    if phase is Phase.HOMING and column == DISOBEYED:
+    if phase is Phase.HOMING and column >= DISOBEYED:
         cause = Cause.HOMING_FAILED
     provoke(puppet)
     puppet.run(5 if column == LOST else 1)
-    if phase is Phase.IMPACT and column == DISOBEYED:
+    if phase is Phase.IMPACT and column >= DISOBEYED:
         assert puppet.reaction is Reaction.NONE  # the blow's jump is in nobody's reference
         return
     assert puppet.reaction is STOPPING[phase][column]

@@ -1,0 +1,173 @@
+"""The model-based check: what is measured against what the plant's model says must come of it.
+
+Four comparisons, each against a limit by phase that healthy swings stay below:
+
+air       each chamber's pressure against an observer, which knows the valve's command, the motion and the
+          supply: a valve that does not obey, a sagging actuator or a wrong pressure sensor
+velocity  each joint against its reference, which in a swing is the plant model's own prediction: the same,
+          seen later, but without pressure sensors
+jump      each encoder's sample against what the motion so far predicts: steps, garbage, a count that stands
+effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
+          whose scale or time is wrong, a head that came off
+
+A pressure that is ABSENT, or the supply's, leaves out what would need it. All pure, time is an argument.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from bench.control.envelope import joint_coordinates
+from bench.lifecycle import Cause, Phase
+from sim.compiled import compiled
+from sim.kane import kane_terms
+from sim.motion import chambers
+
+PHASES = len(Phase)
+
+MODEL_LIMITS = np.dtype(
+    [
+        ("check", "?"),
+        ("air", "f8", (PHASES, 3)),
+        ("velocity", "f8", (PHASES, 3)),
+        ("jump", "f8", (PHASES, 3)),
+        ("effort", "f8", (PHASES, 3)),
+    ],
+    align=True,
+)
+"""Whether to check at all; limits by phase and joint: Pa, rad/s, rad, N m."""
+
+MODEL_STATE = np.dtype(
+    [
+        ("started", "?"),
+        ("exhaust_closed", "?"),
+        ("vent_timer", "f8"),
+        ("spool", "f8", (3,)),
+        ("spool_speed", "f8", (3,)),
+        ("air", "f8", (13,)),
+        ("rate", "f8", (13,)),
+        ("measured", "f8", (6,)),
+        ("since", "f8", (6,)),
+        ("residual", "f8", (6,)),
+        ("effort", "f8", (3,)),
+        ("settled", "f8"),
+    ],
+    align=True,
+)
+"""The observer: spools, pressures as `sim.motion.chambers` takes them (chambers from 6 on, supply), what each
+sensor showed last and for how long (s); residuals of the chambers (Pa; NaN where there is none) and,
+smoothed, of the torques (N m); s since the observer began or was disturbed. Not part of a snapshot: it
+forgets within `_MEMORY`."""
+
+_MEMORY = 0.010
+"""s in which the observer takes over what is measured."""
+_SETTLING = 0.050
+"""s from its begin, or a stall of the loop, until it is believed."""
+_SMOOTHING = 0.020
+"""s over which torques are smoothed: the estimated acceleration is noisy, and late in a jerk."""
+_CLOSE = 1e-4
+_AIR, _VELOCITY = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_VELOCITY)
+_JUMP, _EFFORT = int(Cause.SHOULDER_JUMP), int(Cause.SHOULDER_EFFORT)
+
+
+@compiled
+def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, step: float) -> None:
+    """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
+
+    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS.
+    """
+    p, e, r = plant[0], estimator[0], readings[0]
+    fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall all begins anew
+    m.settled = m.settled + step if fresh else 0.0
+    if m.exhaust_closed:
+        m.vent_timer = 0.0
+    elif fresh:
+        m.vent_timer += step
+    vent = p.vent_conductance if m.vent_timer > p.vent_delay else 0.0
+    m.air[12] = r.supply_pressure
+    for i in range(3):
+        for _ in range(2 * p.substeps):  # exact for a command held over the tick
+            wanted = applied[i] - p.centre[i]
+            offset, rate = m.spool[i] - wanted, m.spool_speed[i]
+            m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+            m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+        position, speed = _actuator_motion(robot, p, e, i)
+        a, b = 2 * i, 2 * i + 1
+        whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
+        if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
+            for k in range(a, b + 1):
+                m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]
+                m.since[k], m.residual[k] = 0.0, np.nan
+            continue
+        for part in range(2):
+            back = position - (0.75 - 0.5 * part) * step * speed
+            chambers(p, i, m.air, m.rate, m.spool[i], back, speed, vent)
+            for k in range(a, b + 1):
+                m.air[6 + k] = max(m.air[6 + k] + 0.5 * step * m.rate[6 + k], 0.1 * p.atmosphere)
+        for k in range(a, b + 1):
+            pressure = r.chamber_pressure[k]
+            m.since[k] += step
+            # A sensor may be read less often than the loop runs: only a new value tells something.
+            if pressure != m.measured[k]:
+                m.residual[k] = pressure - m.air[6 + k]
+                m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
+                m.measured[k], m.since[k] = pressure, 0.0
+    m.started = True
+    if fresh:
+        _compare_efforts(m, robot, p, e, step)
+
+
+@compiled
+def _actuator_motion(robot: Any, p: Any, e: Any, i: int) -> tuple[float, float]:
+    """Return position and speed of actuator `i` in its own coordinate (rad, rod m, wrist's stroke m)."""
+    if i == 2:
+        lever = p.wrist_lever * cos(e.angle[2])
+        return p.wrist_lever * sin(e.angle[2]), lever * e.velocity[2]
+    return joint_coordinates(robot, e.angle, e.velocity, i)
+
+
+@compiled
+def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
+    """Smooth the residual of Kane's equations (N m a joint) on; zero for a joint that presses its cushion."""
+    u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
+    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
+        robot[0], e.angle[0], e.angle[1], e.angle[2], u1, u2, u3
+    )
+    needed = (
+        m11 * a1 + m12 * a2 + m13 * a3 + h1, m12 * a1 + m22 * a2 + m23 * a3 + h2,
+        m13 * a1 + m23 * a2 + m33 * a3 + h3,
+    )  # fmt: skip
+    for i in range(3):
+        position, speed = _actuator_motion(robot, p, e, i)
+        to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
+        force = (m.air[6 + 2 * i] - p.atmosphere) * p.area_a[i] - (
+            m.air[7 + 2 * i] - p.atmosphere
+        ) * p.area_b[i]
+        stop = position if i != 2 else e.angle[2]
+        residual = needed[i] - (force - p.viscous[i] * speed) * to_joint
+        if not (p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE and np.isfinite(residual)):
+            m.effort[i] = 0.0
+        else:
+            m.effort[i] += step / (step + _SMOOTHING) * (residual - m.effort[i])
+
+
+@compiled
+def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, phase: int) -> int:
+    """Return the first comparison that fails in `phase`, or 0. Residuals that cannot be had fail none."""
+    p, e = limits[0], estimator[0]
+    if not p.check or m.settled < _SETTLING:
+        return 0
+    for i in range(3):
+        if abs(e.innovation[i]) > p.jump[phase, i]:
+            return _JUMP + i
+        if abs(m.residual[2 * i]) > p.air[phase, i] or abs(m.residual[2 * i + 1]) > p.air[phase, i]:
+            return _AIR + i
+        if abs(reference_velocity[i] - e.velocity[i]) > p.velocity[phase, i]:
+            return _VELOCITY + i
+        if abs(m.effort[i]) > p.effort[phase, i]:
+            return _EFFORT + i
+    return 0

@@ -1,0 +1,203 @@
+"""What is broken in the matrix, when, and which pairs cannot matter by rule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import nan
+from typing import Literal
+
+from drivers.base import CHAMBERS, JOINTS
+from sim.faults import Fault, Kind, sort_of
+
+Event = Literal["", "stop", "guard opened", "emergency stop", "no ball"]
+"""What happens besides: a stop that needs the part, or the one thing that a stuck switch should have told."""
+
+EVENT_AFTER = 0.05
+"""s from the fault to the event."""
+
+
+@dataclass(frozen=True)
+class Breakage:
+    """One row of the matrix."""
+
+    fault: Fault
+    event: Event = ""
+
+    @property
+    def name(self) -> str:
+        """Signal, kind, value and event."""
+        return self.fault.name + (f", then {self.event}" if self.event else "")
+
+
+def _broken(signal: str, kind: Kind, value: float = nan, text: str = "", event: Event = "") -> Breakage:
+    return Breakage(Fault(text or f"{signal} {kind}", signal, kind, value), event)
+
+
+def _encoder(joint: str) -> tuple[Breakage, ...]:
+    signal = f"{joint} encoder"
+    return (
+        _broken(signal, "off"),
+        _broken(signal, "stuck"),
+        _broken(signal, "garbage"),
+        _broken(signal, "offset", 0.01, f"{signal} +0.01 rad"),
+        _broken(signal, "offset", 0.1, f"{signal} +0.1 rad"),
+        _broken(signal, "scale", 0.9, f"{signal} × 0.9"),
+        _broken(signal, "slow", 0.01, f"{signal} slow 10 ms"),
+        _broken(signal, "delayed", 0.003, f"{signal} delayed 3 ms"),
+        _broken(signal, "delayed", 0.02, f"{signal} delayed 20 ms"),
+        _broken(signal, "intermittent", 0.2, f"{signal} intermittent 20 %"),
+        _broken(signal, "drifting", 0.1, f"{signal} drifting 0.1 rad/s"),
+        _broken(signal, "drifting", 1.0, f"{signal} drifting 1 rad/s"),
+    )
+
+
+def _valve(joint: str) -> tuple[Breakage, ...]:
+    signal = f"{joint} valve"
+    return (
+        _broken(signal, "off", text=f"{signal} without energy"),
+        _broken(signal, "stuck", 1.0, f"{signal} stuck open"),
+        _broken(signal, "stuck", -1.0, f"{signal} stuck open in reverse"),
+        _broken(signal, "stuck", 0.0, f"{signal} stuck shut"),
+        _broken(signal, "stuck", text=f"{signal} stuck where it stands"),
+        _broken(signal, "garbage"),
+        _broken(signal, "offset", 0.1, f"{signal} +10 %"),
+        _broken(signal, "scale", 0.5, f"{signal} half as far"),
+        _broken(signal, "slow", 0.02, f"{signal} slow 20 ms"),
+        _broken(signal, "delayed", 0.01, f"{signal} delayed 10 ms"),
+        _broken(signal, "intermittent", 0.3, f"{signal} intermittent 30 %"),
+        _broken(signal, "drifting", 0.2, f"{signal} drifting 20 %/s"),
+        _broken(signal, "leaking", 0.05, f"{signal} leaking 5 %"),
+    )
+
+
+def _switch(signal: str, event: Event) -> tuple[Breakage, ...]:
+    return (
+        _broken(signal, "off"),
+        _broken(signal, "stuck", event=event),
+        _broken(signal, "garbage"),
+        _broken(signal, "delayed", 0.02, f"{signal} delayed 20 ms", event),
+        _broken(signal, "intermittent", 0.05, f"{signal} intermittent 5 %"),
+    )
+
+
+def _pressure(signal: str, event: Event) -> tuple[Breakage, ...]:
+    return (
+        _broken(signal, "off", event=event),
+        _broken(signal, "stuck", event=event),
+        _broken(signal, "stuck", 1.0e5, f"{signal} stuck at 1 bar", event),
+        _broken(signal, "garbage", event=event),
+        _broken(signal, "offset", -2.0e5, f"{signal} -2 bar", event),
+        _broken(signal, "scale", 0.7, f"{signal} × 0.7", event),
+        _broken(signal, "slow", 0.5, f"{signal} slow 0.5 s", event),
+        _broken(signal, "delayed", 0.05, f"{signal} delayed 50 ms", event),
+        _broken(signal, "intermittent", 0.3, f"{signal} intermittent 30 %", event),
+        _broken(signal, "drifting", -2.0e5, f"{signal} drifting -2 bar/s", event),
+    )
+
+
+CATALOGUE: tuple[Breakage, ...] = (
+    *(breakage for joint in JOINTS for breakage in _encoder(joint)),
+    *(breakage for joint in JOINTS for breakage in _valve(joint)),
+    _broken("supply", "off", text="supply lost"),
+    _broken("supply", "scale", 0.7, "supply sagging to 70 %"),
+    _broken("supply", "scale", 1.4, "supply surging to 140 %"),
+    _broken("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
+    _broken("supply", "stuck", 1.0, "supply valve stuck open", "stop"),
+    _broken("supply", "stuck", 0.0, "supply valve stuck shut"),
+    _broken("supply", "intermittent", 0.3, "supply valve intermittent 30 %"),
+    _broken("vents", "stuck", 1.0, "vents stuck shut", "stop"),
+    _broken("vents", "off", text="vents without energy"),
+    *_switch("emergency stop", "emergency stop"),
+    *_switch("guard closed", "guard opened"),
+    *_switch("guard locked", "guard opened"),
+    _broken("local reset", "stuck", 1.0, "local reset stuck pressed"),
+    _broken("local reset", "garbage"),
+    _broken("ball sensor", "off"),
+    _broken("ball sensor", "stuck", 1.0, "ball sensor stuck on", "no ball"),
+    _broken("tee", "off", text="no ball on the tee", event="no ball"),
+    *_pressure("supply sensor", ""),
+    *(breakage for chamber in CHAMBERS for breakage in _pressure(f"{chamber} sensor", "stop")),
+    _broken("club head", "off", text="club head lost"),
+    _broken("link", "off", text="link cut"),
+    Breakage(Fault("link cut for 3 ms", "link", "off", duration=0.003)),
+    Breakage(Fault("link cut for 100 ms", "link", "off", duration=0.1)),
+    _broken("link", "stuck", text="link: inputs stand still"),
+    _broken("link", "delayed", 0.003, "link delayed 3 ms"),
+    _broken("link", "delayed", 0.01, "link delayed 10 ms"),
+    _broken("link", "intermittent", 0.2, "link intermittent 20 %"),
+    _broken("clock", "off", text="clock gives no number"),
+    _broken("clock", "stuck", text="clock stands still"),
+    _broken("clock", "offset", 0.5, "clock jumps 0.5 s ahead"),
+    _broken("clock", "offset", -0.5, "clock jumps 0.5 s back"),
+    _broken("clock", "scale", 1.05, "clock 5 % fast"),
+    _broken("clock", "scale", 0.95, "clock 5 % slow"),
+    _broken("clock", "garbage"),
+    _broken("loop", "off", text="loop dead"),
+    _broken("loop", "delayed", 0.008, "loop stalls 8 ms"),
+    _broken("loop", "delayed", 0.05, "loop stalls 50 ms"),
+    _broken("loop", "intermittent", 0.2, "loop misses 20 % of its ticks"),
+    _broken("supervisor", "off", text="supervisor dead"),
+    _broken("recorder", "off", text="recorder dead"),
+    _broken("lease", "off", text="lease lost"),
+    _broken("launch monitor", "off"),
+    _broken("launch monitor", "stuck"),
+    _broken("launch monitor", "garbage"),
+    _broken("launch monitor", "offset", 5.0),
+    _broken("launch monitor", "scale", 1.1),
+    _broken("launch monitor", "delayed", 20.0),
+    _broken("launch monitor", "intermittent", 0.3),
+)  # fmt: skip
+"""All rows."""
+
+MOVING: frozenset[str] = frozenset(
+    {"homing", "backswing", "top", "downswing", "committed", "impact", "follow-through", "return"}
+)
+
+
+def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
+    """Return the rule by which `breakage` cannot matter in `phase`; empty when it can."""
+    signal, sort = breakage.fault.signal, sort_of(breakage.fault.signal)
+    if sort == "launch monitor":
+        return "the loop hears nothing of the launch monitor; what it tells is judged after the swing"
+    if signal == "local reset":
+        return "only a reset of a bench that asks for it reads the button; a level is no edge"
+    if signal == "ball sensor" and not breakage.event:
+        return "the loop decides nothing by the ball sensor"
+    if breakage.event == "no ball" and phase != "hold":
+        return "the ball is there or not when the swing begins"
+    if signal == "vents" and phase == "standing":
+        return "the vents are open and the supply is shut while the robot stands"
+    if signal == "supply" and breakage.event == "stop" and phase == "standing":
+        return "nothing is to be stopped while the robot stands"
+    if sort == "pressure" and signal != "supply sensor" and phase == "standing":
+        return "the chambers are empty; what the sensor does later is tried from the other phases"
+    if signal == "supply sensor" and phase in ("homing", "committed", "impact", "follow-through"):
+        return "" if model_check else "the supply's pressure is not judged here"
+    return ""
+
+
+PLAUSIBLE_KINDS = frozenset({"offset", "scale", "drifting"})
+"""Readings that are wrong but plausible."""
+
+HARDWARE: tuple[tuple[str, str], ...] = (
+    ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply by itself"),
+    ("guard closed", "guard switches of two channels, wired into the same circuit"),
+    ("guard locked", "guard switches of two channels, wired into the same circuit"),
+    ("supply", "relief valve at the manifold; a second, monitored dump valve in series"),
+    ("vents", "two vents a chamber, or a dump valve with feedback; a gauge that a person reads"),
+    (
+        "valve",
+        "a second valve in series that cuts the actuator's air; absorbers for the whole swing's energy",
+    ),
+    ("encoder", "a second encoder on the joint; absorbers for the whole swing's energy"),
+    ("pressure", "a gauge beside the guard that a person reads; the lock's own pressure switch"),
+    ("club head", "a fence that stops a head of 0.2 kg at 50 m/s; inspection of the club"),
+    ("link", "a watchdog in the valve electronics (20 ms)"),
+    ("clock", "the watchdog's own oscillator in the valve electronics"),
+    ("loop", "a watchdog in the valve electronics (20 ms)"),
+    ("process", "none: software stops it"),
+    ("tee", "none: the follow-through without a ball is within the ratings"),
+    ("switch", "none"),
+    ("launch monitor", "none: it moves nothing"),
+)
+"""What only hardware can cover, by signal or sort."""

@@ -1,0 +1,98 @@
+"""The hazard table for the person who signs the installation, made from the matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.faults.catalogue import HARDWARE
+from sim.faults import sort_of
+
+HEAD = """# Hazards
+
+Made by `golfbench faults table` from `sim/FAULTS.json`, the matrix of `golfbench faults run`; do not edit.
+It speaks of the simulated robot with the shipped configuration: assumed valves, absorbers and chambers. It is
+no risk assessment of an installation, but what such an assessment may start from.
+"""
+
+
+def hardware_for(signal: str) -> str:
+    """Return what only hardware can cover."""
+    for name, text in HARDWARE:
+        if name in (signal, sort_of(signal)):
+            return text
+    return "none"
+
+
+def hazard_table(summary: dict[str, Any]) -> str:
+    """Return the table as Markdown."""
+    v = summary["verdicts"]
+    lines = [
+        HEAD,
+        f"{summary['cases']} cases from {len(summary['instants'])} instants "
+        f"({', '.join(sorted(summary['instants']))}), "
+        f"model-based check {'on' if summary['model_check'] else 'off'}: "
+        f"{v['safe']} noticed and safe, {v['harmless']} without harm, {v['undetected']} not noticed though "
+        f"shot or pose became another, {v['unsafe']} unsafe; {summary['left_out_by_rule']} pairs cannot "
+        "matter by rule.",
+        "",
+        "| hazard: what fails | cases | detected by | reaction, ticks | residual risk | only by hardware |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [_row(row) for row in summary["rows"] if row["verdicts"]]
+    lines += ["", "## Pairs that cannot matter", "", *(_rules(summary))]
+    if summary.get("comparison"):
+        lines += ["", "## The model-based check, off and on", "", *_comparison(summary["comparison"])]
+    lines += ["", "## What no software covers", "", *_ALWAYS]
+    return "\n".join(lines) + "\n"
+
+
+_ALWAYS = (
+    "- A person inside the fence: fence, light curtain and a hard-wired emergency stop of two channels.",
+    "- A burst hose or cylinder, a broken shaft, a loose head: fence, relief valves, inspection.",
+    "- A raised arm that friction alone holds after the air has left: a pin or a support before anybody goes "
+    "near.",
+    "- A shoulder valve stuck open at full speed when the chambers' sensors are away too: absorbers for the "
+    "whole swing's energy, or a second valve in series.",
+    "- The bench's computer and the valve electronics failing together: the emergency stop's own dump valve.",
+)
+
+
+def _row(row: dict[str, Any]) -> str:
+    ticks = row["detection_ticks"]
+    median = f", median {ticks[len(ticks) // 2]}" if ticks else ""
+    reaction = ", ".join(row["reactions"]) or "none"
+    found = ", ".join(row["detected_by"]) or "nothing"
+    count = sum(row["verdicts"].values())
+    bad = [f"{row['verdicts'][name]} {name}" for name in ("unsafe", "undetected") if name in row["verdicts"]]
+    residual = "; ".join(bad) + (f": {row['reasons'][0]}" if bad and row["reasons"] else "")
+    cells = (
+        f"**{row['breakage']}**: {row['meaning']}",
+        str(count),
+        found,
+        reaction + median,
+        residual or "none seen",
+        hardware_for(row["signal"]),
+    )
+    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
+
+
+def _rules(summary: dict[str, Any]) -> list[str]:
+    rules: dict[str, list[str]] = {}
+    for row in summary["rows"]:
+        for rule in row["rules"]:
+            rules.setdefault(rule, []).append(row["breakage"])
+    return [f"- {rule} ({len(names)} faults, as {names[0]})." for rule, names in rules.items()]
+
+
+def _comparison(rows: list[dict[str, Any]]) -> list[str]:
+    lines = [
+        "| fault | cases | detected off → on | undetected off → on | unsafe off → on | median ticks |",
+        "|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        ticks = f"{r['median_ticks_off']} → {r['median_ticks_on']}".replace("None", "never")
+        lines.append(
+            f"| {r['what']} | {r['cases']} | {r['detected_off']} → {r['detected_on']} | "
+            f"{r['undetected_off']} → {r['undetected_on']} | {r['unsafe_off']} → {r['unsafe_on']} | {ticks} |"
+        )
+    return lines

@@ -1,0 +1,196 @@
+"""The whole matrix: which cases there are, and their run in parallel processes that may be interrupted."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from bench.config import Configuration
+from bench.faults.case import Instant, Outcome, Workbench, instants_of
+from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
+from bench.swing.profile import Profile
+from sim.compiled import source_digest
+
+_AT_ONCE = 12
+"""Cases of one instant that a process runs before it tells of them."""
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A pair that cannot matter, with the rule that says so."""
+
+    breakage: str
+    signal: str
+    kind: str
+    instant: str
+    phase: str
+    rule: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be run."""
+
+    cases: tuple[tuple[Breakage, Instant], ...]
+    skipped: tuple[Skipped, ...]
+
+
+def plan_matrix(
+    profile: Profile,
+    *,
+    model_check: bool,
+    signals: Sequence[str] = (),
+    phases: Sequence[str] = (),
+    one_instant: bool = False,
+) -> Plan:
+    """Return the cases of `profile`; `signals` (parts of names), `phases`, `one_instant` narrow them."""
+    cases, skipped = [], []
+    instants = instants_of(profile)
+    if one_instant:
+        by_phase: dict[str, list[Instant]] = {}
+        for instant in instants:
+            by_phase.setdefault(instant.phase, []).append(instant)
+        instants = tuple(of_phase[len(of_phase) // 2] for of_phase in by_phase.values())
+    for breakage in CATALOGUE:
+        if signals and not any(part in breakage.name for part in signals):
+            continue
+        for instant in instants:
+            if phases and instant.phase not in phases:
+                continue
+            if rule := irrelevant(breakage, instant.phase, model_check=model_check):
+                f = breakage.fault
+                skipped.append(Skipped(breakage.name, f.signal, f.kind, instant.name, instant.phase, rule))
+            else:
+                cases.append((breakage, instant))
+    return Plan(tuple(cases), tuple(skipped))
+
+
+def digest_of(configuration: Configuration, profile: Profile, model_check: bool) -> str:
+    """Return what results depend on, as a digest: sources, plant, settings, profile."""
+    effective = configuration.effective()
+    parts = {
+        name: effective[name]
+        for name in ("plant", "control", "lifecycle", "homing", "envelope", "estimator", "driver")
+    }
+    text = json.dumps([source_digest(), parts, model_check], sort_keys=True)
+    return hashlib.sha256(text.encode() + profile.angle.tobytes() + profile.valve.tobytes()).hexdigest()[:16]
+
+
+class CaseStore:
+    """Outcomes of one matrix in a file of JSON lines: what stands there is not run again."""
+
+    def __init__(self, path: Path, digest: str) -> None:
+        """Read what is there; a file of another matrix, or a torn last line, is begun anew or cut off."""
+        self.path = path
+        self.outcomes: dict[tuple[str, str], Outcome] = {}
+        lines = path.read_text().splitlines() if path.exists() else []
+        if not lines or _parsed(lines[0]).get("digest") != digest:
+            lines = [json.dumps({"schema": 1, "digest": digest})]
+        kept = lines[:1]
+        for line in lines[1:]:
+            if record := _parsed(line):
+                outcome = outcome_of(record)
+                self.outcomes[outcome.breakage, outcome.instant] = outcome
+                kept.append(line)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("\n".join(kept) + "\n")
+
+    def add(self, outcomes: Sequence[Outcome]) -> None:
+        """Store `outcomes`."""
+        with self.path.open("a") as file:
+            for outcome in outcomes:
+                self.outcomes[outcome.breakage, outcome.instant] = outcome
+                file.write(json.dumps(outcome.as_json()) + "\n")
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def outcome_of(record: dict[str, Any]) -> Outcome:
+    """Return the Outcome that `Outcome.as_json` made."""
+    return Outcome(**{**record, "reasons": tuple(record["reasons"])})
+
+
+def run_matrix(
+    plan: Plan,
+    configuration: Configuration,
+    profile: Profile,
+    store: CaseStore,
+    *,
+    model_check: bool,
+    processes: int = 0,
+    progress: Callable[[int], None] = lambda done: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> list[Outcome]:
+    """Run what `store` does not hold yet, and return the outcomes of all of `plan` in its order.
+
+    In this process with `processes` 1, else in so many, by default one a core. `progress` is told of cases
+    done. Ended early by `stop`, it returns what there is; the rest is run the next time.
+    """
+    left = [(b, i) for b, i in plan.cases if (b.name, i.name) not in store.outcomes]
+    progress(len(plan.cases) - len(left))
+    done = len(plan.cases) - len(left)
+    tasks = list(_tasks(left))
+    if processes == 1 or len(tasks) <= 1:
+        bench = Workbench(configuration, profile, model_check=model_check)
+        for instant, breakages in tasks:
+            if stop():
+                break
+            store.add([bench.run(breakage, instant) for breakage in breakages])
+            done += len(breakages)
+            progress(done)
+    else:
+        count = min(processes or os.cpu_count() or 1, len(tasks))
+        with ProcessPoolExecutor(
+            count, get_context("spawn"), _begin, (configuration, profile, model_check)
+        ) as pool:
+            waiting: set[Future[list[Outcome]]] = set()
+            queue = iter(tasks)
+            while True:
+                while len(waiting) < 2 * count and not stop() and (task := next(queue, None)) is not None:
+                    waiting.add(pool.submit(_run, *task))
+                if not waiting:
+                    break
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    outcomes = future.result()
+                    store.add(outcomes)
+                    done += len(outcomes)
+                    progress(done)
+    keys = [(breakage.name, instant.name) for breakage, instant in plan.cases]
+    return [store.outcomes[key] for key in keys if key in store.outcomes]
+
+
+def _tasks(cases: Sequence[tuple[Breakage, Instant]]) -> Iterator[tuple[Instant, list[Breakage]]]:
+    """Yield the cases instant by instant, a few at a time: a process keeps the undisturbed bench of each."""
+    for instant in dict.fromkeys(instant for _, instant in cases):
+        breakages = [breakage for breakage, at in cases if at == instant]
+        for begin in range(0, len(breakages), _AT_ONCE):
+            yield instant, breakages[begin : begin + _AT_ONCE]
+
+
+_bench: Workbench | None = None
+"""Of a worker process."""
+
+
+def _begin(configuration: Configuration, profile: Profile, model_check: bool) -> None:
+    global _bench  # noqa: PLW0603 - the one place where a pool's worker can keep what it was started with
+    _bench = Workbench(configuration, profile, model_check=model_check)
+
+
+def _run(instant: Instant, breakages: list[Breakage]) -> list[Outcome]:
+    if _bench is None:
+        raise RuntimeError("a worker that was not begun")
+    return [_bench.run(breakage, instant) for breakage in breakages]

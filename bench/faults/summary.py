@@ -1,0 +1,129 @@
+"""What the cases of a matrix come to: by breakage and phase, and the times of the reactions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from bench.faults.case import Outcome
+from bench.faults.matrix import Skipped
+from sim.faults import MEANINGS, sort_of
+
+SCHEMA_VERSION = 1
+VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
+"""In rising order of badness."""
+PHASES = (
+    "standing", "homing", "hold", "backswing", "top", "downswing", "committed", "impact", "follow-through",
+    "return",
+)  # fmt: skip
+
+PROMISED_TICKS = {"encoder off": 5, "switch off": 1, "link off": 5, "loop stall": 1}
+"""Ticks to the reaction that are promised."""
+
+
+def summarise(
+    outcomes: Sequence[Outcome],
+    skipped: Sequence[Skipped],
+    *,
+    model_check: bool,
+    profile: str,
+    seconds: float,
+) -> dict[str, Any]:
+    """Return the matrix in brief, as JSON has it."""
+    rows = []
+    for name in dict.fromkeys([*(o.breakage for o in outcomes), *(s.breakage for s in skipped)]):
+        own, left_out = (
+            [o for o in outcomes if o.breakage == name],
+            [s for s in skipped if s.breakage == name],
+        )
+        first: Any = (own or left_out)[0]
+        rows.append({
+            "breakage": name,
+            "signal": first.signal,
+            "kind": first.kind,
+            "meaning": MEANINGS[sort_of(first.signal)][first.kind],
+            "verdicts": dict(Counter(o.verdict for o in own)),
+            "phases": {phase: _phase(phase, own, left_out) for phase in PHASES},
+            "detected_by": _usual([o.detected_by for o in own]),
+            "reactions": _usual([o.reaction for o in own]),
+            "detection_ticks": sorted(o.detection_ticks for o in own if o.detection_ticks >= 0),
+            "worst_stop": max((o.stop_share for o in own), default=0.0),
+            "worst_pressure": max((o.pressure_share for o in own), default=0.0),
+            "reasons": _reasons(own),
+            "rules": sorted({s.rule for s in left_out}),
+        })  # fmt: skip
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "profile": profile,
+        "model_check": model_check,
+        "cases": len(outcomes),
+        "instants": list(dict.fromkeys(o.instant for o in outcomes)),
+        "left_out_by_rule": len(skipped),
+        "verdicts": {verdict: sum(o.verdict == verdict for o in outcomes) for verdict in VERDICTS[1:]},
+        "seconds": round(seconds, 1),
+        "reaction_ticks": reaction_ticks(outcomes),
+        "rows": rows,
+    }
+
+
+def _usual(texts: list[str]) -> list[str]:
+    """Return the three most frequent of `texts`."""
+    return [text for text, _ in Counter(filter(None, texts)).most_common(3)]
+
+
+def _phase(phase: str, own: Sequence[Outcome], skipped: Sequence[Skipped]) -> dict[str, Any]:
+    here = [o for o in own if o.phase == phase]
+    if not here:
+        rule = next((s.rule for s in skipped if s.phase == phase), "")
+        return {"verdict": "irrelevant", "rule": rule} if rule else {}
+    worst = max(here, key=lambda o: VERDICTS.index(o.verdict))
+    return {"verdict": worst.verdict, "reason": "; ".join(worst.reasons), "detected_by": worst.detected_by}
+
+
+def _reasons(own: Sequence[Outcome]) -> list[str]:
+    """Return each sort of bad end once, the worst first."""
+    bad = sorted((o for o in own if o.reasons), key=lambda o: -VERDICTS.index(o.verdict))
+    return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}" for o in bad))
+
+
+def reaction_ticks(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
+    """Return least, median and greatest ticks to the reaction by sort of fault, where it is detected."""
+    groups: dict[str, list[int]] = {}
+    for outcome in outcomes:
+        ticks = outcome.detection_ticks if outcome.reaction_ticks < 0 else outcome.reaction_ticks
+        if outcome.detected_by and ticks >= 0 and ", then" not in outcome.breakage:
+            groups.setdefault(f"{sort_of(outcome.signal)} {outcome.kind}", []).append(ticks)
+    return {
+        name: {
+            "cases": len(ticks), "least": min(ticks), "median": sorted(ticks)[len(ticks) // 2],
+            "greatest": max(ticks),
+        }
+        for name, ticks in sorted(groups.items())
+    }  # fmt: skip
+
+
+def compare(with_check: Sequence[Outcome], without: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Return what the model-based check makes of the cases that were run with it and without."""
+    before = {(o.breakage, o.instant): o for o in without}
+    pairs = [(o, before[o.breakage, o.instant]) for o in with_check if (o.breakage, o.instant) in before]
+    rows = []
+    for key in dict.fromkeys((sort_of(o.signal), o.kind) for o, _ in pairs):
+        own = [(a, b) for a, b in pairs if (sort_of(a.signal), a.kind) == key]
+        rows.append({
+            "what": " ".join(key),
+            "cases": len(own),
+            "detected_off": sum(bool(b.detected_by) for _, b in own),
+            "detected_on": sum(bool(a.detected_by) for a, _ in own),
+            "undetected_off": sum(b.verdict == "undetected" for _, b in own),
+            "undetected_on": sum(a.verdict == "undetected" for a, _ in own),
+            "unsafe_off": sum(b.verdict == "unsafe" for _, b in own),
+            "unsafe_on": sum(a.verdict == "unsafe" for a, _ in own),
+            "median_ticks_off": _median([b.detection_ticks for _, b in own if b.detected_by]),
+            "median_ticks_on": _median([a.detection_ticks for a, _ in own if a.detected_by]),
+        })  # fmt: skip
+    return rows
+
+
+def _median(ticks: list[int]) -> int | None:
+    return sorted(ticks)[len(ticks) // 2] if ticks else None

@@ -1,0 +1,639 @@
+"""Faults of signals and parts as data: what breaks, how, and from when on.
+
+One vocabulary for everything between plant and bench, and for parts of the plant itself. `Fault` says it,
+`new_faults` turns it into records, and compiled pure functions apply them, tick by tick: `notice_onsets`,
+`deliver_readings`, `told_time`, `deliver_command`, `break_parts`, in this order around `sense`, the bench's
+step and `advance`. Without faults none of them is called. The same seed gives the same faults, bit for bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isfinite, isnan, nan, pi
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from drivers.base import CHAMBERS, COMMAND, JOINTS, READINGS
+from sim.compiled import compiled, new_record
+from sim.plant import Plant
+from sim.ranges import Range
+from sim.sensors import sense
+
+Kind = Literal[
+    "off", "stuck", "garbage", "offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking"
+]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+SIGNALS = (
+    *(f"{joint} encoder" for joint in JOINTS),
+    *(f"{joint} valve" for joint in JOINTS),
+    "supply", "vents", "emergency stop", "guard closed", "guard locked", "local reset", "ball sensor", "tee",
+    "supply sensor",
+    *(f"{chamber} sensor" for chamber in CHAMBERS),
+    "club head", "link", "clock", "loop", "supervisor", "recorder", "lease", "launch monitor",
+)  # fmt: skip
+"""Signals and parts that can break."""
+
+PHASES = (
+    "standing", "homing", "hold", "backswing", "top", "downswing", "committed", "impact", "follow_through",
+    "return",
+)  # fmt: skip
+"""Names of the phases for onsets, by number; a test holds them equal to the bench's."""
+
+_ANALOGUE: tuple[Kind, ...] = (
+    "off", "stuck", "garbage", "offset", "scale", "slow", "delayed", "intermittent", "drifting",
+)  # fmt: skip
+_SWITCH: tuple[Kind, ...] = ("off", "stuck", "garbage", "delayed", "intermittent")
+
+MEANINGS: dict[str, dict[Kind, str]] = {
+    "encoder": {
+        "off": "no valid reading",
+        "stuck": "the count stands still, its time goes on",
+        "garbage": "any count",
+        "offset": "`value` rad too much",
+        "scale": "from here on `value` times the true way",
+        "slow": "follows with a time constant of `value` s",
+        "delayed": "`value` s late, its time stamp a lie",
+        "intermittent": "no valid reading in the share `value` of ticks",
+        "drifting": "`value` rad/s away from the truth",
+    },
+    "valve": {
+        "off": "without energy: the spring centres the spool",
+        "stuck": "the spool stays at `value`, or where it stands",
+        "garbage": "any opening, anew in each tick",
+        "offset": "opens by `value` too much",
+        "scale": "opens `value` times as far",
+        "slow": "follows with a time constant of `value` s",
+        "delayed": "follows `value` s late",
+        "intermittent": "centred in the share `value` of ticks",
+        "drifting": "opens by `value` a second too much",
+        "leaking": "its closed edges leak the share `value` of the full opening",
+    },
+    "supply": {
+        "off": "nothing comes from upstream",
+        "stuck": "the soft-start valve stays open (`value` 1) or shut (0)",
+        "scale": "regulates to `value` times its pressure",
+        "drifting": "its pressure changes by `value` Pa/s",
+        "delayed": "the soft-start valve obeys `value` s late",
+        "intermittent": "shut in the share `value` of ticks",
+    },
+    "vents": {
+        "off": "without energy: they open after their delay",
+        "stuck": "stay shut (`value` 1) or open (0)",
+    },
+    "switch": {
+        "off": "reads as without energy",
+        "stuck": "stays as it is, or at `value` (1 or 0)",
+        "garbage": "on or off at random",
+        "delayed": "`value` s late",
+        "intermittent": "off in the share `value` of ticks",
+    },
+    "tee": {"off": "no ball rises"},
+    "pressure": {
+        "off": "no reading",
+        "stuck": "stays where it is",
+        "garbage": "anything up to twice the supply",
+        "offset": "`value` Pa too much",
+        "scale": "`value` times the truth",
+        "slow": "follows with a time constant of `value` s",
+        "delayed": "`value` s late",
+        "intermittent": "no reading in the share `value` of ticks",
+        "drifting": "`value` Pa/s away from the truth",
+    },
+    "club head": {"off": "comes off"},
+    "link": {
+        "off": "nothing passes",
+        "stuck": "inputs stand still with their time stamps, outputs pass",
+        "delayed": "everything passes `value` s late",
+        "intermittent": "nothing passes in the share `value` of ticks",
+    },
+    "clock": {
+        "off": "gives no number",
+        "stuck": "stands still",
+        "offset": "jumps by `value` s",
+        "scale": "runs `value` times as fast",
+        "garbage": "jumps by up to 20 ms either way in each tick",
+    },
+    "loop": {
+        "off": "never decides again",
+        "delayed": "stands still for `value` s",
+        "intermittent": "misses the share `value` of ticks",
+    },
+    "process": {"off": "is gone"},
+    "launch monitor": {
+        "off": "tells nothing",
+        "stuck": "tells the last shot again",
+        "garbage": "tells nonsense",
+        "offset": "speeds `value` m/s too high",
+        "scale": "speeds `value` times the truth",
+        "delayed": "tells `value` s late",
+        "intermittent": "misses the share `value` of shots",
+    },
+}
+"""What each kind means, by sort of signal; a pair that is not here has no meaning."""
+
+_SORTS = dict.fromkeys(
+    ("emergency stop", "guard closed", "guard locked", "local reset", "ball sensor"), "switch"
+) | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
+
+
+def sort_of(signal: str) -> str:
+    """Return the sort of `signal`, a key of MEANINGS."""
+    if signal.endswith(" encoder"):
+        return "encoder"
+    if signal.endswith(" valve"):
+        return "valve"
+    if signal != "ball sensor" and signal.endswith(" sensor"):
+        return "pressure"
+    return _SORTS.get(signal, signal)
+
+
+LONGEST_DELAY = 63
+"""Ticks."""
+_NEEDS_VALUE = frozenset({"offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking"})
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that breaks. Its onset: when all that is given has come true, and `after` has passed."""
+
+    name: str
+    signal: str
+    """One of SIGNALS."""
+    kind: Kind
+    value: float = field(default=nan, metadata={"optional": True})
+    """What `MEANINGS` says of it; NaN for "where it stands"."""
+    time: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
+    """Since the plant's start."""
+    phase: str = field(default="any", metadata={"optional": True})
+    """One of PHASES; known in lock-step and to a plant in step with the loop."""
+    joint: Literal["none", "shoulder", "arm", "wrist"] = field(default="none", metadata={"optional": True})
+    angle: Annotated[float, Range(-7.0, 7.0, "rad")] = field(default=0.0, metadata={"optional": True})
+    """Which `joint` passes, either way."""
+    after: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
+    duration: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
+    """0: to the end."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError when there is no such signal or phase, or the fault has no meaning."""
+        if self.signal not in SIGNALS:
+            raise ValueError(f"signal: one of {', '.join(SIGNALS)}")
+        kinds = MEANINGS[sort_of(self.signal)]
+        if self.kind not in kinds:
+            raise ValueError(f"kind: of {self.signal} one of {', '.join(kinds)}")
+        if self.phase not in ("any", *PHASES):
+            raise ValueError(f"phase: any, or one of {', '.join(PHASES)}")
+        if self.kind in _NEEDS_VALUE and not isfinite(self.value):
+            raise ValueError(f"value: a number, as {self.signal} {kinds[self.kind]}")
+        if self.kind == "intermittent" and not 0.0 <= self.value <= 1.0:
+            raise ValueError("value: a share, 0 to 1")
+        if self.kind in ("slow", "delayed") and not self.value >= 0.0:
+            raise ValueError("value: at least 0 s")
+        if self.signal in ("supply", "vents") and self.kind == "stuck" and isnan(self.value):
+            raise ValueError("value: 1 or 0")
+
+    @property
+    def meaning(self) -> str:
+        """What becomes of the signal, in words."""
+        return MEANINGS[sort_of(self.signal)][self.kind]
+
+
+FAULT = np.dtype(
+    [
+        ("signal", "i8"),
+        ("kind", "i8"),
+        ("value", "f8"),
+        ("time", "f8"),
+        ("phase", "i8"),
+        ("joint", "i8"),
+        ("angle", "f8"),
+        ("after", "f8"),
+        ("duration", "f8"),
+    ],
+    align=True,
+)
+
+FAULT_MEMORY = np.dtype(
+    [
+        ("side", "i8"),
+        ("met", "?"),
+        ("met_since", "f8"),
+        ("active", "?"),
+        ("started", "?"),
+        ("over", "?"),
+        ("since", "f8"),
+        ("begun", "?"),
+        ("held", "f8"),
+        ("filtered", "f8"),
+        ("unwrapped", "i8"),
+        ("ring", "f8", (LONGEST_DELAY + 1,)),
+        ("ring_index", "i8"),
+        ("filled", "i8"),
+        ("random", "u8"),
+    ],
+    align=True,
+)
+"""What a fault remembers: on which side of its angle the joint was, since when its conditions are met and it
+acts; whether it has met the signal yet (`begun`), the signal then, filtered, unwrapped and its last values;
+its stream of random numbers."""
+
+DEVICE = np.dtype(
+    [
+        ("elapsed", "f8"),
+        ("watchdog", "f8"),
+        ("silence", "f8"),
+        ("deafness", "f8"),
+        ("passive", "?"),
+        ("heard", "?"),
+        ("link_up", "?"),
+        ("inputs_up", "?"),
+        ("loop_up", "?"),
+        ("delay", "i8"),
+        ("index", "i8"),
+        ("filled", "i8"),
+    ],
+    align=True,
+)
+"""The valve electronics and the link: s since the start; silence (s) after which the device goes passive by
+itself, silence so far, s without inputs; whether it went passive, whether anything of the bench was heard
+yet; what is up in this tick; the link's delay (ticks) and the newest of its `late` records."""
+
+_OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING = range(10)
+_ENCODER, _VALVE = 0, 3
+_SUPPLY, _VENTS, _E_STOP, _GUARD_CLOSED, _GUARD_LOCKED, _LOCAL_RESET, _BALL, _TEE, _SUPPLY_SENSOR = range(
+    6, 15
+)
+_CHAMBER = 15
+_HEAD, _LINK, _CLOCK, _LOOP = 21, 22, 23, 24
+SUPERVISOR, RECORDER, LEASE = 25, 26, 27
+"""Numbers of signals that are the bench's own to apply."""
+
+_INTERLOCKS_LOST = 0.06
+"""s without inputs after which switches read as without energy: three messages of the valve node."""
+_CLOCK_JUMP = 0.02
+
+
+class Faults(NamedTuple):
+    """Faults of one plant and what they remember, as records they change in place."""
+
+    faults: Any
+    memory: Any
+    device: Any
+    healthy_robot: Any
+    healthy_plant: Any
+    sensed: Any
+    sent: Any
+    """The COMMAND that reaches the plant."""
+    late_readings: Any
+    late_commands: Any
+
+
+def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.02, seed: int = 1) -> Faults:
+    """Return `faults` of `plant` at its start; `watchdog` is the device's (s).
+
+    The plant's records of robot and parameters are changed while parts are broken: give it some of its own.
+
+    Raises:
+        ValueError: a delay is longer than is remembered.
+    """
+    made, memory = new_record(FAULT, len(faults)), new_record(FAULT_MEMORY, len(faults))
+    for k, fault in enumerate(faults):
+        if fault.kind == "delayed" and fault.signal != "loop":
+            longest = LONGEST_DELAY * plant.parameters.tick
+            if fault.value > longest:
+                raise ValueError(f"{fault.name}: found a delay of {fault.value:g} s, at most {longest:g} s")
+        made[k] = (
+            SIGNALS.index(fault.signal), KINDS.index(fault.kind), fault.value, fault.time,
+            PHASES.index(fault.phase) if fault.phase != "any" else -1,
+            JOINTS.index(fault.joint) if fault.joint != "none" else -1,
+            fault.angle, fault.after, fault.duration or np.inf,
+        )  # fmt: skip
+        drawn = np.random.SeedSequence([seed, k]).generate_state(1, np.uint64)
+        memory["random"][k] = drawn[0] | np.uint64(1)
+    device = new_record(DEVICE)
+    device["watchdog"], device["elapsed"] = watchdog, -plant.parameters.tick
+    device["link_up"] = device["inputs_up"] = device["loop_up"] = True
+    sent = new_record(COMMAND)
+    sent["guard_lock"] = True
+    late = LONGEST_DELAY + 1
+    return Faults(
+        made, memory, device, plant.robot.copy(), plant.plant.copy(), new_record(READINGS), sent,
+        new_record(READINGS, late), new_record(COMMAND, late),
+    )  # fmt: skip
+
+
+def own_records(plant: Plant) -> Plant:
+    """Return `plant` with records of its own, for parts that may break."""
+    return Plant(plant.parameters, plant.robot.copy(), plant.plant.copy(), plant.impact.copy())
+
+
+@compiled
+def _uniform(m: Any) -> float:
+    """Return the next random number in (0, 1) of the fault's own stream (xorshift64, Marsaglia 2003)."""
+    z = m.random
+    z = z ^ (z << np.uint64(13))
+    z = z ^ (z >> np.uint64(7))
+    z = z ^ (z << np.uint64(17))
+    m.random = z
+    return (float(z >> np.uint64(11)) + 0.5) / 9007199254740992.0
+
+
+@compiled
+def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
+    """Begin a tick: see which faults act in it, in the bench's `phase` (-1: not known), on PLANT_STATE."""
+    d, s = faults.device[0], state[0]
+    d.elapsed += plant[0].tick
+    now = d.elapsed + 1e-9
+    d.link_up = d.inputs_up = d.loop_up = True
+    d.delay = 0
+    for k in range(len(faults.faults)):
+        f, m = faults.faults[k], faults.memory[k]
+        passed = f.joint < 0
+        if f.joint >= 0:
+            side = 1 if s.angle[f.joint] >= f.angle else -1
+            passed = m.side not in (0, side)
+            m.side = side
+        if not m.met and now >= f.time and (f.phase < 0 or f.phase == phase) and passed:
+            m.met, m.met_since = True, now
+        m.active = m.met and not m.over and now >= m.met_since + f.after
+        if m.active and not m.started:
+            m.started, m.since = True, now
+        if m.active and now >= m.since + f.duration:
+            m.active, m.over = False, True
+        if f.signal == _LINK and m.active:
+            if f.kind == _OFF or (f.kind == _INTERMITTENT and _uniform(m) < f.value):
+                d.link_up = d.inputs_up = False
+            elif f.kind == _STUCK:
+                d.inputs_up = False
+            elif f.kind == _DELAYED:
+                d.delay = int(f.value / plant[0].tick + 0.5)
+        elif f.signal == _LOOP and m.active:
+            if f.kind == _OFF or (f.kind == _DELAYED and now < m.since + f.value):
+                d.loop_up = False
+            elif f.kind == _INTERMITTENT and _uniform(m) < f.value:
+                d.loop_up = False
+
+
+@compiled
+def is_broken(faults: Faults, signal: int) -> int:
+    """Return 1 when a fault of `signal` acts now, 0 when one does not act, -1 when there is none."""
+    found = -1
+    for k in range(len(faults.faults)):
+        if faults.faults[k].signal == signal:
+            found = max(found, 1 if faults.memory[k].active else 0)
+    return found
+
+
+@compiled
+def _wrong(
+    f: Any, m: Any, true: float, low: float, high: float, about_onset: bool, now: float, tick: float
+) -> float:
+    """Return what becomes of the analogue value `true`; called in each tick, as the past counts.
+
+    Garbage lies between `low` and `high`. A scale counts from the value at the onset, or from zero.
+    """
+    m.ring_index = (m.ring_index + 1) % (LONGEST_DELAY + 1)
+    m.ring[m.ring_index] = true
+    m.filled = min(m.filled + 1, LONGEST_DELAY + 1)
+    if not m.active:
+        return true
+    if not m.begun:
+        m.begun, m.held, m.filtered = True, true, true
+    if f.kind == _STUCK:
+        held: float = m.held if np.isnan(f.value) else f.value
+        return held
+    if f.kind == _GARBAGE:
+        anything: float = low + (high - low) * _uniform(m)
+        return anything
+    if f.kind == _OFFSET:
+        off: float = true + f.value
+        return off
+    if f.kind == _SCALE:
+        about = m.held if about_onset else 0.0
+        scaled: float = about + f.value * (true - about)
+        return scaled
+    if f.kind == _SLOW:
+        m.filtered += (true - m.filtered) * tick / (f.value + tick)
+        filtered: float = m.filtered
+        return filtered
+    if f.kind == _DELAYED:
+        back = min(int(f.value / tick + 0.5), m.filled - 1)
+        late: float = m.ring[(m.ring_index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)]
+        return late
+    if f.kind == _DRIFTING:
+        drifted: float = true + f.value * (now - m.since)
+        return drifted
+    return true
+
+
+@compiled
+def _is_out(f: Any, m: Any) -> bool:
+    """Tell whether the signal gives nothing in this tick."""
+    return bool(m.active and (f.kind == _OFF or (f.kind == _INTERMITTENT and _uniform(m) < f.value)))
+
+
+@compiled
+def _switched(f: Any, m: Any, true: bool, now: float, tick: float) -> bool:
+    """Return what becomes of a switch."""
+    out = _is_out(f, m)
+    wrong = _wrong(f, m, 1.0 if true else 0.0, 0.0, 1.0, False, now, tick)
+    return bool(wrong > 0.5 and not out)
+
+
+@compiled
+def _spoil_encoder(f: Any, m: Any, p: Any, out: Any, i: int, now: float) -> None:
+    """Spoil encoder `i`."""
+    span = p.encoder_counts
+    if m.filled == 0:
+        m.unwrapped = out.encoder_count[i]
+    m.unwrapped += (out.encoder_count[i] - m.unwrapped + span // 2) % span - span // 2
+    per_radian = span / (2.0 * pi)
+    if f.kind in (_OFFSET, _DRIFTING):
+        # In rad of the joint, whichever way the encoder counts.
+        turned = _wrong(f, m, m.unwrapped / p.encoder_scale[i], 0.0, 0.0, True, now, p.tick)
+        count = int(np.floor(turned * p.encoder_scale[i] + 0.5))
+    else:
+        wrong = _wrong(f, m, float(m.unwrapped), 0.0, float(span), True, now, p.tick)
+        count = int(np.floor(wrong + 0.5))
+    if m.active:
+        out.encoder_count[i] = count % span
+    if _is_out(f, m) or per_radian <= 0.0:
+        out.encoder_valid[i] = 0
+
+
+@compiled
+def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
+    """Spoil the READINGS record `out` as the sensors' faults have it."""
+    p, now, r = plant[0], faults.device[0].elapsed, out[0]
+    for k in range(len(faults.faults)):
+        f, m = faults.faults[k], faults.memory[k]
+        if f.signal < _VALVE:
+            _spoil_encoder(f, m, p, r, f.signal, now)
+        elif f.signal == _E_STOP:
+            r.emergency_stop_clear = _switched(f, m, r.emergency_stop_clear, now, p.tick)
+        elif f.signal == _GUARD_CLOSED:
+            r.guard_closed = _switched(f, m, r.guard_closed, now, p.tick)
+        elif f.signal == _GUARD_LOCKED:
+            r.guard_locked = _switched(f, m, r.guard_locked, now, p.tick)
+        elif f.signal == _LOCAL_RESET:
+            r.local_reset = _switched(f, m, r.local_reset, now, p.tick)
+        elif f.signal == _BALL:
+            r.ball_present = _switched(f, m, r.ball_present, now, p.tick)
+        elif f.signal == _SUPPLY_SENSOR:
+            wrong = _wrong(f, m, r.supply_pressure, 0.0, 2.0 * p.regulated, False, now, p.tick)
+            r.supply_pressure = np.nan if _is_out(f, m) else wrong
+        elif _CHAMBER <= f.signal < _CHAMBER + 6:
+            i = f.signal - _CHAMBER
+            wrong = _wrong(f, m, r.chamber_pressure[i], 0.0, 2.0 * p.regulated, False, now, p.tick)
+            r.chamber_pressure[i] = np.nan if _is_out(f, m) else wrong
+
+
+@compiled
+def _copy_readings(source: Any, target: Any) -> None:
+    """Copy one READINGS record into another."""
+    a, b = source, target
+    b.time = a.time
+    for i in range(3):
+        b.encoder_count[i], b.encoder_time[i] = a.encoder_count[i], a.encoder_time[i]
+        b.encoder_valid[i], b.encoder_age[i] = a.encoder_valid[i], a.encoder_age[i]
+        b.encoder_indexed[i] = a.encoder_indexed[i]
+    b.emergency_stop_clear, b.guard_closed, b.guard_locked = (
+        a.emergency_stop_clear, a.guard_closed, a.guard_locked,
+    )  # fmt: skip
+    b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
+    for i in range(6):
+        b.chamber_pressure[i] = a.chamber_pressure[i]
+
+
+@compiled
+def _copy_command(source: Any, target: Any) -> None:
+    """Copy one COMMAND record into another."""
+    a, b = source, target
+    for i in range(3):
+        b.valve[i] = a.valve[i]
+    b.supply_enable, b.exhaust_closed, b.guard_lock, b.beacon, b.tee = (
+        a.supply_enable, a.exhaust_closed, a.guard_lock, a.beacon, a.tee,
+    )  # fmt: skip
+
+
+@compiled
+def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> None:
+    """Sense PLANT_STATE `state`, spoil it, and bring it over the link into the bench's `readings`.
+
+    Inputs that do not come leave what was there, with its time stamps; after a while switches read off.
+    """
+    d = faults.device[0]
+    sense(plant, state, faults.sensed)
+    spoil_readings(faults, plant, faults.sensed)
+    d.index = (d.index + 1) % (LONGEST_DELAY + 1)
+    d.filled = min(d.filled + 1, LONGEST_DELAY + 1)
+    _copy_readings(faults.sensed[0], faults.late_readings[d.index])
+    if d.inputs_up:
+        back = min(d.delay, d.filled - 1)
+        _copy_readings(
+            faults.late_readings[(d.index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)], readings[0]
+        )
+        d.deafness = 0.0
+    else:
+        d.deafness += plant[0].tick
+        if d.deafness >= _INTERLOCKS_LOST:
+            r = readings[0]
+            r.emergency_stop_clear = r.guard_closed = r.guard_locked = r.local_reset = r.ball_present = False
+
+
+@compiled
+def told_time(faults: Faults, time: float) -> float:
+    """Return what the clock tells at `time` (s)."""
+    told = time
+    for k in range(len(faults.faults)):
+        f, m = faults.faults[k], faults.memory[k]
+        if f.signal == _CLOCK and m.active:
+            wrong = _wrong(f, m, time, time - _CLOCK_JUMP, time + _CLOCK_JUMP, True, time, 1e-3)
+            told = np.nan if f.kind == _OFF else wrong
+    return told
+
+
+@compiled
+def _make_passive(c: Any) -> None:
+    for i in range(3):
+        c.valve[i] = 0.0
+    c.supply_enable = c.exhaust_closed = c.beacon = c.tee = False
+    c.guard_lock = True
+
+
+@compiled
+def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> None:
+    """Bring the bench's `command` (COMMAND; `spoken` in this tick) to the device and its valves, into `sent`.
+
+    Without a command for the watchdog's time the device goes passive, and stays so: see `revive`.
+    """
+    d, sent, p = faults.device[0], faults.sent[0], plant[0]
+    arrives = spoken and d.link_up
+    _copy_command(command[0], faults.late_commands[d.index])
+    if d.passive:
+        _make_passive(sent)
+    elif arrives:
+        d.heard, d.silence = True, 0.0
+        back = min(d.delay, max(d.filled - 1, 0))
+        _copy_command(faults.late_commands[(d.index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)], sent)
+    elif d.heard:
+        d.silence += p.tick
+        if d.silence >= d.watchdog - 1e-9:
+            d.passive = True
+            _make_passive(sent)
+    for k in range(len(faults.faults)):
+        f, m = faults.faults[k], faults.memory[k]
+        if _VALVE <= f.signal < _SUPPLY:
+            i = f.signal - _VALVE
+            wrong = _wrong(f, m, sent.valve[i], -1.0, 1.0, False, d.elapsed, p.tick)
+            sent.valve[i] = 0.0 if _is_out(f, m) else min(max(wrong, -1.0), 1.0)
+        elif f.signal == _SUPPLY and f.kind not in (_OFF, _SCALE, _DRIFTING):
+            sent.supply_enable = _switched(f, m, sent.supply_enable, d.elapsed, p.tick)
+        elif f.signal == _VENTS:
+            sent.exhaust_closed = _switched(f, m, sent.exhaust_closed, d.elapsed, p.tick)
+        elif f.signal == _TEE:
+            sent.tee = sent.tee and not m.active
+
+
+@compiled
+def revive(faults: Faults) -> None:
+    """Set a device that went passive by itself to work again, as a reset of the bench does."""
+    d = faults.device[0]
+    d.passive, d.heard, d.silence = False, False, 0.0
+
+
+@compiled
+def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
+    """Change the plant's records (in place) as the faults of its parts have it."""
+    r, p, s, h = robot[0], plant[0], state[0], faults.healthy_plant[0]
+    for k in range(len(faults.faults)):
+        f, m = faults.faults[k], faults.memory[k]
+        if f.kind == _LEAKING:
+            i = f.signal - _VALVE
+            p.leakage[i] = f.value if m.active else h.leakage[i]
+        elif f.signal == _SUPPLY and f.kind == _OFF:
+            p.regulated = h.atmosphere if m.active else h.regulated
+        elif f.signal == _SUPPLY and f.kind == _SCALE:
+            p.regulated = f.value * h.regulated if m.active else h.regulated
+        elif f.signal == _SUPPLY and f.kind == _DRIFTING:
+            change = f.value * (faults.device[0].elapsed - m.since) if m.active else 0.0
+            p.regulated = max(h.regulated + change, h.atmosphere)
+        elif f.signal == _HEAD and m.active and not m.begun:
+            m.begun = True
+            _take_head(r, p, faults.healthy_robot[0])
+        if f.signal == _HEAD and m.active:
+            s.ball_present = False  # nothing is left to meet it
+
+
+@compiled
+def _take_head(r: Any, p: Any, h: Any) -> None:
+    """Take the head's point mass off the club (body C), or off the flexible shaft's end."""
+    if p.flexible:
+        p.head_mass, p.head_stiffness, p.head_damping = 1e-6, 1e-6 * p.head_stiffness / p.head_mass, 0.0
+        return
+    mass = h.mass_c - p.head_mass
+    centre = (h.mass_c * h.com_c - p.head_mass * p.head_distance) / mass
+    # Steiner, to the wrist and from it.
+    about_wrist = h.inertia_c + h.mass_c * h.com_c * h.com_c - p.head_mass * p.head_distance * p.head_distance
+    r.mass_c, r.com_c, r.inertia_c = mass, centre, about_wrist - mass * centre * centre

@@ -1,0 +1,227 @@
+"""The model-based check: the observer follows the plant, and each comparison fails at its limit only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+import bench.swing
+from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.model import MODEL_LIMITS, MODEL_STATE, model_cause, observe
+from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
+from bench.control.step import SWING
+from bench.lifecycle import Cause, Phase
+from bench.lockstep import Lockstep
+from bench.swing.profile import load_profile
+from drivers.base import READINGS
+from sim.compiled import new_record
+from sim.plant import PlantParameters, build_plant
+from sim.robot import RobotParameters
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+PLANT = build_plant(PlantParameters()).plant
+ROBOT = RobotParameters().record
+SPEEDS = np.zeros(3)
+
+
+def limits() -> np.ndarray[Any, Any]:
+    made = new_record(MODEL_LIMITS)
+    made["check"] = True
+    for k, name in enumerate(("air", "velocity", "jump", "effort"), 1):
+        made[name] = 10.0 * k
+    return made
+
+
+def settled() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    model, estimator = new_record(MODEL_STATE), new_record(ESTIMATOR_STATE)
+    model["settled"] = 0.05
+    return model, estimator
+
+
+def judged(model: Any, estimator: Any, reference: Any = SPEEDS, phase: Phase = Phase.TOP) -> Cause:
+    return Cause(model_cause(limits(), model[0], estimator, np.asarray(reference, float), int(phase)))
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("side", range(2))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_air_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+    model, estimator = settled()
+    model["residual"][0, 2 * joint + side] = sign * 10.0
+    assert judged(model, estimator) is Cause.NONE
+    model["residual"][0, 2 * joint + side] = sign * 10.0001
+    assert judged(model, estimator) is Cause[f"{('SHOULDER', 'ARM', 'WRIST')[joint]}_AIR"]
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("record", "field", "limit", "cause"),
+    [(1, "velocity", 20.0, "VELOCITY"), (1, "innovation", 30.0, "JUMP"), (0, "effort", 40.0, "EFFORT")],
+)
+def test_the_others_fail_above_their_limits(
+    joint: int, sign: float, record: int, field: str, limit: float, cause: str
+) -> None:
+    state = settled()
+    state[record][field][0, joint] = sign * limit
+    assert judged(*state) is Cause.NONE
+    state[record][field][0, joint] = sign * (limit + 1e-6)
+    assert judged(*state) is Cause[f"{('SHOULDER', 'ARM', 'WRIST')[joint]}_{cause}"]
+
+
+def test_velocity_counts_from_its_reference() -> None:
+    model, estimator = settled()
+    estimator["velocity"][0, 1] = 50.0
+    assert judged(model, estimator, (0.0, 45.0, 0.0)) is Cause.NONE
+    assert judged(model, estimator, (0.0, 29.0, 0.0)) is Cause.ARM_VELOCITY
+
+
+def test_what_is_not_had_fails_nothing() -> None:
+    model, estimator = settled()
+    model["residual"] = model["effort"] = np.nan
+    assert judged(model, estimator) is Cause.NONE
+
+
+def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
+    model, estimator = settled()
+    estimator["innovation"] = 1e3
+    assert judged(model, estimator) is Cause.SHOULDER_JUMP
+    model["settled"] = 0.049
+    assert judged(model, estimator) is Cause.NONE
+    model["settled"] = 1.0
+    off = limits()
+    off["check"] = False
+    assert model_cause(off, model[0], estimator, SPEEDS, int(Phase.TOP)) == 0
+
+
+def test_limits_are_those_of_the_phase() -> None:
+    built = limits()
+    built["jump"][0, Phase.HOLD] = 0.5
+    model, estimator = settled()
+    estimator["innovation"] = 1.0
+    assert model_cause(built, model[0], estimator, SPEEDS, int(Phase.HOLD)) == Cause.SHOULDER_JUMP
+    assert model_cause(built, model[0], estimator, SPEEDS, int(Phase.TOP)) == 0
+
+
+def still() -> tuple[Any, Any, Any]:
+    model, estimator, readings = new_record(MODEL_STATE), new_record(ESTIMATOR_STATE), new_record(READINGS)
+    estimator["angle"] = (0.3, 4.4, 6.0)
+    readings["chamber_pressure"], readings["supply_pressure"] = 4.5e5, 8e5
+    model["exhaust_closed"] = True
+    return model, estimator, readings
+
+
+def watch(
+    model: Any, estimator: Any, readings: Any, ticks: int, step: float = 1e-3, valve: float = 0.0
+) -> None:
+    for _ in range(ticks):
+        observe(model[0], ROBOT, PLANT, estimator, readings, np.array([valve, 0.0, 0.0]), step)
+
+
+def test_it_settles_and_begins_anew_after_a_stall() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 51)
+    assert model["settled"][0] == pytest.approx(0.05)
+    watch(model, estimator, readings, 1, step=0.005)
+    assert model["settled"][0] == 0.0
+
+
+def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
+    model, estimator, readings = still()
+    readings["chamber_pressure"][0, 2] = np.nan
+    watch(model, estimator, readings, 5)
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1)
+    assert np.isnan(model["residual"][0, 2:4]).all()
+    assert model["residual"][0, [0, 1, 4, 5]] == pytest.approx(1e5, rel=0.05)
+
+
+def test_without_the_supplys_pressure_no_air_is_compared() -> None:
+    model, estimator, readings = still()
+    readings["supply_pressure"] = np.nan
+    watch(model, estimator, readings, 5)
+    assert np.isnan(model["residual"]).all()
+
+
+def test_a_valve_that_is_told_to_open_fills_its_chamber_in_the_model() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    watch(model, estimator, readings, 8, valve=1.0)
+    readings["chamber_pressure"] += 1.0  # sensors that tell something new
+    watch(model, estimator, readings, 1, valve=1.0)
+    assert model["residual"][0, 0] < -3e4
+    assert abs(model["residual"][0, 4]) < 2e3
+
+
+def test_what_is_measured_is_taken_over() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    for k in range(60):
+        readings["chamber_pressure"][0, 1] = 5e5 + k % 2
+        watch(model, estimator, readings, 1)
+    assert abs(model["residual"][0, 1]) < 2e3
+
+
+@needs_speed
+def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+    envelope = EnvelopeSettings(model=ModelSettings(check="always"))
+    parameters = build_controller(PlantParameters(), profile, envelope=envelope)
+    bench_ = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
+    assert bench_.arm()
+    bench_.state.control["tee"] = True
+    bench_.advance(300)
+    worst, request = 0.0, SWING
+    for _ in range(len(profile.angle) // 5):
+        bench_.advance(5, request)
+        request = 0
+        phase = int(bench_.state.control["phase"][0])
+        model, limit = bench_.state.model[0], parameters.model[0]
+        air = np.abs(model["residual"]).reshape(3, 2).max(axis=1) / limit["air"][phase]
+        worst = max(
+            worst, float(np.nanmax(air)), float(np.nanmax(np.abs(model["effort"]) / limit["effort"][phase]))
+        )
+    assert bench_.state.control["cause"][0] == 0
+    assert worst < 0.8
+
+
+@needs_speed
+def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+
+    def record(check: Any) -> bytes:
+        envelope = EnvelopeSettings(model=ModelSettings(check=check))
+        parameters = build_controller(PlantParameters(), profile, envelope=envelope)
+        stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
+        assert stepper.arm()
+        return stepper.advance(2000, SWING).tobytes()
+
+    assert record("off") == record("always")
+
+
+@needs_speed
+def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+    random = np.random.default_rng(1)
+    one, two = new_record(MODEL_STATE), new_record(MODEL_STATE).view(np.recarray)
+    robot, plant = ROBOT.view(np.recarray), PLANT.view(np.recarray)
+    slow = plain(observe)
+    for _ in range(100):
+        estimator, readings = new_record(ESTIMATOR_STATE), new_record(READINGS)
+        estimator["angle"] = np.array([0.3, 4.4, 6.0]) + 0.05 * random.normal(size=3)
+        estimator["velocity"], estimator["acceleration"] = random.normal(size=(2, 3)) * [[5.0], [50.0]]
+        readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
+        readings["supply_pressure"] = 8e5
+        applied = random.uniform(-1.0, 1.0, 3)
+        observe(one[0], ROBOT, PLANT, estimator, readings, applied, 1e-3)
+        slow(two[0], robot, plant, estimator.view(np.recarray), readings.view(np.recarray), applied, 1e-3)
+    for name in MODEL_STATE.names or ():
+        np.testing.assert_allclose(
+            np.asarray(one[name], float), np.asarray(two[name], float), rtol=1e-9, atol=1e-9
+        )

@@ -1,0 +1,86 @@
+"""The `sim` driver with faults in the Python cycle, and the lock-step bench with the same: the same bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import bench.swing
+from bench.clock import FreeClock
+from bench.control.settings import build_controller
+from bench.control.step import ARM, SWING
+from bench.lifecycle import Cause, Phase
+from bench.lockstep import Lockstep
+from bench.loop import Cycle, CycleArray
+from bench.swing.profile import load_profile
+from sim.driver import SimDriver, hanging_pose
+from sim.faults import Fault
+from sim.plant import PlantParameters, build_plant
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+SWING_AT = 6000
+FAULTS = {
+    "signals": (
+        Fault("late", "wrist encoder", "delayed", 0.002, time=3.0, duration=0.5),
+        Fault("noise", "arm encoder", "intermittent", 0.1, phase="backswing"),
+        Fault("sagging", "supply", "scale", 0.9, time=5.0),
+        Fault("leak", "arm valve", "leaking", 0.01, joint="shoulder", angle=-1.0),
+    ),
+    "a valve that sticks": (Fault("stuck", "shoulder valve", "stuck", 1.0, phase="top"),),
+    "nothing yet": (Fault("later", "link", "off", time=1000.0),),
+}
+
+
+class Follower:
+    """Tells the driver the phase before each tick, as the loop's process does."""
+
+    def __init__(self, cycle: Cycle, driver: SimDriver, clock: FreeClock) -> None:
+        self.cycle, self.driver, self.clock = cycle, driver, clock
+
+    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
+        kept = CycleArray(ticks)
+        self.cycle.publish = kept
+        if request:
+            self.cycle.request(request)
+        for _ in range(ticks):
+            self.driver.phase = int(self.cycle.state.control["phase"][0])
+            self.cycle.run_tick(self.clock.wait())
+        return kept.cycles
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+    parameters = PlantParameters()
+    start = hanging_pose(parameters)
+    lockstep = Lockstep(build_plant(parameters), build_controller(parameters, profile), start, FAULTS[name])
+    driver = SimDriver(parameters, start, faults=FAULTS[name])
+    driver.open()
+    cycle = Cycle(
+        driver, build_controller(parameters, profile), lambda _: None, name="sim",
+        note_truth=driver.note_truth,
+    )  # fmt: skip
+    python = Follower(cycle, driver, FreeClock(parameters.tick))
+    for request, ticks in ((0, 10), (ARM, SWING_AT), (SWING, 1500)):
+        ours, theirs = lockstep.advance(ticks, request), python.advance(ticks, request)
+        assert ours.tobytes() == theirs.tobytes()
+    cause = Cause(int(lockstep.state.control["cause"][0]))
+    assert (cause is Cause.NONE) is (name != "a valve that sticks")
+
+
+def test_a_bench_with_a_fault_that_has_not_come_is_bit_equal_to_a_healthy_one() -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+    parameters = PlantParameters()
+    healthy = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
+    assert healthy.arm()
+    faulty = healthy.copy()
+    faulty.break_with(FAULTS["nothing yet"])
+    ours, theirs = healthy.advance(3000, SWING), faulty.advance(3000, SWING)
+    assert ours.tobytes() == theirs.tobytes()
+    assert Phase(int(healthy.state.control["phase"][0])) is Phase.RETURN

@@ -1,0 +1,217 @@
+"""A part of the matrix, deterministic and quick; `make faults` runs all of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import pytest
+from typer.testing import CliRunner
+
+import bench.faults.matrix
+from bench.config import load_configuration, shipped_configuration
+from bench.faults.case import Instant, Outcome, Workbench, instants_of
+from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
+from bench.faults.commands import app
+from bench.faults.hazards import hazard_table
+from bench.faults.matrix import CaseStore, Plan, digest_of, plan_matrix, run_matrix
+from bench.faults.show import matrix_page, matrix_table
+from bench.faults.summary import PHASES, compare, summarise
+from bench.session import Session
+from bench.swing.profile import Profile
+from sim.faults import KINDS, SIGNALS, sort_of
+
+ROOT = Path(__file__).parents[2]
+BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
+)
+
+
+def instant(profile: Profile, name: str) -> Instant:
+    return next(instant for instant in instants_of(profile) if instant.name == name)
+
+
+def test_every_signal_and_every_kind_is_broken_somewhere() -> None:
+    assert {breakage.fault.signal for breakage in CATALOGUE} == set(SIGNALS)
+    assert {breakage.fault.kind for breakage in CATALOGUE} == set(KINDS)
+    assert len(BREAKAGE) == len(CATALOGUE)
+
+
+def test_there_is_an_instant_in_every_phase(profile: Profile) -> None:
+    instants = instants_of(profile)
+    assert list(dict.fromkeys(instant.phase for instant in instants)) == list(PHASES)
+    assert len({instant.name for instant in instants}) == len(instants)
+
+
+def test_a_pair_is_left_out_by_a_rule_only(profile: Profile) -> None:
+    plan = plan_matrix(profile, model_check=True)
+    assert len(plan.cases) + len(plan.skipped) == len(CATALOGUE) * len(instants_of(profile))
+    assert all(skipped.rule for skipped in plan.skipped)
+    moving = [s for s in plan.skipped if sort_of(s.signal) in ("encoder", "valve", "link", "clock", "loop")]
+    assert not moving
+
+
+@needs_speed
+@pytest.mark.parametrize(
+    ("name", "at", "detected_by", "most_ticks"),
+    [
+        ("wrist encoder off", "backswing 50 %", "WRIST_ENCODER", 5),
+        ("arm encoder off", "downswing 80 %", "ARM_ENCODER", 5),
+        ("guard closed off", "top 50 %", "GUARD", 1),
+        ("emergency stop off", "downswing 20 %", "EMERGENCY_STOP", 1),
+        ("emergency stop off", "impact +0 ms", "EMERGENCY_STOP", 1),
+        ("link cut", "committed 10 %", "SHOULDER_ENCODER", 5),
+        ("loop stalls 50 ms", "backswing 10 %", "DEVICE_PASSIVE", 50),
+        ("clock stands still", "backswing 50 %", "TICK_GAP", 2),
+        ("supervisor dead", "return 300 ms", "SUPERVISOR", 1),
+        ("shoulder valve stuck open", "follow-through 40 %", "SHOULDER_AIR", 20),
+        ("shoulder valve stuck open in reverse", "backswing 50 %", "SHOULDER_AIR", 20),
+        ("shoulder encoder +0.1 rad", "hold", "SHOULDER_SPEED", 2),
+    ],
+)
+def test_what_breaks_is_noticed_in_time_and_ends_safe(
+    workbench: Workbench, profile: Profile, name: str, at: str, detected_by: str, most_ticks: int
+) -> None:
+    outcome = workbench.run(BREAKAGE[name], instant(profile, at))
+    assert (outcome.verdict, outcome.reasons) == ("safe", ())
+    assert outcome.detected_by == detected_by
+    assert 0 <= outcome.detection_ticks <= most_ticks
+    assert outcome.reaction_ticks >= outcome.detection_ticks
+    assert outcome.operator != "nothing"
+    assert detected_by in outcome.record
+
+
+@needs_speed
+def test_a_dead_loop_is_let_go_of_by_the_valve_node(workbench: Workbench, profile: Profile) -> None:
+    outcome = workbench.run(BREAKAGE["loop dead"], instant(profile, "top 50 %"))
+    assert outcome.detected_by == "watchdog of the valve node"
+    assert outcome.reaction == "PASSIVE (valve node)"
+    assert outcome.verdict == "safe"
+
+
+@needs_speed
+def test_without_the_model_check_the_same_valve_is_noticed_too_late(profile: Profile) -> None:
+    configuration = load_configuration(shipped_configuration())
+    bench_without = Workbench(configuration, profile, model_check=False)
+    outcome = bench_without.run(
+        BREAKAGE["shoulder valve stuck open"], instant(profile, "follow-through 40 %")
+    )
+    assert outcome.verdict == "unsafe"
+    assert "rated energy" in outcome.reasons[0]
+    assert outcome.detection_ticks > 20
+
+
+@needs_speed
+def test_the_missing_ball_is_harmless(workbench: Workbench, profile: Profile) -> None:
+    outcome = workbench.run(BREAKAGE["no ball on the tee, then no ball"], instant(profile, "hold"))
+    assert outcome.verdict in ("harmless", "safe")
+
+
+@needs_speed
+def test_a_lost_lease_lets_the_swing_complete_and_disarms(workbench: Workbench, profile: Profile) -> None:
+    outcome = workbench.run(BREAKAGE["lease lost"], instant(profile, "downswing 80 %"))
+    assert (outcome.verdict, outcome.detected_by) == ("safe", "disarmed: no lease")
+    assert outcome.record.startswith("READY")
+
+
+@needs_speed
+def test_the_same_case_ends_the_same(workbench: Workbench, profile: Profile) -> None:
+    case = BREAKAGE["arm encoder garbage"], instant(profile, "downswing 20 %")
+    assert workbench.run(*case) == workbench.run(*case)
+
+
+def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) -> Outcome:
+    reasons = ("wrist lower stop took 200 % of its rated energy",) if verdict == "unsafe" else ()
+    made = Outcome(
+        breakage.name, breakage.fault.signal, breakage.fault.kind, at.phase, at.name, verdict, reasons,
+        "GUARD" if verdict == "safe" else "", 1, "BRAKE", 1, 0.5, "wrist lower stop", 0.7, 0.1, 3.0, 0.02,
+        1.0,
+        500, "told", "FAULT", "",
+    )  # fmt: skip
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def few(profile: Profile) -> tuple[Plan, list[Outcome]]:
+    plan = plan_matrix(profile, model_check=True, signals=("guard closed", "launch"), phases=("top", "hold"))
+    outcomes = [outcome(b, i, "unsafe" if b.fault.kind == "garbage" else "safe") for b, i in plan.cases]
+    return plan, outcomes
+
+
+def test_the_summary_counts_and_the_page_is_one_file(few: tuple[Plan, list[Outcome]]) -> None:
+    plan, outcomes = few
+    summary = summarise(outcomes, plan.skipped, model_check=True, profile="default", seconds=1.0)
+    assert summary["verdicts"] == {"harmless": 0, "safe": 8, "undetected": 0, "unsafe": 2}
+    assert summary["left_out_by_rule"] == len(plan.skipped) == 14
+    assert summary["reaction_ticks"]["switch off"]["greatest"] == 1
+    page = matrix_page(summary, compare(outcomes, outcomes))
+    assert "200 %" in page
+    assert not any(text in page for text in ("http:", "https:", "src=", "href="))
+    assert matrix_table(summary).row_count == len(summary["rows"])
+    table = hazard_table(json.loads(json.dumps(summary)))
+    assert "guard switches of two channels" in table
+    assert "2 unsafe" in table
+
+
+def test_what_stands_in_the_store_is_not_run_again(
+    few: tuple[Plan, list[Outcome]], tmp_path: Path, profile: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, outcomes = few
+    configuration = load_configuration(shipped_configuration())
+    digest = digest_of(configuration, profile, True)
+    path = tmp_path / "cases.jsonl"
+    CaseStore(path, digest).add(outcomes[:-1])
+    with path.open("a") as file:
+        file.write('{"breakage": "torn')
+    ran = []
+
+    class Recorded:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def run(self, breakage: Breakage, at: Instant) -> Outcome:
+            ran.append((breakage.name, at.name))
+            return outcome(breakage, at, "safe")
+
+    monkeypatch.setattr(bench.faults.matrix, "Workbench", Recorded)
+    told: list[int] = []
+    store = CaseStore(path, digest)
+    found = run_matrix(
+        plan, configuration, profile, store, model_check=True, processes=1, progress=told.append
+    )
+    assert ran == [(outcomes[-1].breakage, outcomes[-1].instant)]
+    assert [o.breakage for o in found] == [o.breakage for o in outcomes]
+    assert told == [9, 10]
+    assert len(CaseStore(path, digest).outcomes) == 10
+    assert not CaseStore(path, "another").outcomes
+
+
+def test_the_command_ends_with_1_when_a_case_ends_unsafe(
+    few: tuple[Plan, list[Outcome]], tmp_path: Path, profile: Profile
+) -> None:
+    configuration = load_configuration(shipped_configuration())
+    _plan, outcomes = few
+    CaseStore(tmp_path / "cases.jsonl", digest_of(configuration, profile, True)).add(outcomes)
+    arguments = ["run", "--output", str(tmp_path), "--phase", "top", "--phase", "hold", "--signal", "launch"]
+    arguments += ["--signal", "guard closed", "--processes", "1"]
+    session = Session(config=shipped_configuration())
+    result = CliRunner().invoke(app, arguments, obj=session)
+    assert result.exit_code == 1
+    assert json.loads((tmp_path / "matrix.json").read_text())["cases"] == 10
+    assert (tmp_path / "matrix.html").exists()
+
+
+def test_rules_say_why() -> None:
+    launch = BREAKAGE["launch monitor off"]
+    assert "launch monitor" in irrelevant(launch, "impact", model_check=True)
+    assert irrelevant(BREAKAGE["guard closed off"], "impact", model_check=True) == ""
+
+
+def test_the_hazard_table_is_that_of_its_matrix() -> None:
+    summary = json.loads((ROOT / "sim" / "FAULTS.json").read_text())
+    assert (ROOT / "sim" / "FAULTS.md").read_text() == hazard_table(summary)
+    assert {row["breakage"] for row in summary["rows"]} == set(BREAKAGE)

@@ -1,0 +1,306 @@
+"""Every kind of fault on every sort of signal does what it says, from its onset on, the same each time."""
+
+from __future__ import annotations
+
+from math import nan, pi
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import Phase
+from drivers.base import COMMAND, READINGS
+from sim.compiled import new_record
+from sim.faults import (
+    MEANINGS,
+    PHASES,
+    SIGNALS,
+    Fault,
+    Faults,
+    break_parts,
+    deliver_command,
+    deliver_readings,
+    new_faults,
+    notice_onsets,
+    own_records,
+    revive,
+    sort_of,
+    told_time,
+)
+from sim.plant import PLANT_STATE, Plant, PlantParameters, build_plant, initial_state
+
+REST = np.array([0.1, 4.4, 6.0])
+SPEED = np.array([3.0, 1.0, -5.0])
+
+
+class Bed:
+    """A plant whose joints are moved by hand, behind faults."""
+
+    def __init__(self, *faults: Fault, watchdog: float = 0.02, seed: int = 1) -> None:
+        self.plant: Plant = own_records(build_plant(PlantParameters()))
+        self.state = initial_state(self.plant, REST, pressurised=True)
+        self.faults: Faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
+        self.readings, self.command = new_record(READINGS), new_record(COMMAND)
+        self.command["valve"], self.command["supply_enable"] = (0.5, -0.3, 0.1), True
+        self.command["exhaust_closed"] = self.command["guard_lock"] = self.command["tee"] = True
+        self.tick = 0
+
+    def run(self, ticks: int = 1, phase: int = -1, *, spoken: bool = True) -> Bed:
+        for _ in range(ticks):
+            self.state["angle"] = REST + 1e-3 * self.tick * SPEED
+            self.state["history"] = self.state["angle"]
+            notice_onsets(self.faults, self.plant.plant, self.state, phase)
+            deliver_readings(self.faults, self.plant.plant, self.state, self.readings)
+            deliver_command(self.faults, self.plant.plant, self.command, spoken)
+            break_parts(self.faults, self.plant.robot, self.plant.plant, self.state)
+            self.tick += 1
+        return self
+
+    @property
+    def true_angle(self) -> np.ndarray:
+        return np.asarray(self.state["angle"][0])
+
+    @property
+    def angle(self) -> np.ndarray:
+        counts = self.readings["encoder_count"][0]
+        turns = 2 * pi * counts / self.plant.parameters.encoders.counts_per_revolution
+        return np.asarray(self.true_angle + (turns - self.true_angle + pi) % (2 * pi) - pi)
+
+    @property
+    def valve(self) -> np.ndarray:
+        return np.asarray(self.faults.sent["valve"][0])
+
+
+def broken(signal: str, kind: str, value: float = nan, **onset: object) -> Fault:
+    return Fault("test", signal, kind, value, **onset)  # type: ignore[arg-type]
+
+
+def test_phases_are_the_benchs() -> None:
+    assert [phase.name.lower() for phase in Phase] == list(PHASES)
+
+
+def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
+    assert {sort_of(signal) for signal in SIGNALS} == set(MEANINGS)
+
+
+@pytest.mark.parametrize(
+    ("signal", "kind", "value"),
+    [
+        ("no such", "off", nan),
+        ("club head", "stuck", nan),
+        ("shoulder encoder", "leaking", 0.1),
+        ("shoulder encoder", "offset", nan),
+        ("shoulder encoder", "intermittent", 1.5),
+        ("shoulder valve", "slow", -1.0),
+        ("supply", "stuck", nan),
+    ],
+)
+def test_what_has_no_meaning_is_refused(signal: str, kind: str, value: float) -> None:
+    with pytest.raises(ValueError, match=r"signal|kind|value"):
+        broken(signal, kind, value)
+
+
+def test_a_delay_beyond_memory_is_refused() -> None:
+    with pytest.raises(ValueError, match="delay"):
+        Bed(broken("shoulder encoder", "delayed", 0.1))
+
+
+def test_nothing_is_changed_before_the_onset() -> None:
+    bed = Bed(*(broken(s, "off", time=1.0) for s in SIGNALS if "off" in MEANINGS[sort_of(s)])).run(50)
+    assert bed.angle == pytest.approx(bed.true_angle, abs=1e-4)
+    assert bed.readings["encoder_valid"].all()
+    assert bed.readings["emergency_stop_clear"][0]
+    assert bed.faults.sent.tobytes() == bed.command.tobytes()
+    assert bed.plant.plant.tobytes() == bed.faults.healthy_plant.tobytes()
+    assert bed.plant.robot.tobytes() == bed.faults.healthy_robot.tobytes()
+
+
+def test_encoders_off_stuck_and_wrong() -> None:
+    faults = (broken("shoulder encoder", "off"), broken("arm encoder", "stuck"))
+    bed = Bed(*faults, broken("wrist encoder", "offset", 0.2)).run(100)
+    assert bed.readings["encoder_valid"][0].tolist() == [0, 1, 1]
+    assert bed.angle[1:] == pytest.approx([REST[1], bed.true_angle[2] + 0.2], abs=1e-4)
+    assert bed.readings["encoder_time"][0, 1] == bed.readings["encoder_time"][0, 0]  # its time goes on
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected"),
+    [
+        ("scale", 0.5, REST[0] + 0.5 * 0.297),
+        ("drifting", 2.0, REST[0] + 0.297 + 2.0 * 0.099),
+        ("delayed", 0.02, REST[0] + 0.297 - 0.06),
+        ("slow", 0.01, REST[0] + 0.297 - 0.03),
+    ],
+)
+def test_encoders_plausible_but_wrong(kind: str, value: float, expected: float) -> None:
+    bed = Bed(broken("shoulder encoder", kind, value)).run(100)
+    assert bed.true_angle[0] == pytest.approx(REST[0] + 0.297)
+    assert bed.angle[0] == pytest.approx(expected, abs=1e-3)
+
+
+def test_an_encoder_wrong_by_an_offset_may_cross_its_zero() -> None:
+    bed = Bed(broken("shoulder encoder", "offset", -0.2)).run(1)
+    assert bed.angle[0] == pytest.approx(REST[0] - 0.2, abs=1e-4)
+    assert bed.readings["encoder_count"][0, 0] > 0
+
+
+def test_intermittent_is_a_share_of_ticks_and_the_same_for_the_same_seed() -> None:
+    def valid(seed: int) -> list[int]:
+        bed = Bed(broken("wrist encoder", "intermittent", 0.3), seed=seed)
+        return [int(bed.run().readings["encoder_valid"][0, 2]) for _ in range(1000)]
+
+    assert 230 < valid(1).count(0) < 370
+    assert valid(1) == valid(1) != valid(2)
+
+
+def test_garbage_is_any_count() -> None:
+    bed = Bed(broken("arm encoder", "garbage"))
+    counts = [int(bed.run().readings["encoder_count"][0, 1]) for _ in range(200)]
+    assert min(counts) < 0.1 * 2**17
+    assert max(counts) > 0.9 * 2**17
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected"),
+    [
+        ("off", nan, 0.0), ("stuck", -1.0, -1.0), ("stuck", nan, 0.5), ("offset", 0.2, 0.7),
+        ("offset", 0.9, 1.0), ("scale", 0.5, 0.25), ("drifting", 1.0, 0.599),
+    ],
+)  # fmt: skip
+def test_valves(kind: str, value: float, expected: float) -> None:
+    bed = Bed(broken("shoulder valve", kind, value)).run(100)
+    assert bed.valve == pytest.approx([expected, -0.3, 0.1], abs=1e-6)
+
+
+def test_a_valve_follows_slowly_and_late() -> None:
+    bed = Bed(broken("shoulder valve", "slow", 0.01), broken("arm valve", "delayed", 0.005)).run(10)
+    bed.command["valve"] = (1.0, 1.0, 1.0)
+    assert bed.run(5).valve[1] == pytest.approx(-0.3)
+    assert 0.5 < bed.valve[0] < 0.8
+    assert bed.run(1).valve[1] == pytest.approx(1.0)
+
+
+def test_parts_break_and_are_whole_again() -> None:
+    faults = [
+        broken("arm valve", "leaking", 0.05, duration=0.05), broken("supply", "scale", 0.7, duration=0.05),
+    ]  # fmt: skip
+    bed = Bed(*faults).run(40)
+    p, h = bed.plant.plant, bed.faults.healthy_plant
+    assert p["leakage"][0, 1] == 0.05
+    assert p["regulated"] == pytest.approx(0.7 * h["regulated"])
+    bed.run(20)
+    assert p.tobytes() == h.tobytes()
+
+
+def test_supply_lost_and_sagging() -> None:
+    assert Bed(broken("supply", "off")).run().plant.plant["regulated"] == pytest.approx(1.013e5)
+    bed = Bed(broken("supply", "drifting", -1e6)).run(100)
+    assert bed.plant.plant["regulated"] == pytest.approx(8e5 - 1e6 * 0.099)
+    bed = Bed(broken("supply", "stuck", 1.0), broken("vents", "stuck", 1.0))
+    bed.command["supply_enable"] = bed.command["exhaust_closed"] = False
+    bed.run(3)
+    assert bed.faults.sent["supply_enable"][0]
+    assert bed.faults.sent["exhaust_closed"][0]
+
+
+@pytest.mark.parametrize("signal", ["emergency stop", "guard closed", "guard locked"])
+def test_switches(signal: str) -> None:
+    name = {"emergency stop": "emergency_stop_clear"}.get(signal, signal.replace(" ", "_"))
+    assert not Bed(broken(signal, "off")).run().readings[name][0]
+    bed = Bed(broken(signal, "stuck")).run()
+    bed.state[name] = False
+    assert bed.run(10).readings[name][0]
+    late = Bed(broken(signal, "delayed", 0.01)).run(20)
+    late.state[name] = False
+    assert late.run(10).readings[name][0]
+    assert not late.run(1).readings[name][0]
+
+
+def test_pressure_sensors() -> None:
+    faults = (
+        broken("supply sensor", "off"), broken("shoulder vane A sensor", "scale", 0.5),
+        broken("wrist cylinder B sensor", "offset", 1e4),
+    )  # fmt: skip
+    bed = Bed(*faults).run()
+    true = bed.state["pressure"][0]
+    assert np.isnan(bed.readings["supply_pressure"][0])
+    expected = true * [0.5, 1, 1, 1, 1, 1] + [0, 0, 0, 0, 0, 1e4]
+    assert bed.readings["chamber_pressure"][0] == pytest.approx(expected)
+
+
+def test_a_cut_link_leaves_old_readings_and_a_device_that_lets_go() -> None:
+    bed = Bed(broken("link", "off", time=0.05)).run(50)
+    before = bed.readings.copy()
+    bed.run(19)
+    assert bed.faults.sent["supply_enable"][0]
+    assert not bed.faults.device["passive"][0]
+    assert bed.readings.tobytes() == before.tobytes()
+    bed.run(2)
+    assert bed.faults.device["passive"][0]
+    assert not bed.faults.sent["supply_enable"][0]
+    assert not bed.valve.any()
+    assert not bed.run(50).readings["emergency_stop_clear"][0]
+    revive(bed.faults)
+    assert not bed.faults.device["passive"][0]
+
+
+def test_a_late_link_is_late_both_ways() -> None:
+    bed = Bed(broken("link", "delayed", 0.005)).run(30)
+    assert bed.angle == pytest.approx(bed.true_angle - 0.005 * SPEED, abs=1e-4)
+    bed.command["valve"] = 0.0
+    assert bed.run(5).valve[0] == 0.5
+    assert bed.run(1).valve[0] == 0.0
+
+
+def test_a_loop_that_says_nothing_is_let_go_of() -> None:
+    bed = Bed(broken("loop", "off", time=0.01), watchdog=0.005).run(10)
+    assert bed.faults.device["loop_up"][0]
+    assert not bed.run(4, spoken=False).faults.device["loop_up"][0]
+    assert not bed.faults.device["passive"][0]
+    assert bed.run(1, spoken=False).faults.device["passive"][0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "expected"),
+    [("off", nan, nan), ("stuck", nan, 2.0), ("offset", 0.5, 3.5), ("scale", 2.0, 4.0)],
+)
+def test_clocks(kind: str, value: float, expected: float) -> None:
+    bed = Bed(broken("clock", kind, value)).run()
+    told_time(bed.faults, 2.0)
+    assert told_time(bed.faults, 3.0) == pytest.approx(expected, nan_ok=True)
+
+
+def test_a_lost_head_leaves_the_club_that_remains() -> None:
+    bed = Bed(broken("club head", "off")).run(3)
+    robot, club = bed.plant.robot[0], PlantParameters().robot.club
+    assert robot["mass_c"] == pytest.approx(club.mass - club.head_mass)
+    rest = club.shaft_mass * club.shaft_length / 2
+    assert robot["mass_c"] * robot["com_c"] == pytest.approx(rest)
+    assert 0.0 < robot["inertia_c"] < club.inertia
+    assert not bed.state["ball_present"][0]
+
+
+def test_onset_by_time_and_duration() -> None:
+    bed = Bed(broken("shoulder valve", "off", time=0.02, after=0.01, duration=0.005))
+    acted = [bed.run().valve[0] == 0.0 for _ in range(60)]
+    assert np.flatnonzero(acted).tolist() == [30, 31, 32, 33, 34]
+
+
+def test_onset_by_phase() -> None:
+    bed = Bed(broken("shoulder valve", "off", phase="top"))
+    assert bed.run(5, Phase.BACKSWING).valve[0] == 0.5
+    assert bed.run(1, Phase.TOP).valve[0] == 0.0
+    assert bed.run(5, Phase.DOWNSWING).valve[0] == 0.0  # it stays broken
+
+
+def test_onset_by_joint_angle() -> None:
+    bed = Bed(broken("shoulder valve", "off", joint="wrist", angle=REST[2] - 0.1))
+    assert bed.run(20).valve[0] == 0.5
+    assert bed.run(2).valve[0] == 0.0
+
+
+def test_records_of_a_healthy_plant_are_left_alone() -> None:
+    plant = build_plant(PlantParameters())
+    own = own_records(plant)
+    own.plant["regulated"] = 0.0
+    assert plant.plant["regulated"][0] > 0.0
+    assert PLANT_STATE.names is not None
