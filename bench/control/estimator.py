@@ -25,7 +25,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
 
 from sim.compiled import compiled, new_record
 
@@ -95,6 +94,9 @@ def design_estimator(
         )
     if not (np.all(np.isfinite(initial)) and np.all(initial > 0)):
         raise ValueError(f"estimator: initial deviations must be above 0 and finite, found {initial}")
+    # Here, for it brings all of scipy's statistics: a second of every process that reads a configuration.
+    from filterpy.common import Q_continuous_white_noise, Q_discrete_white_noise
+
     parameters = new_record(ESTIMATOR_PARAMETERS)
     for joint in range(3):
         resolution = 2.0 * np.pi / counts_per_revolution[joint]
