@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-LONGEST_WAIT = 20.0
+LONGEST_WAIT = 60.0
 """s that an outcome waits for the record of its swing."""
 _MOST = 64
 """Records that are remembered, and outcomes that wait."""

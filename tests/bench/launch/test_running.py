@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import pytest
 import zenoh
 
 from bench.launch.shot_message import ShotMessage, read_shot_message
+from bench.network.client import CommandRefused
 from bench.network.free_port import free_port
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
@@ -70,7 +71,7 @@ def shots(bench: BenchProcess) -> Iterator[Callable[[], dict[str, Any]]]:
     )
 
     def following() -> dict[str, Any]:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
             while heard:
                 message: dict[str, Any] = json.loads(heard.pop(0))
@@ -177,7 +178,8 @@ def test_what_monitors_do_wrong_is_told_and_survived(tmp_path: Path) -> None:
             assert first["shot_id"] == second["shot_id"] is not None
             # Its process dies: the bench lives on, says so, and the next one serves again.
             pid = bench.pid("launch monitor")
-            bench.client.disarm()
+            with suppress(CommandRefused):  # on a busy machine it may have let go by itself
+                bench.client.disarm()
             subprocess.run(["kill", "-KILL", str(pid)], check=True)
             monitored(bench, lambda link: not link["listening"] and not link["present"])
             assert bench.client.status()["support_ready"]
