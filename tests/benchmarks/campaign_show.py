@@ -47,6 +47,7 @@ blocks = {blocks}
 repeats = 3
 [warm_up]
 at_most = 0
+practice = false                  # every swing is a shot on record
 [gate]
 centre = "planned"
 club_speed = 4.0
