@@ -158,7 +158,7 @@ def test_late_is_later_than_its_bound() -> None:
 
 def test_plain_python_counts_the_same() -> None:
     program = (
-        "import numpy as np, sys; sys.path.insert(0, 'tests/bench')\n"
+        "import numpy as np, sys; sys.path.insert(0, 'tests/bench/processes')\n"
         "from test_tick_timing import *\n"
         "print(timing_of(random_ticks(50)).tobytes().hex())"
     )
