@@ -210,7 +210,7 @@ class ControlState(NamedTuple):
     estimator: Any
     pid: Any
     model: Any
-    """Of the model-based check; no part of a snapshot, as it forgets within milliseconds."""
+    """Of the model-based check."""
 
 
 class ControlParameters(NamedTuple):

@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.control.encoder import ENCODER_STATE
 from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.model import MODEL_STATE
 from bench.control.pid import PID_STATE
 from bench.control.step import CONTROL_STATE, ControlState, new_control_state
 from bench.errors import BenchError
@@ -29,12 +30,13 @@ SNAPSHOT = np.dtype(
         ("encoder", ENCODER_STATE),
         ("estimator", ESTIMATOR_STATE),
         ("pid", PID_STATE),
+        ("model", MODEL_STATE),
     ],
     align=True,
 )
-"""A ControlState after the step of `tick` at `time` (s, the loop's), but for the model check's memory."""
+"""A ControlState after the step of `tick` at `time` (s, the loop's)."""
 
-_KEPT = ("control", "encoder", "estimator", "pid")
+_KEPT = ("control", "encoder", "estimator", "pid", "model")
 
 
 def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
