@@ -120,8 +120,9 @@ def test_a_swing_that_fails_is_shown_with_its_reason(
     lame.write_text(f'base = "shipped"\n[envelope.following]\n{tight}\n')
     assert _demo("--config", str(lame), str(tmp_path / "out")) == ExitCode.REFUSED
     shots = read_shot_table(tmp_path / "out" / "shots.csv")
-    assert {shot.status for shot in shots} == {Status.FAILED}
-    assert "reference" in shots[0].reason
+    # The stopped club may sink against the ball: then it was hit, and is excluded.
+    assert {shot.status for shot in shots} <= {Status.FAILED, Status.EXCLUDED}
+    assert all("reference" in shot.reason for shot in shots)
     assert (tmp_path / "out" / "report.html").exists()
     assert "shots in a row not valid" in " ".join(capsys.readouterr().out.split())
 
