@@ -121,8 +121,10 @@ class Recorder:
         for folder in self._folders:
             remove_partial(folder)
         self._number = int(self._heart.last["done"][0])
-        self._done_tick = self._tick = self._segment_tick = 0
+        self._from = self._segment_from = 0
+        """Ticks after which records and segments begin: what is before is a recorder's before this one."""
         self._resume()
+        self._tick = self._from
         self._lost, self._past_lost = 0, 0
         self._started = False
         self._utc_less_loop = 0.0
@@ -135,15 +137,13 @@ class Recorder:
         last, newest = self._heart.last[0], self._ring.newest()
         if newest is None or last["tick"] > newest["tick"][0]:
             return
-        self._done_tick = int(last["resume"])
-        self._segment_tick = int(last["tick"])
+        self._from, self._segment_from = int(last["resume"]), int(last["tick"])
         # It may have been killed between the file's new name and the next beat of its heart.
         number = int(last["storing"])
         began = datetime.fromtimestamp(float(last["storing_began"]), UTC)
         if number > self._number and record_path(self._swings, began, number).exists():
             self._number = number
-            self._done_tick = max(self._done_tick, int(last["storing_tick"]))
-        self._tick = self._done_tick
+            self._from = max(self._from, int(last["storing_tick"]))
 
     @property
     def moving(self) -> bool:
@@ -197,7 +197,7 @@ class Recorder:
         if not self._started and len(cycles):
             # From the oldest on, the writer may overtake the first read: nothing of this run is lost by it.
             self._started, self._past_lost = True, self._ring.lost
-        return cycles[np.searchsorted(cycles["tick"], self._done_tick, side="right") :]
+        return cycles[np.searchsorted(cycles["tick"], self._from, side="right") :]
 
     def _note_snapshot(self) -> None:
         """Keep the newest snapshot if it is a new one."""
@@ -223,7 +223,7 @@ class Recorder:
     def _continue(self, cycles: Cycles, lost: int) -> None:
         """Add `cycles` to the segment under way; end it when it is long enough."""
         self._segment_lost += lost
-        cycles = cycles[np.searchsorted(cycles["tick"], self._segment_tick, side="right") :]
+        cycles = cycles[np.searchsorted(cycles["tick"], self._segment_from, side="right") :]
         if len(cycles):
             self._segment.append(cycles)
             length = cycles["time"][-1] - self._segment[0]["time"][0]
@@ -259,8 +259,6 @@ class Recorder:
             cause=outcome["cause"],
             **{key: stored.metadata[key] for key in facts},
         )
-        if stored.metadata["kind"] != "segment" and not len(self._queue):
-            self._done_tick = max(self._done_tick, int(stored.cycles["tick"][-1]))
 
     def _tell(self, now: float, condition: Condition) -> None:
         """Let the heart beat, and tell the parent of what has changed."""
@@ -280,16 +278,16 @@ class Recorder:
         if trouble and condition is Condition.WORKING:
             condition = Condition.TROUBLE
         idle = not self._cutter.moving and not len(self._queue)
-        if idle:
-            self._done_tick = max(self._done_tick, self._cutter.before_lead)
+        owed = [after for after in (self._queue.owed_after, self._cutter.owed_after) if after is not None]
+        resume = max(self._from, min(owed))
         self._heart.beat(
             now,
             condition,
             lost=self._lost,
             done=self._number - len(self._queue),
             waiting=len(self._queue),
-            tick=self._tick if idle else self._done_tick,
-            resume=self._done_tick,
+            tick=self._tick if idle else resume,
+            resume=resume,
         )
 
 

@@ -42,6 +42,12 @@ class RecordQueue:
         """Return how many records wait."""
         return len(self._waiting)
 
+    @property
+    def owed_after(self) -> int | None:
+        """The tick after which come all cycles of the swings that wait; None when none does."""
+        firsts = [int(r.cycles["tick"][0]) for r in self._waiting if r.metadata["kind"] != "segment"]
+        return min(firsts) - 1 if firsts else None
+
     def put(self, record: Record) -> None:
         """Take `record`; when there is no room, a continuous segment goes first, then the newcomer."""
         if len(self._waiting) >= self._room:

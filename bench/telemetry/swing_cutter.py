@@ -86,10 +86,11 @@ class SwingCutter:
         return bool(self._closing) or (self._open is not None and bool(self._open.kind))
 
     @property
-    def before_lead(self) -> int:
-        """The last tick that a record which begins later will not hold; 0 when it would hold all."""
-        past = self._past
-        return past.tick(self._lead_from) - 1 if past.first <= self._lead_from < past.end else 0
+    def owed_after(self) -> int:
+        """The tick after which come all cycles of the records in the making and of the next one's lead."""
+        parts = [*self._closing, *([self._open] if self._open else [])]
+        first = min((part.begin for part in parts), default=self._lead_from)
+        return self._past.tick(min(first, self._lead_from)) - 1 if self._past.end else 0
 
     def take(self, cycles: Cycles, lost: int = 0) -> list[Cut]:
         """Take the next `cycles`, of which `lost` are missing before or between; return what is complete."""

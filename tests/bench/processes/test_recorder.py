@@ -160,6 +160,25 @@ def test_killed_between_file_and_heartbeat_it_stores_each_swing_once(
     assert bench.heartbeat()["done"] == 1
 
 
+def test_killed_while_a_second_swing_waits_it_stores_each_once(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    """The first is stored, the second is still in memory."""
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both)
+    assert bench.event()["event"] == "stored"
+    assert bench.event()["event"] == "trouble"
+    bench.kill()
+    small_disk(4)
+    bench.start()
+    bench.read_up()
+    assert bench.end() == 0
+    assert [stored_cycles(path)[0] for path in bench.files()] == [
+        both[begin + 300 - 128 : begin + 1200 + 256].tobytes() for begin in (0, 1600)
+    ]
+
+
 def test_a_recorder_started_anew_before_a_swing_has_its_whole_lead(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
