@@ -10,7 +10,6 @@ import importlib.metadata
 import logging
 import os
 import platform
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -23,7 +22,7 @@ from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.config import Configuration
 from bench.errors import BenchError, ExitCode
-from bench.interrupt import wish_to_end
+from bench.interrupt import Wish, wish_to_end
 from bench.launch.shot_join import ShotJoin
 from bench.launch.shot_message import SHOT_VERSION
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
@@ -292,7 +291,7 @@ class Daemon:
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)
 
-    def _live(self, notifier: ServiceNotifier, wish: threading.Event) -> None:
+    def _live(self, notifier: ServiceNotifier, wish: Wish) -> None:
         """Take turns until somebody wishes the end; pet systemd only while the loop advances.
 
         Raises:

@@ -177,7 +177,7 @@ def simulate_swings(
     """Arm a vented `bench`, swing once at each of `balls` (None: no ball on the tee), then disarm.
 
     Yields each result as soon as the robot is back at address. A swing that ends in a stop is the last:
-    nothing arms again by itself. When `stop` (the event of `bench.interrupt.deferred_interrupt`) becomes
+    nothing arms again by itself. When `stop` (the wish of `bench.interrupt.deferred_interrupt`) becomes
     true, the robot is brought to rest by the stopping table, the passive command is sent, and the result
     yielded last says `interrupted`, unless the robot was at address.
 

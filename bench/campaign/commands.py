@@ -198,7 +198,7 @@ def _run(
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(Kind) if ask or not entry.simulated else frozenset({Kind.BENCH})
         operator = TerminalOperator(bar, entry.id, asked_for)
-        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_set, operator)
+        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator)
     record = load_record(store, entry)
     found = findings(plan, record.shots)
     figures = findings_record(found)

@@ -91,7 +91,7 @@ def run_live_demo(configuration: Configuration, output: Path | None, swings: int
             entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
             store.begin(entry)
             screen.say("arming")
-            outcome = run_live(entry, c, store, ScreenWatcher(screen), asked.is_set)
+            outcome = run_live(entry, c, store, ScreenWatcher(screen), asked.is_made)
             screen.say("bringing the robot to rest")
             running.close()
             write_result(screen, store, entry, outcome, Files.within(folder), c)

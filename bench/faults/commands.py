@@ -141,7 +141,7 @@ def _outcomes(
         task = bar.add_task(text, total=len(plan.cases))
         return run_matrix(
             plan, configuration, profile, store, model_check=model_check, processes=processes,
-            progress=lambda done: bar.update(task, completed=done), stop=asked.is_set,
+            progress=lambda done: bar.update(task, completed=done), stop=asked.is_made,
         )  # fmt: skip
 
 

@@ -135,7 +135,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     console = Console()
     waiting = nullcontext() if json_ else console.status(f"swinging {swing.name}")
     with deferred_interrupt() as asked, waiting:
-        result = simulate_swing(bench, stop=asked.is_set)
+        result = simulate_swing(bench, stop=asked.is_made)
         record = outcome_record(result, datetime.now(UTC))
         files = write_outcome(output, result, bench.metadata(record | result.replay_metadata()))
     if json_:

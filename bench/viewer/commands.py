@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.interrupt import wish_to_end
 from bench.session import Session
 
 if TYPE_CHECKING:
@@ -111,7 +110,7 @@ def _view_records(
         recording.flush(timeout_sec=60.0)
     _say_where(window)
     if window is not None:
-        with _wish_to_end() as wish:
+        with wish_to_end() as wish:
             while window.alive and not wish.wait(_TURN):
                 pass
 
@@ -156,7 +155,7 @@ def _view_bench(
     around = Surroundings(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id, time.time))
-    wish = stack.enter_context(_wish_to_end())
+    wish = stack.enter_context(wish_to_end())
     window = _window(stack, web, connect, port, memory_limit) if web or connect or save is None else None
     sinks = [] if window is None and connect is None else [_sink(window, connect)]
     if save is not None:
@@ -167,7 +166,7 @@ def _view_bench(
     _say_where(window)
     typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
     period = FILE_PERIOD if window is None and connect is None else PERIOD
-    while not wish.is_set() and (window is None or window.alive):
+    while not wish.is_made() and (window is None or window.alive):
         began = time.monotonic()
         live.turn(period)
         wish.wait(max(0.0, period - (time.monotonic() - began)))
@@ -240,16 +239,3 @@ def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout
 def _say_where(window: RerunWindow | None) -> None:
     if window is not None and window.page is not None:
         typer.echo(window.page)
-
-
-@contextmanager
-def _wish_to_end() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C and SIGTERM set."""
-    wish = threading.Event()
-    signals = (signal.SIGTERM, signal.SIGINT)
-    kept = {number: signal.signal(number, lambda *_: wish.set()) for number in signals}
-    try:
-        yield wish
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)

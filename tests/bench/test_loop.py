@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.control.step import ACCEPTED, ARM, REFUSED, RESET, SWING, ControlParameters
-from bench.interrupt import deferred_interrupt
 from bench.lifecycle import Cause, Phase, Reaction, State
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
@@ -310,45 +307,3 @@ def test_paced_time_slips_when_the_machine_stalls() -> None:
     assert clock.slips == 1
     assert clock.slipped == pytest.approx(0.0195)
     assert naps == pytest.approx([0.0005] * 4)
-
-
-def test_control_c_is_a_question_until_the_block_ends() -> None:
-    before, steps = signal.getsignal(signal.SIGINT), []
-
-    def work() -> None:
-        with deferred_interrupt() as asked:
-            for k in range(3):
-                if k == 1:
-                    signal.raise_signal(signal.SIGINT)
-                steps.append(asked.is_set())
-
-    with pytest.raises(KeyboardInterrupt):
-        work()
-    assert steps == [False, True, True]
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:
-    before = signal.getsignal(signal.SIGINT)
-
-    def work() -> None:
-        with deferred_interrupt():
-            signal.raise_signal(signal.SIGINT)
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        work()
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_other_threads_get_no_signals() -> None:
-    seen = []
-
-    def work() -> None:
-        with deferred_interrupt() as asked:
-            seen.append(asked.is_set())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert seen == [False]

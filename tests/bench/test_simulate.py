@@ -66,14 +66,14 @@ def drivers(monkeypatch: pytest.MonkeyPatch) -> list[SimDriver]:
 class ControlC:
     """Asks as the event does, and sends this process a SIGINT at question number `at`."""
 
-    def __init__(self, event_is_set: Callable[[], bool], at: int) -> None:
-        self.event_is_set, self.at, self.asked = event_is_set, at, 0
+    def __init__(self, wish_is_made: Callable[[], bool], at: int) -> None:
+        self.wish_is_made, self.at, self.asked = wish_is_made, at, 0
 
     def __call__(self) -> bool:
         self.asked += 1
         if self.asked == self.at:
             signal.raise_signal(signal.SIGINT)
-        return self.event_is_set()
+        return self.wish_is_made()
 
 
 def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], profile: Profile) -> None:
@@ -248,8 +248,8 @@ def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     results: list[SwingResult] = []
 
     def work() -> None:
-        with deferred_interrupt() as event:
-            stop = ControlC(event.is_set, begin + round(seconds / 0.02))
+        with deferred_interrupt() as wish:
+            stop = ControlC(wish.is_made, begin + round(seconds / 0.02))
             for result in simulate_swings(replace(robot, engine=engine), [Ball()] * 3, stop=stop):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
                 results.append(result)
@@ -277,8 +277,8 @@ def test_control_c_ends_the_program_with_130(
     robot: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def swing(*_: object) -> None:
-        with deferred_interrupt() as event:
-            for result in simulate_swings(robot, [Ball()], stop=ControlC(event.is_set, 240)):
+        with deferred_interrupt() as wish:
+            for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
     monkeypatch.setattr("bench.doctor.probes", swing)  # any command will do

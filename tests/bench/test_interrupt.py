@@ -1,0 +1,87 @@
+"""Ctrl-C and SIGTERM as a wish."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from bench.interrupt import deferred_interrupt
+
+_STRUCK_EVERYWHERE = """
+import signal, sys
+from bench.interrupt import wish_to_end
+
+def struck_at(step):  # SIGTERM before the step-th line of Wish.wait and of all it calls
+    with wish_to_end() as wish:
+        left = step
+        def trace(frame, event, argument):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                signal.raise_signal(signal.SIGTERM)
+            return trace
+        sys.settrace(trace)
+        wish.wait(0.001)
+        sys.settrace(None)
+        assert wish.is_made() == (left <= 0)
+        return left > 0
+
+step = 1
+while not struck_at(step):
+    step += 1
+print(step)
+"""
+
+
+def test_a_signal_at_any_line_of_the_wait_leaves_no_process_hanging() -> None:
+    """A lock that `wait` held when the handler wanted it once kept a process alive for ever."""
+    struck = subprocess.run(
+        [sys.executable, "-c", _STRUCK_EVERYWHERE], check=True, timeout=60.0, capture_output=True, text=True
+    )
+    assert int(struck.stdout) > 3
+
+
+def test_control_c_is_a_question_until_the_block_ends() -> None:
+    before, steps = signal.getsignal(signal.SIGINT), []
+
+    def work() -> None:
+        with deferred_interrupt() as asked:
+            for k in range(3):
+                if k == 1:
+                    signal.raise_signal(signal.SIGINT)
+                steps.append(asked.is_made())
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert steps == [False, True, True]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    def work() -> None:
+        with deferred_interrupt():
+            signal.raise_signal(signal.SIGINT)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        work()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_threads_get_no_signals() -> None:
+    seen = []
+
+    def work() -> None:
+        with deferred_interrupt() as asked:
+            seen.append(asked.is_made())
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [False]
