@@ -17,6 +17,7 @@ import numpy as np
 from drivers.base import CHAMBERS, COMMAND, JOINTS, READINGS
 from sim.compiled import compiled, new_record
 from sim.plant import Plant
+from sim.random_stream import uniform
 from sim.ranges import Range
 from sim.sensors import sense
 
@@ -329,17 +330,6 @@ def own_records(plant: Plant) -> Plant:
 
 
 @compiled
-def _uniform(m: Any) -> float:
-    """Return the next random number in (0, 1) of the fault's own stream (xorshift64, Marsaglia 2003)."""
-    z = m.random
-    z = z ^ (z << np.uint64(13))
-    z = z ^ (z >> np.uint64(7))
-    z = z ^ (z << np.uint64(17))
-    m.random = z
-    return (float(z >> np.uint64(11)) + 0.5) / 9007199254740992.0
-
-
-@compiled
 def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
     """Begin a tick: see which faults act in it, in the bench's `phase` (-1: not known), on PLANT_STATE."""
     d, s = faults.device[0], state[0]
@@ -362,7 +352,7 @@ def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
         if m.active and now >= m.since + f.duration:
             m.active, m.over = False, True
         if f.signal == _LINK and m.active:
-            if f.kind == _OFF or (f.kind == _INTERMITTENT and _uniform(m) < f.value):
+            if f.kind == _OFF or (f.kind == _INTERMITTENT and uniform(m) < f.value):
                 d.link_up = d.inputs_up = False
             elif f.kind == _STUCK:
                 d.inputs_up = False
@@ -371,7 +361,7 @@ def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
         elif f.signal == _LOOP and m.active:
             if f.kind == _OFF or (f.kind == _DELAYED and now < m.since + f.value):
                 d.loop_up = False
-            elif f.kind == _INTERMITTENT and _uniform(m) < f.value:
+            elif f.kind == _INTERMITTENT and uniform(m) < f.value:
                 d.loop_up = False
 
 
@@ -404,7 +394,7 @@ def _wrong(
         held: float = m.held if np.isnan(f.value) else f.value
         return held
     if f.kind == _GARBAGE:
-        anything: float = low + (high - low) * _uniform(m)
+        anything: float = low + (high - low) * uniform(m)
         return anything
     if f.kind == _OFFSET:
         off: float = true + f.value
@@ -430,7 +420,7 @@ def _wrong(
 @compiled
 def _is_out(f: Any, m: Any) -> bool:
     """Tell whether the signal gives nothing in this tick."""
-    return bool(m.active and (f.kind == _OFF or (f.kind == _INTERMITTENT and _uniform(m) < f.value)))
+    return bool(m.active and (f.kind == _OFF or (f.kind == _INTERMITTENT and uniform(m) < f.value)))
 
 
 @compiled

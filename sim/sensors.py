@@ -5,29 +5,17 @@ from __future__ import annotations
 from math import cos, floor, log, pi, sqrt
 from typing import Any
 
-import numpy as np
-
 from sim.compiled import compiled
+from sim.random_stream import uniform
 
 HISTORY = 64
 """Substeps of joint angles kept for the encoders' latency."""
 
 
 @compiled
-def _uniform(s: Any) -> float:
-    """Return the next random number in (0, 1) of the state's own stream (xorshift64, Marsaglia 2003)."""
-    z = s.random
-    z = z ^ (z << np.uint64(13))
-    z = z ^ (z >> np.uint64(7))
-    z = z ^ (z << np.uint64(17))
-    s.random = z
-    return (float(z >> np.uint64(11)) + 0.5) / 9007199254740992.0
-
-
-@compiled
 def _normal(s: Any) -> float:
     """Return the next normally distributed number (Box and Muller 1958)."""
-    return sqrt(-2.0 * log(_uniform(s))) * cos(2.0 * pi * _uniform(s))
+    return sqrt(-2.0 * log(uniform(s))) * cos(2.0 * pi * uniform(s))
 
 
 @compiled

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping
@@ -25,6 +24,7 @@ from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import Profiles, require_swings, with_learned
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
+from bench.file_lock import try_lock
 from bench.network.client import BenchClient
 from bench.network.desk import Status
 from bench.network.lease import LONGEST_HOLDER
@@ -286,9 +286,7 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
     """Hold the lock at `path` as the runner of campaign `name`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+", encoding="ascii") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not try_lock(file.fileno()):
             file.seek(0)
             process, _, campaign = file.read().strip().partition(" ")
             raise Refused(
@@ -296,7 +294,7 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
                 f"process {process}, which runs campaign {campaign}",
                 "no other runner",
                 f"Wait for it, or end it: golfbench campaign stop {campaign}",
-            ) from None
+            )
         file.truncate(0)
         file.write(f"{os.getpid()} {name}")
         file.flush()
@@ -321,11 +319,7 @@ def is_running(data_dir: Path, name: str) -> bool:
     if not path.exists():
         return False
     with path.open("a+", encoding="ascii") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
+        return not try_lock(file.fileno())
 
 
 def _lock_file(data_dir: Path, name: str) -> Path:

@@ -8,7 +8,6 @@ daemon's processes share.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import pwd
@@ -22,6 +21,7 @@ from typing import NamedTuple, Self
 
 from bench.bench_folder import MEMORY, bench_folder
 from bench.errors import BenchError, ExitCode, Refused
+from bench.file_lock import try_lock
 
 OWNER = "owner"
 """Name of the locked file."""
@@ -92,7 +92,7 @@ class Ownership:
         """Empty and remove `folder` if nobody holds its lock."""
         descriptor = os.open(OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
         try:
-            if _locked(descriptor):
+            if try_lock(descriptor):
                 _clear(folder, but="")
                 self.folder.rmdir()
         finally:
@@ -151,7 +151,7 @@ def adopt(descriptor: int) -> Ownership:
     """
     try:
         owner = _read(descriptor)
-        ours = owner is not None and _locked(descriptor)
+        ours = owner is not None and try_lock(descriptor)
         path = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
     except OSError:
         owner, ours, path = None, False, Path()
@@ -178,7 +178,7 @@ def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
     try:
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         descriptor = os.open(OWNER, flags, 0o600, dir_fd=folder)
-        if not _locked(descriptor):
+        if not try_lock(descriptor):
             return _read(descriptor)
         if not os.path.samestat(os.fstat(descriptor), os.stat(path / OWNER, follow_symlinks=False)):
             raise FileNotFoundError  # locked, but just removed by the last owner
@@ -243,15 +243,6 @@ def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
     return Refused(
         place, f"{path / OWNER} locked by an unnamed process", free, f"See who: fuser -v {path / OWNER}"
     )
-
-
-def _locked(descriptor: int) -> bool:
-    """Lock the open file for us, and for those who inherit it; False when another has it."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _write(descriptor: int, owner: Owner) -> None:
