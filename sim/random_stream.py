@@ -1,4 +1,4 @@
-"""Random numbers from a stream that a record carries with it: the same seed gives the same run, compiled or not."""
+"""Random numbers from a stream that a record carries: the same seed gives the same run, compiled or not."""
 
 from __future__ import annotations
 
