@@ -11,6 +11,7 @@ from bench.session import Session
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+    from bench.swing.optimal_control import Plan
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -194,20 +195,66 @@ def check(
 @app.command()
 def design(
     context: typer.Context,
-    output: Annotated[Path, typer.Argument(metavar="FILE", help="The profile to write, .toml.")],
+    output: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE]", help="The profile to write, .toml [default: by its demand]."),
+    ] = None,
+    club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
     speed: Annotated[
-        float, typer.Option(metavar="M_PER_S", min=5.0, max=60.0, help="Head speed at the ball.")
-    ] = 45.0,
-    seed: Annotated[int, typer.Option(min=1, help="Seed of the search.")] = 1,
-    evaluations: Annotated[int, typer.Option(min=100, help="Trials of the downswing's search.")] = 15000,
+        float | None,
+        typer.Option(metavar="M_PER_S", min=5.0, max=60.0, help="Head speed at the ball [default: 45]."),
+    ] = None,
+    attack: Annotated[
+        float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")
+    ] = 0.0,
+    lean: Annotated[
+        float,
+        typer.Option(metavar="DEG", min=-3.0, max=3.0, help="Shaft lean at the ball, in the swing plane."),
+    ] = 0.15,
+    strike: Annotated[
+        float,
+        typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane."),
+    ] = 0.0,
+    margin: Annotated[
+        float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Of each valve, left to feedback.")
+    ] = 15.0,
+    backswing: Annotated[
+        float, typer.Option(metavar="S", min=0.5, max=3.0, help="How long the backswing takes: the tempo.")
+    ] = 0.85,
+    highest: Annotated[
+        bool, typer.Option("--highest", help="Only say how fast it can be, and what limits it.")
+    ] = False,
+    start: Annotated[
+        str, typer.Option("--from", metavar="PROFILE", help='Swing to begin with, or "nothing".')
+    ] = "default",
 ) -> None:
-    """Find a swing on the configured plant by shooting; the default profile came from this command."""
+    """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
+
+    Deterministic. A demand beyond the robot is refused with what limits it.
+    """
+    import math
+
     from bench.errors import BenchError
     from bench.progress import progress_bar
-    from bench.swing.design import Demand, DesignFailed, design_swing
-    from bench.swing.profile import save_profile
+    from bench.swing.design import Demand, DesignFailed, design_swing, highest_speed
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile, save_profile
 
     configuration = context.ensure_object(Session).configuration()
+    plant = configuration.plant_with(club=club)
+    begin = None if start == "nothing" else load_profile(find_profile(start))
+    wanted = 45.0 if speed is None else speed
+    if output is None:
+        output = Path(f"{plant.robot.club.name}-{wanted:g}mps.toml")
+    demand = Demand(
+        head_speed=wanted,
+        attack=math.radians(attack),
+        lean=math.radians(lean),
+        strike=strike / 1e3,
+        margin=margin / 100,
+        backswing_time=backswing,
+    )
+    settings = (configuration.control, configuration.envelope, configuration.estimator)
     with progress_bar() as bar:
         tasks = {}
 
@@ -217,13 +264,17 @@ def design(
             bar.update(tasks[what], completed=part)
 
         try:
-            swing = design_swing(
-                configuration.plant,
-                Demand(head_speed=speed),
+            if highest:
+                _tell_highest(highest_speed(plant, demand, *settings, progress=show_progress))
+                return
+            made = design_swing(
+                plant,
+                demand,
                 output.stem,
                 control=configuration.control,
-                seed=seed,
-                evaluations=evaluations,
+                envelope=configuration.envelope,
+                estimator=configuration.estimator,
+                start=begin,
                 progress=show_progress,
             )
         except DesignFailed as failure:
@@ -231,8 +282,24 @@ def design(
                 "swing design",
                 str(failure),
                 "a swing that this plant can do",
-                "Ask for less speed or another seed.",
+                "Ask for less speed or a steeper attack angle; --highest tells how fast it can be.",
             ) from None
-    save_profile(output, swing)
-    typer.echo(f"{output}: {swing.delivery['head_speed_mps']:.1f} m/s at the ball.")
+    save_profile(output, made.profile)
+    delivery, limits = made.profile.delivery, made.profile.limits
+    typer.echo(
+        f"{output}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
+        f"attack {delivery['attack_angle_deg']:+.2f} deg, lean {delivery['shaft_lean_deg']:+.2f} deg, "
+        f"strike {delivery['in_plane_error_mm']:+.2f} mm."
+    )
+    typer.echo(
+        f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
+        f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
+    )
     typer.echo(f"Next: golfbench swing check {output}")
+
+
+def _tell_highest(plan: Plan) -> None:
+    """Print the fastest plan and what limits it."""
+    typer.echo(f"At most {plan.speed:.1f} m/s at the ball by the model of arms and air. What limits it:")
+    for name, gain in plan.binding.items():
+        typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")

@@ -1,0 +1,181 @@
+"""A downswing put into a profile so that the closed loop on the nominal plant does exactly that downswing.
+
+Openings found in the open loop are played on the plant with the whole control step listening. What its
+estimator then tells is the profile's reference, so that position and speed have no error to act on, and the
+feed-forward is the opening less what integral and damping add. On the nominal plant the feedback has nothing
+left to do, whatever its gains; its whole share of the valves is there for what differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
+from bench.control.step import SWING, ControlParameters, ControlState, step
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.lockstep import Lockstep
+from bench.swing.profile import Profile
+from bench.telemetry.cycle_record import CYCLE
+from sim.compiled import compiled, new_record
+from sim.plant import Plant, advance, sense
+from sim.truth import note_truth
+
+Array = NDArray[np.float64]
+
+HOLD = 1.0
+"""Time at the address before the swing, s; a campaign's."""
+
+
+class LoopFailed(RuntimeError):
+    """The swing does not run in closed loop."""
+
+
+@compiled
+def run_with_openings(
+    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
+    readings: Any, command: Any, first_tick: int, valve: Any, acceleration: Any, cycles: Any,
+) -> None:  # fmt: skip
+    """Let the control step listen while `valve` (n, 3) is applied; write CYCLE records (n,).
+
+    `acceleration` (n, 3) gets the estimator's, rad/s2.
+    """
+    period = plant[0].tick
+    for k in range(len(valve)):
+        sense(plant, plant_state, readings)
+        cycle = cycles[k : k + 1]
+        step(state, parameters, readings, (first_tick + k) * period, command, cycle)
+        note_truth(plant_state, cycle)
+        for i in range(3):
+            acceleration[k, i] = state.estimator[0].acceleration[i]
+            command[0].valve[i] = valve[k, i]
+        advance(robot, plant, impact, plant_state, command)
+
+
+class Rehearsal:
+    """A profile under closed loop on the nominal plant, from vented to the end of the follow-through."""
+
+    def __init__(
+        self, plant: Plant, profile: Profile, control: ControlSettings, estimator: EstimatorSettings,
+        *, ball: bool = True,
+    ) -> None:  # fmt: skip
+        """Arm and hold; the swing begins with the first call of `advance` or `play`.
+
+        Raises:
+            LoopFailed: the robot does not come to rest at address.
+        """
+        free = EnvelopeSettings(following={})  # references past the ball are what is being found
+        controller = build_controller(plant.parameters, profile, control, free, estimator)
+        self.bench = Lockstep(plant, controller, profile.angle[0])
+        if not self.bench.arm():
+            raise LoopFailed("the robot does not come to rest at address")
+        self.bench.state.control["tee"] = ball
+        self.bench.advance(round(HOLD / plant.parameters.tick))
+        self._begun = False
+
+    def advance(self, ticks: int) -> NDArray[Any]:
+        """Return the CYCLE records of the next `ticks` ticks of the swing.
+
+        Raises:
+            LoopFailed: the envelope stopped it.
+        """
+        cycles = self.bench.advance(ticks, 0 if self._begun else SWING)
+        self._begun = True
+        self._require_running()
+        return cycles
+
+    def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
+        """Apply openings `valve` (n, 3), the loop listening; return records and estimated accelerations."""
+        bench, cycles = self.bench, new_record(CYCLE, len(valve))
+        acceleration = np.zeros((len(valve), 3))
+        run_with_openings(
+            *bench.plant.records, bench.plant_state, bench.state, bench.parameters, bench.readings,
+            bench.command, bench.tick, np.ascontiguousarray(valve), acceleration, cycles,
+        )  # fmt: skip
+        bench.tick += len(valve)
+        self._require_running()
+        return cycles, acceleration
+
+    def _require_running(self) -> None:
+        cause = Cause(int(self.bench.state.control["cause"][0]))
+        if cause:
+            raise LoopFailed(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
+
+
+def imprint(
+    plant: Plant, profile: Profile, opening: Array, control: ControlSettings, estimator: EstimatorSettings
+) -> Profile:
+    """Return `profile` with references and feed-forward with which the loop applies `opening` (n, 3).
+
+    `opening` begins where the phase DOWNSWING does and ends where FOLLOW_THROUGH begins.
+
+    Raises:
+        LoopFailed: the swing does not run.
+    """
+    top = profile.begins[3]
+    rehearsal = Rehearsal(plant, profile, control, estimator)
+    rehearsal.advance(top)
+    integral = rehearsal.bench.state.pid["integral"][0].copy()
+    cycles, acceleration = rehearsal.play(opening)
+    rows = slice(top, top + len(opening))
+    angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
+    angle[rows] = cycles["angle"]
+    window = profile.begins[5] - top  # from here on the loop does not damp: the impact's jump is no motion
+    away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, control)
+    velocity[rows] = cycles["velocity"] + away
+    derivative = np.array(control.pid.derivative) * away
+    following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
+    damping = np.array(control.damping) * ((following - velocity[rows]) / profile.period - acceleration)
+    damping[window:] = 0.0
+    valve[rows] = np.clip(opening - integral - derivative - damping, -1.0, 1.0)
+    return replace(profile, angle=angle, velocity=velocity, valve=valve)
+
+
+def _silent_velocity(
+    velocity: Array, acceleration: Array, window: int, period: float, control: ControlSettings
+) -> Array:
+    """Return what to add to the estimated `velocity` (n, 3) so that derivative and damping cancel out.
+
+    The estimated acceleration lags; damping against the reference's would otherwise open the valves by a
+    good part of the stroke, more than a feed-forward at full opening can take back.
+    """
+    away = np.zeros_like(velocity)
+    derivative, damping = np.array(control.pid.derivative), np.array(control.damping)
+    rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
+    for k in range(min(window, len(velocity) - 1)):
+        lag = (velocity[k + 1] - velocity[k]) / period - acceleration[k]
+        away[k + 1] = away[k] - period * (rate * away[k] + lag) * (damping > 0)
+    for k in range(window, len(velocity) - 1):
+        away[k + 1] = away[k]
+    return away
+
+
+def with_follow_through(
+    plant: Plant, profile: Profile, control: ControlSettings, estimator: EstimatorSettings
+) -> tuple[Profile, NDArray[Any]]:
+    """Return `profile` with the follow-through that the braking law gives, and the plant's last state.
+
+    Raises:
+        LoopFailed: the swing does not run, or misses the ball.
+    """
+    rehearsal = Rehearsal(plant, profile, control, estimator)
+    cycles = rehearsal.advance(len(profile.angle))
+    angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
+    follow = profile.begins[-1]
+    angle[follow:], velocity[follow:] = cycles["plant_angle"][follow:], cycles["plant_velocity"][follow:]
+    valve[follow:] = cycles["applied_valve"][follow:]
+    state = rehearsal.bench.plant_state
+    if not state["struck"][0]:
+        raise LoopFailed("under closed loop the head misses the ball")
+    start = float(state["time"][0]) - len(profile.angle) * profile.period
+    found = replace(
+        profile,
+        angle=angle,
+        velocity=velocity,
+        valve=valve,
+        impact_time=float(state["impact_time"][0]) - start,
+    )
+    return found, state

@@ -1,0 +1,182 @@
+"""Golfers, their downswing as a model, and how far a robot's swing is from it.
+
+Hunt's functions (`bench.swing.hunt`) are a 2-handicap's. His downswing gives shoulder and right arm; the
+wrist is free, so that its angle is the torque-free response of the club to them, within the human wrist's range.
+The other golfers are Hunt's, scaled in time to their tempo and in amplitude until the head has their speed
+where it passes the ball: no joint angles of theirs are public. Past their end the functions go on, the
+shoulder at its speed and the right arm at its length, until the head is there.
+
+Deviation, our definition: over the downswing, clocks laid together at the ball, the root mean square of robot
+less human, divided by the human's range; of each joint, and of the head as distance over the longest way
+across its path. Hunt and Wiens (2003, as quoted in the thesis) give 9.6 % without a public definition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.swing.hunt import BACKSWING_DURATION, DOWNSWING_DURATION, right_arm_length, shoulder_turn
+from bench.swing.profile import Profile
+from sim.compiled import compiled
+from sim.kane import kane_terms
+from sim.kinematics import forward_kinematics, theta2_from_right_arm
+from sim.plant import PlantParameters
+
+Array = NDArray[np.float64]
+
+HUNT_WIENS = 0.096
+_MPH = 0.44704
+_STEP = 2.5e-4
+_LONGEST = 1.6
+"""How far past their end the functions go on, in downswings."""
+_ADDRESS = 0.45, 0.2125
+"""theta1 (rad) and rod extension (m) at address: his right arm's range in the middle of the robot's."""
+_COCK_AT_TOP = 1.769
+_WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
+"""Range of the human wrist (thesis), as theta3."""
+_RIGHT_ARM_AT_ADDRESS = -0.03032
+_AMPLITUDES = 0.5, 1.8
+
+
+@dataclass(frozen=True)
+class Golfer:
+    """Who swings: the head speed at the ball and the tempo; sources in `text`."""
+
+    name: str
+    text: str
+    head_speed: float
+    """m/s"""
+    backswing: float
+    """s"""
+    downswing: float
+    """s"""
+    as_given: bool = False
+    """Hunt's functions without scaling."""
+
+
+def _golfer(name: str, text: str, mph: float, backswing: float, downswing: float) -> Golfer:
+    return Golfer(name, f"{text}; Hunt's motion, scaled", mph * _MPH, backswing, downswing)
+
+
+GOLFERS = {
+    golfer.name: golfer
+    for golfer in (
+        _golfer("tour-male", "average of the PGA Tour, 115 mph", 115, 0.80, 0.233),
+        _golfer("tour-female", "average of the LPGA Tour, 96 mph", 96, 1.03, 0.267),
+        Golfer(
+            "two-handicap", "the thesis' golfer: Hunt's functions as given, over 100 mph", 105 * _MPH,
+            BACKSWING_DURATION, DOWNSWING_DURATION, as_given=True,
+        ),
+        _golfer("average-male", "USGA's average male, 93 mph", 93, 0.85, 0.26),
+        _golfer("average-female", "USGA's average female, 72-79 mph", 75, 1.1, 0.30),
+        _golfer("senior", "over 60 years, 80-90 mph", 82, 1.0, 0.30),
+    )
+}  # fmt: skip
+
+
+class HumanDownswing(NamedTuple):
+    """The model's downswing in the robot's coordinates, from the top until the head passes the ball."""
+
+    time: Array
+    """(n,) s"""
+    angle: Array
+    """(n, 3) rad"""
+    head: Array
+    """(n, 2) m"""
+    head_speed: float
+    """m/s at its end."""
+    amplitude: float
+    """Of Hunt's functions."""
+    reaches: bool
+    """Whether the head passes the ball's place."""
+
+
+@compiled
+def free_wrist(
+    robot: NDArray[np.void], angle: Array, speed: Array, bend: Array, low: float, high: float, step: float
+) -> None:
+    """Fill the third columns of `angle` and `speed` (n, 3): the wrist without torque between its stops.
+
+    `bend` (n,) is theta2's acceleration; theta1's is zero. Stops are plastic. Starts from row 0.
+    """
+    r = robot[0]
+    for k in range(len(angle) - 1):
+        q, u = angle[k], speed[k]
+        _, _, _, _, m23, m33, _, _, h3, _ = kane_terms(r, q[0], q[1], q[2], u[0], u[1], u[2])
+        rate = u[2] + step * (-h3 - m23 * bend[k]) / m33
+        turn = q[2] + step * rate
+        if turn < low:
+            turn, rate = low, max(rate, 0.0)
+        elif turn > high:
+            turn, rate = high, min(rate, 0.0)
+        angle[k + 1, 2], speed[k + 1, 2] = turn, rate
+
+
+def human_downswing(plant: PlantParameters, golfer: Golfer) -> HumanDownswing:
+    """Return the downswing of `golfer`, with the amplitude that gives his speed at the ball."""
+    if golfer.as_given:
+        return _downswing(plant, golfer, 1.0)
+    low, high = _AMPLITUDES
+    for _ in range(18):
+        middle = (low + high) / 2
+        found = _downswing(plant, golfer, middle)
+        fast = found.reaches and found.head_speed > golfer.head_speed
+        low, high = (low, middle) if fast else (middle, high)
+    return _downswing(plant, golfer, (low + high) / 2)
+
+
+def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> HumanDownswing:
+    robot, scale = plant.robot, DOWNSWING_DURATION / golfer.downswing
+    time: Array = np.arange(round(_LONGEST * golfer.downswing / _STEP), dtype=float) * _STEP
+    own = BACKSWING_DURATION + np.minimum(time * scale, DOWNSWING_DURATION)
+    past = np.maximum(time * scale - DOWNSWING_DURATION, 0.0)
+    extension = _ADDRESS[1] + amplitude * (right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS)
+    angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
+    angle[:, 0] = _ADDRESS[0] - amplitude * (shoulder_turn(own) - 11.8028 * past)
+    # The linkage ends before the longest amplitude does.
+    angle[:, 1] = theta2_from_right_arm(robot, np.clip(robot.l56 + extension, 0.25, 0.85))
+    speed[:, 0] = amplitude * 11.8028 * scale
+    speed[:, 1] = np.gradient(angle[:, 1], _STEP)
+    angle[0, 2] = max(2 * np.pi - amplitude * _COCK_AT_TOP, _WRIST[0])
+    free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)
+    pose = forward_kinematics(robot, angle)
+    passing = np.flatnonzero(
+        (np.diff(pose[:, 0] >= plant.site.ball_x)) & (pose[1:, 1] < -0.9) & (pose[1:, 0] > pose[:-1, 0])
+    )
+    end = int(passing[0]) + 1 if len(passing) else len(time) - 1
+    velocity = (pose[end, :2] - pose[end - 1, :2]) / _STEP
+    rows = slice(0, end + 1)
+    return HumanDownswing(
+        time[rows], angle[rows], pose[rows, :2], float(np.hypot(*velocity)), amplitude, bool(len(passing))
+    )
+
+
+class Deviation(NamedTuple):
+    """Robot against human over the downswing; shares of the human's range."""
+
+    shoulder: float
+    arm: float
+    wrist: float
+    head: float
+
+
+def deviation(plant: PlantParameters, profile: Profile, human: HumanDownswing) -> Deviation:
+    """Return how far the motion of `profile` is from `human`, clocks laid together at the ball."""
+    samples = np.arange(len(profile.angle)) * profile.period
+    at = profile.impact_time - human.time[-1] + human.time
+    robot = np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
+    joints = np.sqrt(np.mean((robot - human.angle) ** 2, axis=0)) / np.ptp(human.angle, axis=0)
+    head = forward_kinematics(plant.robot, robot)[:, :2] - human.head
+    across = max(
+        float(np.linalg.norm(human.head - point, axis=1).max())
+        for point in human.head[:: max(len(human.head) // 50, 1)]
+    )
+    return Deviation(
+        float(joints[0]), float(joints[1]), float(joints[2]),
+        float(np.sqrt(np.mean(np.sum(head**2, axis=1)))) / across,
+    )  # fmt: skip
