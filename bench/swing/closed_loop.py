@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 HOLD = 1.0
 """Time at the address before the swing, s; a campaign's."""
 
+_AWAY = 0.4
+"""Most that the reference's speed may differ from its slope, rad/s; feed-forward makes up for the rest."""
+
 
 class LoopFailed(RuntimeError):
     """The swing does not run in closed loop."""
@@ -147,7 +150,8 @@ def _silent_velocity(
     rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
     for k in range(min(window, len(velocity) - 1)):
         lag = (velocity[k + 1] - velocity[k]) / period - acceleration[k]
-        away[k + 1] = away[k] - period * (rate * away[k] + lag) * (damping > 0)
+        shifted = away[k] - period * (rate * away[k] + lag) * (damping > 0)
+        away[k + 1] = np.clip(shifted, -_AWAY, _AWAY)
     for k in range(window, len(velocity) - 1):
         away[k + 1] = away[k]
     return away

@@ -298,6 +298,41 @@ def design(
     typer.echo(f"Next: golfbench swing check {output}")
 
 
+@app.command()
+def golfers(context: typer.Context, profile: Name, json_: Json = False) -> None:
+    """Compare a profile's downswing with golfers': root mean square over the human's range.
+
+    Their motion is Hunt's with a free wrist, scaled in time and amplitude to their tempo and head speed.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.swing.golfers import GOLFERS, deviation, human_downswing
+    from bench.swing.golfers_table import golfers_table
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    plant, swing = context.ensure_object(Session).configuration().plant, load_profile(find_profile(profile))
+    humans = [(golfer, human_downswing(plant, golfer)) for golfer in GOLFERS.values()]
+    rows = [(golfer, human, deviation(plant, swing, human)) for golfer, human in humans]
+    if json_:
+        found = [
+            {
+                "golfer": golfer.name,
+                "text": golfer.text,
+                "golfer_head_speed_mps": golfer.head_speed,
+                "model_head_speed_mps": human.head_speed,
+                "amplitude": human.amplitude,
+                "deviation": away._asdict(),
+            }
+            for golfer, human, away in rows
+        ]
+        typer.echo(json.dumps(found, indent=2))
+        return
+    Console().print(golfers_table(swing.name, rows, plant), highlight=False)
+
+
 def _tell_highest(plan: Plan) -> None:
     """Print the fastest plan and what limits it."""
     typer.echo(f"At most {plan.speed:.1f} m/s at the ball by the model of arms and air. What limits it:")

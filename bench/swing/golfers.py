@@ -1,7 +1,7 @@
 """Golfers, their downswing as a model, and how far a robot's swing is from it.
 
 Hunt's functions (`bench.swing.hunt`) are a 2-handicap's. His downswing gives shoulder and right arm; the
-wrist is free, so that its angle is the torque-free response of the club to them, within the human wrist's range.
+wrist is free, so that its angle is the torque-free response of the club, within the human wrist's range.
 The other golfers are Hunt's, scaled in time to their tempo and in amplitude until the head has their speed
 where it passes the ball: no joint angles of theirs are public. Past their end the functions go on, the
 shoulder at its speed and the right arm at its length, until the head is there.

@@ -1,0 +1,95 @@
+"""The designer's pieces: its model is the plant's, its geometry is right, and what it shipped holds."""
+
+from __future__ import annotations
+
+from math import asin, radians, sin
+
+import numpy as np
+import pytest
+
+from bench.simulate import SimulatedBench, simulate_swing
+from bench.swing.design import Demand, address_pose, slope_of, top_pose
+from bench.swing.library import find_profile
+from bench.swing.optimal_control import BAR, _radau_slopes, build_equations
+from bench.swing.profile import load_profile
+from bench.swing.refine import KNOT, correction
+from sim.kinematics import head_motion
+from sim.motion import STATES as PLANT_STATES
+from sim.motion import _derivative
+from sim.plant import PlantParameters, build_plant
+
+SHIPPED = (("driver-100mph", 45.0, 1.3), ("driver-85mph", 38.0, 0.0))
+"""Name, head speed (m/s) and attack angle (deg) demanded."""
+
+
+def test_the_models_derivative_is_the_plants(plant: PlantParameters) -> None:
+    equations, records = build_equations(plant), build_plant(plant)
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        angle = [random.uniform(-1.0, 0.4), random.uniform(3.8, 4.3), random.uniform(5.2, 6.2)]
+        speed = random.uniform(3.0, 8.0, 3) * random.choice([-1.0, 1.0], 3)
+        pressure, supply = random.uniform(2e5, 7e5, 6), 7.5e5
+        opening = random.uniform(0.1, 0.8, 3) * random.choice([-1.0, 1.0], 3)
+        y, rate, terms, slip = (np.zeros(PLANT_STATES) for _ in range(4))
+        y[:3], y[3:6], y[6:12], y[12] = angle, speed, pressure, supply
+        slip[:3] = np.sign(speed)
+        feed = plant.supply.feed_conductance
+        one, two, three = (float(value) for value in opening)
+        _derivative(records.robot[0], records.plant[0], y, one, two, three, feed, 0.0, slip, rate, terms)
+        state = np.concatenate([angle, speed, pressure / BAR, [supply / BAR], opening])
+        found = np.array(equations.derivative(state, np.zeros(3))).ravel()
+        assert found[3:6] == pytest.approx(rate[3:6], rel=5e-3, abs=1.0)
+        assert found[6:13] == pytest.approx(rate[6:13] / BAR, rel=0.02, abs=1.5)
+
+
+def test_the_models_head_is_the_robots(plant: PlantParameters) -> None:
+    angle, speed = np.array([0.3, 4.3, 6.1]), np.array([5.0, 9.0, 20.0])
+    head = np.array(build_equations(plant).head(angle, speed)).ravel()
+    assert head == pytest.approx(head_motion(plant.robot.record[0], *angle, *speed)[:5])
+
+
+def test_collocation_differentiates_polynomials_exactly() -> None:
+    points = np.array([1 / 3, 1.0])
+    slopes = _radau_slopes(points)
+    nodes = np.array([0.0, *points])
+    for power in range(3):
+        expected = power * points ** (power - 1) if power else np.zeros(2)
+        assert nodes**power @ slopes == pytest.approx(expected)
+
+
+def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
+    lie, attack = radians(53.0), radians(2.0)
+    assert sin(slope_of(attack, lie)) * sin(lie) == pytest.approx(sin(attack))
+    assert slope_of(0.0, lie) == 0.0
+    assert slope_of(-attack, lie) == -slope_of(attack, lie)
+    with pytest.raises(ValueError, match="steeper"):
+        slope_of(lie, lie)
+
+
+def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
+    knots = np.array([[0.1, -0.2, 0.0], [0.3, 0.0, 0.2]])
+    opening = correction(knots, 50, 1e-3)
+    ticks = round(KNOT / 1e-3)
+    assert opening[0] == pytest.approx([0.0, 0.0, 0.0])
+    assert opening[[ticks, 2 * ticks]] == pytest.approx(knots)
+    assert opening[-1] == pytest.approx(knots[-1])
+
+
+def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
+    for pose in (address_pose(plant, Demand()), top_pose(plant, Demand())):
+        assert plant.shoulder.lower < pose[0] < plant.shoulder.upper
+        assert plant.wrist.lower < pose[2] < plant.wrist.upper
+        assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(Demand().least_lever))
+
+
+@pytest.mark.parametrize(("name", "speed", "attack"), SHIPPED)
+def test_a_shipped_design_delivers_in_closed_loop(name: str, speed: float, attack: float) -> None:
+    profile = load_profile(find_profile(name))
+    result = simulate_swing(SimulatedBench(profile, hold=1.0))
+    delivery = result.delivery
+    assert delivery is not None
+    assert delivery.speed == pytest.approx(speed, abs=0.15)
+    assert np.degrees(delivery.attack_angle) == pytest.approx(attack, abs=0.15)
+    assert abs(delivery.in_plane_error) < 2e-3
+    assert delivery.speed == pytest.approx(profile.delivery["head_speed_mps"], abs=0.05)
+    assert max(profile.limits["stop_share_missed"], profile.limits["stop_share_silent"]) <= 1.0

@@ -1,0 +1,65 @@
+"""Golfers: the wrist is free, speed and tempo are theirs, and deviations are what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.swing.golfers import GOLFERS, HumanDownswing, deviation, free_wrist, human_downswing
+from bench.swing.profile import Profile
+from sim.kane import inverse_dynamics
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+
+FOLLOWED = ("tour-female", "average-male", "average-female", "senior")
+
+
+@pytest.mark.parametrize("name", FOLLOWED)
+def test_a_scaled_golfer_has_the_head_speed_of_his_or_her_kind(plant: PlantParameters, name: str) -> None:
+    human = human_downswing(plant, GOLFERS[name])
+    assert human.reaches
+    assert human.head_speed == pytest.approx(GOLFERS[name].head_speed, rel=1e-3)
+    assert human.head[-1] == pytest.approx([plant.site.ball_x, plant.site.ball_y], abs=0.25)
+
+
+def test_hunts_functions_are_taken_as_given(plant: PlantParameters) -> None:
+    human = human_downswing(plant, GOLFERS["two-handicap"])
+    assert human.amplitude == 1.0
+    assert np.diff(human.angle[:, 0]) == pytest.approx(11.8028 * 2.5e-4)
+
+
+def test_the_wrist_is_free(plant: PlantParameters) -> None:
+    step, n = 1e-5, 4000
+    angle, speed = np.zeros((n, 3)), np.zeros((n, 3))
+    angle[:, 0], angle[:, 1] = -1.0 + 8.0 * step * np.arange(n), 3.9
+    speed[:, 0] = 8.0
+    angle[0, 2] = 5.2
+    free_wrist(plant.robot.record, angle, speed, np.zeros(n), 4.0, 7.0, step)
+    rate = np.gradient(speed, step, axis=0)
+    effort = inverse_dynamics(plant.robot, angle[5:-5], speed[5:-5], rate[5:-5])
+    assert np.abs(effort[:, 2]).max() < 0.05
+    assert np.ptp(angle[:, 2]) > 0.01
+
+
+def test_a_wrist_at_its_stop_stays(plant: PlantParameters) -> None:
+    angle, speed = np.full((50, 3), 5.2), np.zeros((50, 3))
+    angle[:, 0], angle[:, 1] = -1.0, 3.9
+    speed[0, 2] = -5.0
+    free_wrist(plant.robot.record, angle, speed, np.zeros(50), 5.2, 6.3, 1e-4)
+    assert angle[:, 2].min() == 5.2
+
+
+def test_a_robot_that_does_as_the_human_does_not_deviate(plant: PlantParameters, slow_swing: Profile) -> None:
+    period, time = slow_swing.period, np.linspace(0.0, 299 * slow_swing.period, 300)
+    rows = round(slow_swing.impact_time / period) - 299 + np.arange(300)
+    angle = slow_swing.angle[rows]
+    human = HumanDownswing(time, angle, np.zeros((300, 2)), 1.0, 1.0, True)
+    head = forward_kinematics(plant.robot, angle)[:, :2]
+    moving = human._replace(head=head, angle=angle + np.array([0.0, 1e-9, 1e-9]) * np.arange(300)[:, None])
+    found = deviation(plant, slow_swing, moving)
+    assert found.shoulder == pytest.approx(0.0, abs=1e-9)
+    assert found.head == pytest.approx(0.0, abs=1e-9)
+    shifted = replace(slow_swing, angle=slow_swing.angle + [0.1, 0.0, 0.0])
+    assert deviation(plant, shifted, moving).shoulder == pytest.approx(0.1 / np.ptp(angle[:, 0]))
