@@ -11,6 +11,7 @@ from math import hypot, pi
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from bench.control.settings import EnvelopeSettings
 from bench.errors import BenchError
@@ -36,6 +37,8 @@ EXCESS_SHARE = 0.05
 EXCESS_TIME = 0.005
 """Force may exceed the air's bound by this share of the actuator's greatest, and by more for this long (s):
 the tables are rounded, and differentiated here."""
+_PARTS = 10
+"""Into which the time between two samples is cut where cushions are looked at."""
 
 _KEYS = ("shoulder", "right_arm", "wrist")
 _POSITION, _SPEED, _FORCE = ("rad", "m", "rad"), ("rad/s", "m/s", "rad/s"), ("N m", "N", "N")
@@ -181,8 +184,9 @@ def _range(plan: Plan) -> Check:
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
         beyond = np.maximum(actuator.lower - position, position - actuator.upper)
         k = int(beyond.argmax())
-        force = stop_forces(actuator, position, plan.motion.speed[:, i])
-        energy = _greatest_visit(-force * plan.motion.speed[:, i] * plan.profile.period)
+        place, speed = _between_samples(position, plan.motion.speed[:, i], plan.profile.period)
+        force = stop_forces(actuator, place, speed)
+        energy = _greatest_visit(-force * speed * plan.profile.period / _PARTS)
         if beyond[k] > share * stop.travel:
             low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
             found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
@@ -196,6 +200,13 @@ def _range(plan: Plan) -> Check:
         texts.append(f"{energy:.0f}")
         ratings.append(f"{stop.energy:g}")
     return Check("end stops", " · ".join(texts) + " J", " · ".join(ratings) + " J", faults)
+
+
+def _between_samples(position: Array, speed: Array, period: float) -> tuple[Array, Array]:
+    """Return position and speed `_PARTS` times as often: a cushion may stop a rod within two samples."""
+    at = np.arange((len(position) - 1) * _PARTS + 1) / _PARTS
+    path = CubicHermiteSpline(np.arange(len(position)) * period, position, speed)
+    return path(at * period), path(at * period, 1)
 
 
 def _greatest_visit(work: Array) -> float:
