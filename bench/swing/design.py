@@ -31,6 +31,7 @@ from bench.swing.optimal_control import BAR, STATES, DownswingProblem, Plan, sol
 from bench.swing.profile import Profile
 from bench.swing.refine import NotReached, refine
 from bench.swing.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
+from sim.impact import in_plane_error
 from sim.kinematics import head_motion, inverse_kinematics, theta2_from_right_arm
 from sim.plant import Plant, PlantParameters, build_plant
 
@@ -403,7 +404,8 @@ def _told(profile: Profile, plant: Plant, state: NDArray[Any], demand: Demand, t
     parameters, head = plant.parameters, state["impact_head"][0]
     ratings = np.array([[a.stop.energy] for a in parameters.actuators])
     slope, lie = float(np.arctan2(head[4], head[3])), parameters.robot.lie
-    speed = float(np.hypot(head[3], head[4]))
+    speed, site = float(np.hypot(head[3], head[4])), parameters.site
+    error = float(in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, plant.impact))
     return replace(
         profile,
         text=profile.text or f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
@@ -412,7 +414,7 @@ def _told(profile: Profile, plant: Plant, state: NDArray[Any], demand: Demand, t
             "attack_angle_deg": float(np.degrees(asin(sin(slope) * sin(lie)))),
             "path_slope_deg": float(np.degrees(slope)),
             "shaft_lean_deg": float(np.degrees(head[2] - SHAFT_DOWN)),
-            "in_plane_error_mm": 1e3 * trial.error,
+            "in_plane_error_mm": 1e3 * error,
         },
         limits={
             "supply_pressure_pa": parameters.supply.pressure,
