@@ -201,6 +201,28 @@ def simulate_swings(
         rig.close()
 
 
+def begin_swing(bench: SimulatedBench, ball: Ball | None) -> tuple[Lockstep, Cycles]:
+    """Return `bench` (lock-step engine) as `simulate_swing` has it once the swing has begun.
+
+    Beside it the record of the swing's first tick, which is done.
+
+    Raises:
+        Refused: the robot does not come to rest at its address.
+    """
+    rig = _Rig(bench, never)
+    if not isinstance(rig.stepper, Lockstep):
+        raise ValueError(f"engine {bench.engine!r} cannot be taken on tick by tick")
+    rig.arm()
+    if not rig.begin(ball):
+        raise Refused(
+            f"a swing with profile {bench.profile.name!r}",
+            CAUSE_TEXT[rig.cause] if rig.cause else "the robot does not come to rest",
+            "rest at address",
+            "Check the profile's address and the gains.",
+        )
+    return rig.stepper, rig.latest
+
+
 class ArmedBench:
     """A simulated bench that is armed once; each swing begins at that same instant.
 
@@ -333,16 +355,25 @@ class _Rig:
 
     def swing(self, ball: Ball | None) -> SwingResult:
         """Tee `ball` up, swing, return to address, and look at what happened."""
-        self._kept = []
-        self._begin_tally()
-        self._tee_up(ball)
-        asked = self._settled()
+        asked = self.begin(ball)
         back = asked and self.run_until(self.holding, self.bench.profile.duration + _LONGEST_RETURN)
         interrupted = self.stop()
         if interrupted or not back:
             self.rest()
         self.state.control["tee"] = False
         return self._result(ball, asked, interrupted and not back)
+
+    def begin(self, ball: Ball | None) -> bool:
+        """Tee `ball` up, hold at address and begin the swing; False when it was not to be had."""
+        self._kept = []
+        self._begin_tally()
+        self._tee_up(ball)
+        return self._settled()
+
+    @property
+    def latest(self) -> Cycles:
+        """The records of the latest call of `step`."""
+        return self._kept[-1]
 
     def _tee_up(self, ball: Ball | None) -> None:
         """Let the tee down, and raise it with `ball` if there is one."""

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings, EstimatorSettings
+from bench.simulate import SimulatedBench
 from bench.swing.closed_loop import Rehearsal
-from bench.swing.profile import Profile
 from bench.swing.shooting import without_history
 from sim.compiled import compiled
-from sim.plant import Plant, advance
+from sim.plant import Plant, advance, build_plant
 
 Array = NDArray[np.float64]
 
@@ -69,17 +68,17 @@ def _cost(plant: Plant, states: list[tuple[NDArray[Any], NDArray[Any]]], pattern
 
 
 def design_blind_brake(
-    plant: Plant, profile: Profile, control: ControlSettings, estimator: EstimatorSettings,
-    start: Array | None, progress: Callable[[float], None],
-) -> Array:  # fmt: skip
-    """Return a pattern (6,) for each row of `profile`; `start` (m, 6) are patterns to begin with, or None.
+    bench: SimulatedBench, start: Array | None, progress: Callable[[float], None]
+) -> Array:
+    """Return a pattern (6,) for each row of the bench's profile; `start` (m, 6): to begin with, or None.
 
     Raises:
         LoopFailed: the undisturbed swing does not run.
     """
+    profile, plant = bench.profile, build_plant(bench.plant)
     spacing, rows = profile.blind_spacing, len(profile.blind_brake)
     ticks = round(_WATCHED / profile.period)
-    rehearsals = [Rehearsal(plant, profile, control, estimator, ball=ball) for ball in (True, False)]
+    rehearsals = [Rehearsal(bench, ball=ball) for ball in (True, False)]
     begun: list[list[tuple[NDArray[Any], NDArray[Any]]]] = []
     for row in range(rows):
         states = []

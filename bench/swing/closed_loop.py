@@ -14,20 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.control.step import SWING, ControlParameters, ControlState, step
+from bench.control.settings import ControlSettings
+from bench.control.step import ControlParameters, ControlState, step
+from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
-from bench.lockstep import Lockstep
+from bench.simulate import SimulatedBench, begin_swing
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from sim.compiled import compiled, new_record
-from sim.plant import Plant, advance, sense
+from sim.plant import advance, sense
 from sim.truth import note_truth
 
 Array = NDArray[np.float64]
-
-HOLD = 1.0
-"""Time at the address before the swing, s; a campaign's."""
 
 _AWAY = 0.4
 """Most that the reference's speed may differ from its slope, rad/s; feed-forward makes up for the rest."""
@@ -59,36 +57,31 @@ def run_with_openings(
 
 
 class Rehearsal:
-    """A profile under closed loop on the nominal plant, from vented to the end of the follow-through."""
+    """A profile under closed loop on the nominal plant, just as `simulate_swing` does it, tick by tick."""
 
-    def __init__(
-        self, plant: Plant, profile: Profile, control: ControlSettings, estimator: EstimatorSettings,
-        *, ball: bool = True,
-    ) -> None:  # fmt: skip
-        """Arm and hold; the swing begins with the first call of `advance` or `play`.
+    def __init__(self, bench: SimulatedBench, *, ball: bool = True) -> None:
+        """Arm the vented bench, hold, and begin the swing with the bench's profile.
 
         Raises:
             LoopFailed: the robot does not come to rest at address.
         """
-        free = EnvelopeSettings(following={})  # references past the ball are what is being found
-        controller = build_controller(plant.parameters, profile, control, free, estimator)
-        self.bench = Lockstep(plant, controller, profile.angle[0])
-        if not self.bench.arm():
-            raise LoopFailed("the robot does not come to rest at address")
-        self.bench.state.control["tee"] = ball
-        self.bench.advance(round(HOLD / plant.parameters.tick))
-        self._begun = False
+        # References past the ball are what is being found: no following error to judge yet.
+        free = replace(bench, envelope=replace(bench.envelope, following={}))
+        try:
+            self.bench, self._first = begin_swing(free, bench.plant.ball if ball else None)
+        except Refused as refused:
+            raise LoopFailed(f"{refused.place}: {refused.found}") from None
 
     def advance(self, ticks: int) -> NDArray[Any]:
-        """Return the CYCLE records of the next `ticks` ticks of the swing.
+        """Return the CYCLE records of the next `ticks` ticks of the swing, its first one included.
 
         Raises:
             LoopFailed: the envelope stopped it.
         """
-        cycles = self.bench.advance(ticks, 0 if self._begun else SWING)
-        self._begun = True
+        first, self._first = self._first[:ticks], self._first[ticks:]
+        cycles = self.bench.advance(ticks - len(first))
         self._require_running()
-        return cycles
+        return np.concatenate([first, cycles]) if len(first) else cycles
 
     def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
         """Apply openings `valve` (n, 3), the loop listening; return records and estimated accelerations."""
@@ -108,18 +101,17 @@ class Rehearsal:
             raise LoopFailed(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
 
 
-def imprint(
-    plant: Plant, profile: Profile, opening: Array, control: ControlSettings, estimator: EstimatorSettings
-) -> Profile:
-    """Return `profile` with references and feed-forward with which the loop applies `opening` (n, 3).
+def imprint(bench: SimulatedBench, opening: Array) -> Profile:
+    """Return the bench's profile with references and feed-forward that make the loop apply `opening` (n, 3).
 
     `opening` begins where the phase DOWNSWING does and ends where FOLLOW_THROUGH begins.
 
     Raises:
         LoopFailed: the swing does not run.
     """
+    profile, control = bench.profile, bench.control
     top = profile.begins[3]
-    rehearsal = Rehearsal(plant, profile, control, estimator)
+    rehearsal = Rehearsal(bench)
     rehearsal.advance(top)
     integral = rehearsal.bench.state.pid["integral"][0].copy()
     cycles, acceleration = rehearsal.play(opening)
@@ -157,15 +149,13 @@ def _silent_velocity(
     return away
 
 
-def with_follow_through(
-    plant: Plant, profile: Profile, control: ControlSettings, estimator: EstimatorSettings
-) -> tuple[Profile, NDArray[Any]]:
-    """Return `profile` with the follow-through that the braking law gives, and the plant's last state.
+def with_follow_through(bench: SimulatedBench) -> tuple[Profile, NDArray[Any]]:
+    """Return the bench's profile with the braking law's follow-through, and the plant's last state.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.
     """
-    rehearsal = Rehearsal(plant, profile, control, estimator)
+    profile, rehearsal = bench.profile, Rehearsal(bench)
     cycles = rehearsal.advance(len(profile.angle))
     angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
     follow = profile.begins[-1]

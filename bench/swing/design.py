@@ -15,25 +15,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import asin, pi, sin
-from typing import Any
+from math import asin, atan2, degrees, pi, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.control.step import SWING
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase
-from bench.lockstep import Lockstep
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.simulate import SimulatedBench
 from bench.swing.blind_brake import SPACING, design_blind_brake
-from bench.swing.closed_loop import HOLD, LoopFailed, imprint, with_follow_through
+from bench.swing.casadi_package import load_casadi
+from bench.swing.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
 from bench.swing.optimal_control import BAR, STATES, DownswingProblem, Plan, solve_downswing
-from bench.swing.profile import Profile
-from bench.swing.refine import NotReached, refine
+from bench.swing.profile import Profile, as_written
+from bench.swing.refine import UNITS, NotReached, refine
 from bench.swing.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
 from sim.impact import in_plane_error
 from sim.kinematics import head_motion, inverse_kinematics, theta2_from_right_arm
-from sim.plant import Plant, PlantParameters, build_plant
+from sim.plant import PlantParameters, build_plant
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -46,6 +45,8 @@ _INTERVALS = 40
 _CORRECTED = 0.02
 """Share of the stroke left to the correction on the plant."""
 _ROUNDS = 3
+_AIMED = 5
+"""Times the loop is aimed off at most."""
 _BROUGHT = (1.2, 0.65)
 """Shares of their cushions' rated energies that right arm and wrist may bring, to begin with: the wrist's
 cushion also takes what the arm's hands on."""
@@ -126,6 +127,17 @@ class _Start:
     begins: tuple[int, int, int]
 
 
+class Downswing(NamedTuple):
+    """Openings found on the plant, and what they are to do there."""
+
+    opening: Array
+    """(n, 3), one row a tick."""
+    wanted: Array
+    """Arrival at the ball as in `bench.swing.refine.arrival_errors`."""
+    plan: Plan
+    trial: Trial
+
+
 def slope_of(attack: float, lie: float) -> float:
     """Return the in-plane slope (rad) of a path with `attack` (rad) in a plane at `lie` (rad) to the ground.
 
@@ -181,24 +193,20 @@ def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Arr
     )  # fmt: skip
 
 
-def _swing_up(plant: Plant, demand: Demand, control: ControlSettings, estimator: EstimatorSettings) -> _Start:
+def _swing_up(bench: SimulatedBench, demand: Demand) -> _Start:
     """Let the controller itself take the plant to the top; what it did is the nominal motion."""
-    parameters = plant.parameters
-    period = parameters.tick
+    parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
-    sketch = _sketch(demand, period, address, top, np.array(control.move_gain))
-    bench = Lockstep(plant, build_controller(parameters, sketch, control, estimator=estimator), address)
-    if not bench.arm():
-        raise DesignFailed("the robot does not come to rest at address")
-    bench.advance(round(HOLD / period))
+    sketch = _sketch(demand, period, address, top, np.array(bench.control.move_gain))
     n = round((demand.backswing_time + demand.top_time) / period)
-    cycles = bench.advance(n, SWING)
-    state = bench.state.control[0]
-    if state["phase"] not in {Phase.BACKSWING, Phase.TOP} or state["cause"]:
-        raise DesignFailed(f"the backswing stopped: {CAUSE_TEXT[Cause(int(state['cause']))]}")
+    try:
+        rehearsal = Rehearsal(replace(bench, profile=sketch))
+        cycles = rehearsal.advance(n)
+    except LoopFailed as failure:
+        raise DesignFailed(f"on the way to the top: {failure}") from None
     return _Start(
-        bench.plant_state.copy(),
-        bench.command.copy(),
+        rehearsal.bench.plant_state.copy(),
+        rehearsal.bench.command.copy(),
         cycles["applied_valve"][-1].copy(),
         sketch.angle[:n],
         sketch.velocity[:n],
@@ -255,9 +263,9 @@ def _problem(
     )
 
 
-def _openings(plan: Plan, plant: Plant) -> Array:
+def _openings(plan: Plan, parameters: PlantParameters) -> Array:
     """Return the plan's openings tick by tick, early by the spools' lag, and on past the ball."""
-    valve, period = plant.parameters.shoulder.valve, plant.parameters.tick
+    valve, period = parameters.shoulder.valve, parameters.tick
     lag = 2 * valve.damping_ratio / valve.natural_frequency
     at = np.arange(round(plan.time[-1] / period) + 40) * period + lag
     return np.column_stack([np.interp(at, plan.time, plan.state[:, 13 + i]) for i in range(3)])
@@ -269,6 +277,13 @@ def _wanted(plan: Plan, parameters: PlantParameters, demand: Demand) -> Array:
     return np.array([demand.strike, *head[2:6]])
 
 
+def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
+    """Return how the head of a struck ball's plant `state` arrived, as in `_wanted`."""
+    head, site, impact = state["impact_head"][0], parameters.site, build_plant(parameters).impact
+    error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, impact)
+    return np.array([error, *head[2:6]])
+
+
 def _loads(trial: Trial, parameters: PlantParameters, demand: Demand) -> Array:
     """Return the upper cushions' energies of right arm and wrist over what they may take, J."""
     ratings = np.array([a.stop.energy for a in parameters.actuators])
@@ -277,19 +292,22 @@ def _loads(trial: Trial, parameters: PlantParameters, demand: Demand) -> Array:
     return np.asarray(np.maximum(worst - demand.missed_share * ratings, struck)[1:])
 
 
+def _shooter(bench: SimulatedBench, begun: _Start) -> Shooter:
+    return Shooter(build_plant(bench.plant), begun.plant_state, begun.command, bench.control, _SILENCES)
+
+
 def design_downswing(
-    plant: Plant, demand: Demand, control: ControlSettings, envelope: EnvelopeSettings, start: Profile | None,
-    begun: _Start, progress: Progress,
-) -> tuple[Array, Plan, Trial, int]:  # fmt: skip
-    """Return openings (n, 3), the plan, the trial of the openings, and in how many rounds they came.
+    bench: SimulatedBench, demand: Demand, start: Profile | None, begun: _Start, progress: Progress
+) -> tuple[Downswing, int]:
+    """Return a downswing whose openings meet `demand` on the plant, and in how many rounds it came.
 
     Raises:
         DesignFailed: no plan, or none that the plant can follow within its cushions.
     """
-    parameters = plant.parameters
+    parameters = bench.plant
     state = _model_state(begun)
-    problem = _problem(parameters, demand, envelope, state)
-    shooter = Shooter(plant, begun.plant_state, begun.command, control, _SILENCES)
+    problem = _problem(parameters, demand, bench.envelope, state)
+    shooter = _shooter(bench, begun)
     if start is None:
         time, guess = _first_guess(parameters, state, demand)
         # The fastest swing is found most surely; a demanded speed is then found from it.
@@ -299,7 +317,7 @@ def design_downswing(
         progress("a first swing", 1.0)
     else:
         time, guess = _guess_from(start, state)
-    best: tuple[float, Array, Plan, Trial] | None = None
+    best: tuple[float, Downswing] | None = None
     reason = ""
     for count in range(_ROUNDS):
         progress("downswing", count / _ROUNDS)
@@ -308,17 +326,16 @@ def design_downswing(
             reason = f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
             break
         time, guess = float(plan.time[-1]), plan.state
+        wanted = _wanted(plan, parameters, demand)
         try:
-            opening = refine(
-                shooter, _openings(plan, plant), _wanted(plan, parameters, demand), 1.0 - demand.margin
-            )
+            opening = refine(shooter, _openings(plan, parameters), wanted, 1.0 - demand.margin)
         except NotReached as missed:
             reason = str(missed)
             break
         trial = shooter.shoot(opening)
         over = _loads(trial, parameters, demand)
         if best is None or over.max() < best[0]:
-            best = (float(over.max()), opening, plan, trial)
+            best = float(over.max()), Downswing(opening, wanted, plan, trial)
         if over.max() <= 0.0:
             break
         reason = (
@@ -336,7 +353,7 @@ def design_downswing(
     )
     if best is None or best[0] > survived:
         raise DesignFailed(reason or "no downswing found")
-    return best[1], best[2], best[3], count + 1
+    return best[1], count + 1
 
 
 def highest_speed(
@@ -348,8 +365,7 @@ def highest_speed(
     Raises:
         DesignFailed: the collocation found none.
     """
-    plant = build_plant(parameters)
-    state = _model_state(_swing_up(plant, demand, control, estimator))
+    state = _model_state(_swing_up(_bench(parameters, control, envelope, estimator), demand))
     problem = replace(_problem(parameters, demand, envelope, state), speed=None, follow=None)
     progress("the fastest swing", 0.0)
     plan = solve_downswing(parameters, problem, *_first_guess(parameters, state, demand), _INTERVALS)
@@ -368,11 +384,17 @@ def _model_state(begun: _Start) -> Array:
 
 
 def _assemble(
-    plant: Plant, demand: Demand, begun: _Start, opening: Array, trial: Trial, name: str, golfer: str
+    parameters: PlantParameters,
+    demand: Demand,
+    begun: _Start,
+    opening: Array,
+    trial: Trial,
+    name: str,
+    golfer: str,
 ) -> Profile:
     """Return the profile with the robot left where it is at the ball for the follow-through."""
-    parameters, period = plant.parameters, plant.parameters.tick
-    top, contact, follow = len(begun.angle), trial.contact, round(demand.follow_time / plant.parameters.tick)
+    period = parameters.tick
+    top, contact, follow = len(begun.angle), trial.contact, round(demand.follow_time / period)
     past = follow + AFTER_CONTACT
     angle = np.vstack([begun.angle, trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
     window = top + contact - BEFORE_CONTACT
@@ -399,22 +421,22 @@ def _assemble(
     )
 
 
-def _told(profile: Profile, plant: Plant, state: NDArray[Any], demand: Demand, trial: Trial) -> Profile:
+def _told(
+    profile: Profile, parameters: PlantParameters, state: NDArray[Any], demand: Demand, trial: Trial
+) -> Profile:
     """Return `profile` with its delivery in closed loop and the limits it was made for."""
-    parameters, head = plant.parameters, state["impact_head"][0]
+    error, lean, *velocity = _delivered(state, parameters)[:4]
+    speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
     ratings = np.array([[a.stop.energy] for a in parameters.actuators])
-    slope, lie = float(np.arctan2(head[4], head[3])), parameters.robot.lie
-    speed, site = float(np.hypot(head[3], head[4])), parameters.site
-    error = float(in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, plant.impact))
     return replace(
         profile,
         text=profile.text or f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
         delivery={
             "head_speed_mps": speed,
-            "attack_angle_deg": float(np.degrees(asin(sin(slope) * sin(lie)))),
-            "path_slope_deg": float(np.degrees(slope)),
-            "shaft_lean_deg": float(np.degrees(head[2] - SHAFT_DOWN)),
-            "in_plane_error_mm": 1e3 * error,
+            "attack_angle_deg": degrees(asin(sin(slope) * sin(lie))),
+            "path_slope_deg": degrees(slope),
+            "shaft_lean_deg": float(np.degrees(lean - SHAFT_DOWN)),
+            "in_plane_error_mm": 1e3 * float(error),
         },
         limits={
             "supply_pressure_pa": parameters.supply.pressure,
@@ -443,22 +465,70 @@ def design_swing(
     """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or with nothing.
 
     Raises:
+        BenchError: the package casadi is not installed.
         DesignFailed: none was found; the text says why.
     """
-    plant = build_plant(parameters)
-    control, envelope = control or ControlSettings(), envelope or EnvelopeSettings()
-    estimator = estimator or EstimatorSettings()
-    begun = _swing_up(plant, demand, control, estimator)
-    opening, plan, trial, rounds = design_downswing(plant, demand, control, envelope, start, begun, progress)
+    load_casadi()  # a missing package is told before anything takes time
+    bench = _bench(parameters, control, envelope, estimator)
+    begun = _swing_up(bench, demand)
+    downswing, rounds = design_downswing(bench, demand, start, begun, progress)
     try:
-        profile = _assemble(plant, demand, begun, opening, trial, name, golfer)
-        profile = imprint(plant, profile, opening[: trial.contact + AFTER_CONTACT], control, estimator)
-        profile, state = with_follow_through(plant, profile, control, estimator)
-        profile = _told(replace(profile, text=text), plant, state, demand, trial)
+        profile, downswing = _into_the_loop(bench, demand, begun, downswing, name, golfer, progress)
+        profile = replace(profile, text=text or profile.text)
+        patterns = start.blind_brake if start is not None else None
         blind = design_blind_brake(
-            plant, profile, control, estimator, start.blind_brake if start is not None else None,
-            lambda part: progress("blind brakes", part),
-        )  # fmt: skip
+            replace(bench, profile=profile), patterns, lambda part: progress("blind brakes", part)
+        )
     except LoopFailed as failure:
         raise DesignFailed(str(failure)) from None
-    return Design(replace(profile, blind_brake=blind), plan, trial, rounds)
+    return Design(replace(profile, blind_brake=blind), downswing.plan, downswing.trial, rounds)
+
+
+def _into_the_loop(
+    bench: SimulatedBench, demand: Demand, begun: _Start, downswing: Downswing, name: str, golfer: str,
+    progress: Progress,
+) -> tuple[Profile, Downswing]:  # fmt: skip
+    """Return the profile whose swing in closed loop delivers what `downswing` was to, and its downswing.
+
+    What the loop adds to the openings is aimed off, until the head passes the ball as wanted.
+
+    Raises:
+        LoopFailed: the swing does not run, or misses the ball.
+    """
+    shooter = _shooter(bench, begun)
+    aim, best = downswing.wanted, None
+    for count in range(_AIMED):
+        progress("closed loop", count / _AIMED)
+        profile = _assemble(bench.plant, demand, begun, downswing.opening, downswing.trial, name, golfer)
+        opening = downswing.opening[: downswing.trial.contact + AFTER_CONTACT]
+        profile = imprint(replace(bench, profile=profile), opening)
+        profile = as_written(with_follow_through(replace(bench, profile=profile))[0])
+        _, state = with_follow_through(replace(bench, profile=profile))
+        delivered = _delivered(state, bench.plant)
+        off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
+        if best is None or off < best[0]:
+            best = off, _told(profile, bench.plant, state, demand, downswing.trial), downswing
+        if off < 1.0:
+            break
+        aim = aim - (delivered - downswing.wanted)
+        try:
+            opening = refine(shooter, downswing.opening, aim, 1.0 - demand.margin)
+        except NotReached:
+            break
+        downswing = downswing._replace(opening=opening, trial=shooter.shoot(opening))
+    progress("closed loop", 1.0)
+    if best is None:
+        raise LoopFailed("the swing does not run")
+    return best[1], best[2]
+
+
+def _bench(
+    parameters: PlantParameters, control: ControlSettings | None, envelope: EnvelopeSettings | None,
+    estimator: EstimatorSettings | None,
+) -> SimulatedBench:  # fmt: skip
+    """Return the bench that the design is rehearsed on, still with an empty profile."""
+    nothing = _sketch(Demand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
+    return SimulatedBench(
+        nothing, parameters, control or ControlSettings(), envelope or EnvelopeSettings(),
+        estimator or EstimatorSettings(),
+    )  # fmt: skip

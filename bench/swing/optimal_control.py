@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.swing.casadi_package import load_casadi
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, Actuator
 
@@ -58,6 +58,7 @@ class Equations(NamedTuple):
 
 def _positive(value: Expression, width: float) -> Expression:
     """Return max(value, 0), rounded off over `width`."""
+    ca = load_casadi()
     return (value + ca.sqrt(value**2 + width**2)) / 2
 
 
@@ -67,6 +68,7 @@ def _larger(a: Expression, b: Expression, width: float) -> Expression:
 
 def _flow(conductance: Expression, upstream: Expression, downstream: Expression, ratio: float) -> Expression:
     """Return m' R T over 1e5 (W) for pressures in bar: ISO 6358 without its corners."""
+    ca = load_casadi()
     high = _larger(upstream, downstream, 0.02)
     low = upstream + downstream - high
     low = _larger(low, ratio * high, 0.02)
@@ -79,6 +81,7 @@ def _flow(conductance: Expression, upstream: Expression, downstream: Expression,
 
 def _kinetics(plant: PlantParameters, q: Expression, u: Expression) -> tuple[Expression, Expression]:
     """Return mass matrix and bias forces from the bodies' positions, by differentiation."""
+    ca = load_casadi()
     robot, club = plant.robot, plant.robot.club
     a1, a2, a3 = q[0], q[0] + q[1], q[0] + q[1] + q[2]
 
@@ -115,6 +118,7 @@ def _air(
     position: Expression, speed: Expression,
 ) -> tuple[Expression, Expression, Expression]:  # fmt: skip
     """Return actuator i's force, its pressure rates (bar/s) and what it takes from the supply (W / 1e5)."""
+    ca = load_casadi()
     actuator, atmosphere = plant.actuators[i], plant.supply.atmosphere / BAR
     valve, exponent = actuator.valve, plant.supply.polytropic_exponent
     pa, pb = pressures[0], pressures[1]
@@ -146,6 +150,7 @@ def stroke_ends(plant: PlantParameters, i: int) -> tuple[float, float]:
 
 
 def _friction(actuator: Actuator, speed: Expression) -> Expression:
+    ca = load_casadi()
     friction = actuator.friction
     width = max(_FRICTION_WIDTH, friction.stribeck_speed)
     return friction.viscous * speed + friction.coulomb * ca.tanh(speed / width)
@@ -153,6 +158,7 @@ def _friction(actuator: Actuator, speed: Expression) -> Expression:
 
 def build_equations(plant: PlantParameters) -> Equations:
     """Return the equations of `plant` (rigid shaft) as CasADi functions."""
+    ca = load_casadi()
     robot = plant.robot
     state, control = ca.SX.sym("state", STATES), ca.SX.sym("control", CONTROLS)
     q, u, pressures, supply, opening = state[:3], state[3:6], state[6:12], state[12], state[13:16]
@@ -195,6 +201,7 @@ def build_equations(plant: PlantParameters) -> Equations:
 
 def _solved(m: Expression, f: Expression) -> Expression:
     """Return x with m x = f for a symmetric 3x3 matrix."""
+    ca = load_casadi()
     l21, l31 = m[0, 1] / m[0, 0], m[0, 2] / m[0, 0]
     d2, t32 = m[1, 1] - l21 * m[0, 1], m[1, 2] - l31 * m[0, 1]
     l32 = t32 / d2
@@ -262,6 +269,7 @@ def solve_downswing(
     watch: Any = None, iterations: int = 600,
 ) -> Plan:  # fmt: skip
     """Solve `problem` from `guess` (intervals + 1, 16)."""
+    ca = load_casadi()
     equations = build_equations(plant)
     tau = np.array(ca.collocation_points(_RADAU, "radau"))
     slopes = _radau_slopes(tau)

@@ -8,7 +8,7 @@ for. It runs from address to standstill after the follow-through; the return is 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -217,13 +217,23 @@ def _only_numbers(value: Any) -> bool:
     return all(map(_only_numbers, value)) if isinstance(value, list) else type(value) in {int, float}
 
 
+_DIGITS = {"angle": 6, "velocity": 4, "valve": 5, "blind_brake": 4}
+"""Behind the decimal point in a file."""
+
+
+def as_written(profile: Profile) -> Profile:
+    """Return `profile` with its tables as `save_profile` rounds them."""
+    return replace(profile, **{key: np.round(getattr(profile, key), n) for key, n in _DIGITS.items()})
+
+
 def save_profile(path: Path, profile: Profile) -> None:
     """Write `profile` as TOML that `load_profile` reads back; one row of a table a line."""
 
     def quoted(text: str) -> str:
         return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
-    def rows(array: Array, digits: int) -> str:
+    def rows(key: str) -> str:
+        array, digits = getattr(profile, key), _DIGITS[key]
         lines = ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)
         return "[\n" + "\n".join(lines) + "\n]"
 
@@ -243,11 +253,11 @@ ball_m = [{profile.ball[0]!r}, {profile.ball[1]!r}]
 impact_time_s = {profile.impact_time!r}
 blind_spacing = {profile.blind_spacing}
 # Columns: shoulder, arm, wrist.
-angle_rad = {rows(profile.angle, 6)}
-velocity_rad_per_s = {rows(profile.velocity, 4)}
-valve = {rows(profile.valve, 5)}
+angle_rad = {rows("angle")}
+velocity_rad_per_s = {rows("velocity")}
+valve = {rows("valve")}
 # Openings of the three valves, then how long each holds (s); one row every blind_spacing samples.
-blind_brake = {rows(profile.blind_brake, 4)}
+blind_brake = {rows("blind_brake")}
 
 [delivery]
 {group(profile.delivery)}

@@ -24,7 +24,7 @@ KNOT = 0.02
 """Time between knots of the correction, s."""
 _DIFFERENCE = 1e-4
 _THREADS = 2
-_UNITS = np.array([1e-4, 5e-4, 0.01, 0.01, 0.02])
+UNITS = np.array([1e-4, 5e-4, 0.01, 0.01, 0.02])
 """Errors of strike (m), shaft (rad), head velocity (m/s) and turning (rad/s) that count as one."""
 _STAY = 0.3
 """Weight of the correction's size (of the stroke) beside those errors."""
@@ -64,7 +64,7 @@ def refine(
         return np.clip(plan + correction(point.reshape(shape), ticks, period), -opening, opening)
 
     def errors(point: Array) -> Array:
-        return np.asarray(arrival_errors(shooter.arrive(openings(point)), wanted) / _UNITS)
+        return np.asarray(arrival_errors(shooter.arrive(openings(point)), wanted) / UNITS)
 
     def residuals(point: Array) -> Array:
         return np.concatenate([errors(point), _STAY * point])
@@ -91,5 +91,5 @@ def refine(
         )  # fmt: skip
     left = errors(found.x)
     if np.abs(left).max() >= 1.0:
-        raise NotReached(f"the plant stays {np.abs(left * _UNITS).max():.3g} off the planned arrival {left}")
+        raise NotReached(f"the plant stays {np.abs(left * UNITS).max():.3g} off the planned arrival {left}")
     return openings(found.x)

@@ -1,0 +1,25 @@
+"""The package `casadi`, an optional extra that only the designer needs: 270 MB."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.errors import BenchError
+
+
+def load_casadi() -> Any:
+    """Return the package.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    try:
+        import casadi
+    except ImportError as error:
+        raise BenchError(
+            "swing design",
+            f"no package casadi ({error})",
+            "the extra that plans swings",
+            'pip install "golfbench[design]"',
+        ) from error
+    return casadi
