@@ -348,6 +348,11 @@ class CanopenDriver:
                     if waiting is None:
                         break
                     self._take(waiting)
+                if (on_wire := link.sync_time(sent)) != sent:
+                    self._sync_time = on_wire
+                    for joint in range(3):
+                        if self._sampled[joint] == sent:
+                            self._sampled[joint] = on_wire
         except OSError as error:
             counters.receive_failures += 1
             self._note_trouble(f"receiving failed: {error}")

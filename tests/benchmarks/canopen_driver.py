@@ -58,6 +58,9 @@ class MemoryLink:
     def receive_frame(self, timeout: float) -> bytes | None:
         return self.frames.pop() if self.frames else None
 
+    def sync_time(self, sent: float) -> float:
+        return sent
+
     def shutdown(self) -> None:
         self.frames.clear()
 

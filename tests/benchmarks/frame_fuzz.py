@@ -82,6 +82,9 @@ class FuzzedLink:
         self.given += 1
         return self._waiting.pop()
 
+    def sync_time(self, sent: float) -> float:
+        return sent
+
     def shutdown(self) -> None:
         self._waiting.clear()
 

@@ -51,6 +51,14 @@ def emergency(code: int) -> bytes:
 # A tick ----------------------------------------------------------------------------------------------
 
 
+def test_a_sample_bears_the_time_at_which_its_sync_was_on_the_wire(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench.wire, "sync_time", lambda sent: sent + 120e-6)
+    sent = bench.run(3).time
+    assert bench.run(1).encoder_time == pytest.approx([sent + PERIOD + 120e-6] * 3)
+
+
 def test_a_tick_is_one_sync_three_positions_and_one_command(bench: Bench) -> None:
     bench.run(1)
     bench.wire.sent.clear()

@@ -1,0 +1,98 @@
+"""The link over SocketCAN, with a socket that plays the kernel: echoes, their stamps, and what is none."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import deque
+from typing import Any
+
+import pytest
+from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
+
+from drivers.canopen.frames import SYNC, frame
+from drivers.canopen.link import SocketcanLink
+
+POSITION = frame(0x281, bytes(4))
+
+
+class KernelSocket:
+    """Frames with flags and stamps (s of CLOCK_MONOTONIC) that wait to be received."""
+
+    def __init__(self) -> None:
+        self.waiting: deque[tuple[bytes, int, float]] = deque()
+        self.sent: list[bytes] = []
+
+    def setsockopt(self, *_: object) -> None:
+        raise PermissionError
+
+    def send(self, whole: bytes, flags: int) -> int:
+        assert flags & socket.MSG_DONTWAIT
+        self.sent.append(whole)
+        return len(whole)
+
+    def recvmsg(
+        self, size: int, told: int, flags: int
+    ) -> tuple[bytes, list[tuple[int, int, bytes]], int, Any]:
+        assert flags & socket.MSG_DONTWAIT
+        if not self.waiting:
+            raise BlockingIOError
+        whole, marks, stamp = self.waiting.popleft()
+        ns = round(stamp * 1e9) + time.time_ns() - time.monotonic_ns()
+        packed = (ns // 10**9).to_bytes(8, "little") + (ns % 10**9).to_bytes(8, "little")
+        return whole, [(socket.SOL_SOCKET, SO_TIMESTAMPNS, packed)], marks, ("can0",)
+
+
+class Bus:
+    def __init__(self) -> None:
+        self.socket = KernelSocket()
+
+
+@pytest.fixture
+def bus() -> Bus:
+    return Bus()
+
+
+@pytest.fixture
+def link(bus: Bus) -> SocketcanLink:
+    return SocketcanLink(bus)  # type: ignore[arg-type]
+
+
+def test_a_sync_is_stamped_by_its_echo_which_is_no_frame_of_the_bus(link: SocketcanLink, bus: Bus) -> None:
+    sent = link.send_frame(frame(SYNC))
+    assert link.sync_time(sent) == sent
+    bus.socket.waiting.append((frame(SYNC), socket.MSG_CONFIRM | socket.MSG_DONTROUTE, sent + 0.000130))
+    bus.socket.waiting.append((POSITION, 0, sent + 0.0003))
+    assert link.receive_frame(0.0) == POSITION
+    assert link.sync_time(sent) == pytest.approx(sent + 0.000130, abs=5e-6)
+    assert link.receive_frame(0.0) is None
+
+
+def test_behind_an_echo_the_answer_is_waited_for(
+    link: SocketcanLink, bus: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = link.send_frame(frame(SYNC))
+    arriving = deque([(frame(SYNC), socket.MSG_CONFIRM, sent), (POSITION, 0, sent)])
+
+    def select(*wanted: Any) -> tuple[Any, ...]:
+        bus.socket.waiting.append(arriving.popleft())
+        return wanted[:3]
+
+    monkeypatch.setattr("drivers.canopen.link.select.select", select)
+    assert link.receive_frame(1.0) == POSITION
+    assert not arriving
+
+
+def test_another_ones_sync_is_a_frame_like_any_other(link: SocketcanLink, bus: Bus) -> None:
+    sent = link.send_frame(frame(SYNC))
+    bus.socket.waiting.append((frame(SYNC), 0, sent + 0.0001))
+    assert link.receive_frame(0.0) == frame(SYNC)
+    assert link.sync_time(sent) == sent
+
+
+@pytest.mark.parametrize("away", [-0.001, 0.01])
+def test_an_echo_of_another_sync_does_not_count(link: SocketcanLink, bus: Bus, away: float) -> None:
+    sent = link.send_frame(frame(SYNC))
+    bus.socket.waiting.append((frame(SYNC), socket.MSG_CONFIRM, sent + away))
+    assert link.receive_frame(0.0) is None
+    assert link.sync_time(sent) == sent
