@@ -15,7 +15,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c const
 # ARGS=... is handed to pytest or to the benchmarks.
 
 help:  ## show this text
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
 
 demo: $(VENV)/.runtime  ## ten swings of the simulated robot in real time at two balls, and their report
 	@$(BIN)/golfbench demo
@@ -46,6 +46,13 @@ faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the
 
 mutation: $(VENV)/.dev  ## do the tests of envelope and lifecycle notice small mistakes put into them?
 	@$(BIN)/python -m tests.mutation $(ARGS)
+
+test-vm: $(VENV)/.dev  ## the driver on a real CAN stack in a virtual machine (root, Debian's packages for it)
+	@$(BIN)/python -m tests.vm $(ARGS)
+
+benchmark-vm: $(VENV)/.dev  ## the same for ten minutes of the guest, on emulated cards and on vcan
+	@$(BIN)/python -m tests.vm --seconds 600 $(ARGS)
+	@$(BIN)/python -m tests.vm --seconds 600 --interface vcan $(ARGS)
 
 reference: $(VENV)/.dev  ## renew the reference swings of the replay, after a meant change of the controller
 	@$(BIN)/python -m tests.replay.renew
@@ -80,4 +87,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test lint coverage benchmark faults mutation reference clean
+.PHONY: help demo test lint coverage benchmark faults mutation test-vm benchmark-vm reference clean

@@ -1,0 +1,116 @@
+"""The CANopen driver on a real CAN stack, in a virtual machine: `python -m tests.vm`, or `make test-vm`.
+
+A stock Debian kernel with systemd, driver and simulated nodes on emulated cards with their kernel driver, or
+on vcan: frames and times of a minute at the highest rate that the guest can carry, then faults of link, card,
+queue and bus, each with the time to the reaction at the valve node.
+
+Exit code 1 when a promised figure is missed or the guest did not come to its end, 2 when something it needs
+is absent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from tests.benchmarks.__main__ import show, verdict
+from tests.benchmarks.row import Row
+from tests.vm.code import add_code
+from tests.vm.image import HOME, MACHINE_CODE, PACKAGES, build_image
+from tests.vm.inside_frames import FAULTS
+from tests.vm.machine import run_machine
+
+RATE = 450.0
+"""Hz; at 500 the guest's processor is busy for 71 %."""
+
+
+def main() -> int:
+    """Make the image if there is none, run the guest, show what it found."""
+    parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
+    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="default: %(default)g")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of load (default: %(default)g)")
+    parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: load only")
+    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), help="only these (default: all)")
+    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of the guest")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
+    options = parser.parse_args()
+    if lacking := _lacking():
+        print(f"test-vm: {lacking}", file=sys.stderr)
+        return 2
+    console, begin = Console(), time.monotonic()
+
+    def say(text: str) -> None:
+        console.print(f"[dim]{time.monotonic() - begin:4.0f} s[/] {text}", highlight=False)
+
+    image = build_image(say)
+    with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
+        share = Path(name)
+        add_code(image, share / "initramfs", say)
+        (share / "command").write_text(_command(options))
+        say("running the guest")
+        outcome = run_machine(image.kernel, share / "initramfs", share, options.timeout)
+        say(f"the guest ended after {outcome.seconds:.0f} s with {outcome.code}")
+        if options.keep is not None:
+            _keep(share, options.keep)
+        rows = _rows(share / "rows")
+        show(rows, console)
+        if outcome.code != 0:
+            _explain(share, console)
+            return 1
+    return verdict(rows, console)
+
+
+def _lacking() -> str:
+    """Return what is absent, and how to have it; empty when nothing is."""
+    if os.geteuid() != 0:
+        return "it needs root, to lay out a root file system"
+    missing = sorted(package for program, package in PACKAGES.items() if shutil.which(program) is None)
+    return f"apt-get install {' '.join(missing)}" if missing else ""
+
+
+def _command(options: argparse.Namespace) -> str:
+    """Return the script that the guest runs."""
+    faults = list(FAULTS) if options.faults is None else options.faults
+    arguments = [
+        f"--rate={options.rate:g}", f"--seconds={options.seconds:g}", f"--interface={options.interface}",
+        "--faults", *faults,
+    ]  # fmt: skip
+    return (
+        f"export NUMBA_CACHE_DIR=/{MACHINE_CODE}; cd /root\n"
+        f"exec /{HOME}/bin/python -m tests.vm.inside_frames {shlex.join(arguments)}\n"
+    )
+
+
+def _rows(file: Path) -> list[Row]:
+    """Return the figures that the guest found."""
+    if not file.exists():
+        return []
+    return [Row(**json.loads(line)) for line in file.read_text().splitlines()]
+
+
+def _keep(share: Path, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("console", "output", "journal", "rows"):
+        if (share / name).exists():
+            shutil.copy(share / name, folder)
+
+
+def _explain(share: Path, console: Console) -> None:
+    """Print what the guest told last."""
+    for name in ("output", "journal", "console"):
+        if (share / name).exists():
+            lines = (share / name).read_text(errors="replace").splitlines()[-40:]
+            console.print(f"-- {name}", *lines, sep="\n", markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

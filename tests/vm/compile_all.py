@@ -1,0 +1,48 @@
+"""Compile what loop and nodes run, so that the guest finds it in its cache: run in the guest's root."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from bench.config import load_configuration
+from bench.control.settings import build_controller
+from bench.lifecycle import State
+from bench.loop import Cycle
+from bench.processes.tick_timing import TickTiming, new_timing
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.ring import RingWriter
+from drivers.mock import MockDriver
+from sim.node_plan import NodesPlan
+from sim.nodes import run_nodes
+
+
+def main() -> None:
+    """Run a tick of a loop, and the nodes until they live."""
+    c = load_configuration(None)
+    parameters = build_controller(
+        c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope, c.estimator, c.lifecycle,
+        c.homing,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as name:
+        folder, driver = Path(name), MockDriver()
+        ring = RingWriter(folder / "ring", 16)
+        driver.open()
+        cycle = Cycle(driver, parameters, ring, name="mock", state=State.STARTING)
+        for tick in range(3):
+            cycle.run_tick(0.001 * tick)
+        begin = int(cycle.marks[0])
+        TickTiming(new_timing(1_000_000)).note(cycle.marks, begin, begin)
+        driver.close()
+        ring.close()
+        bus = c.canopen
+        plan = NodesPlan(
+            "local_socket", str(folder / "bus"), bus.bitrate, bus.encoders.nodes, bus.valve_node.node,
+            c.plant, folder,
+        )  # fmt: skip
+        run_nodes(plan, lambda scheduling: None, lambda: True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""The virtual machine: QEMU without KVM, in virtual time, with three CAN cards on one wire.
+
+One guest nanosecond is one instruction of the guest (a computer of 1 GIPS), and idle time is skipped: what is
+measured in it repeats to the microsecond, whatever this machine does besides. Never KVM: where there is a
+device of that name that cannot run a stock kernel, QEMU starts and hangs.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+CARDS = {"card0": "0x10", "card1": "0x11", "card2": "0x12"}
+"""Name -> place on the bus; the guest calls their interfaces can0, can1, can2."""
+MEMORY = 2560
+"""MiB: the root's image, twice while it is unpacked, and what is written over it."""
+
+_APPEND = (
+    "console=ttyS0 quiet panic=-1 systemd.show_status=no mitigations=off tsc=reliable no_timer_check "
+    "nowatchdog nokaslr apparmor=0 selinux=0 audit=0 cryptomgr.notests rcupdate.rcu_expedited=1"
+)
+_LOOK = 0.02
+"""s between two looks at what the guest asks for."""
+_PATIENCE = 10.0
+"""s that the monitor is tried for."""
+
+
+class Outcome(NamedTuple):
+    """How a run ended."""
+
+    code: int | None
+    """Of the command; None: the guest ended without one, or the time was over."""
+    seconds: float
+
+
+def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float) -> Outcome:
+    """Run `share`/command in the guest; what it writes to /host lies in `share`, its console there too.
+
+    A line "pull card0" or "put card0" in the guest's second serial port pulls a card out and puts it back.
+    """
+    monitor, asked = share / "monitor", share / "asked"
+    command: list[str | Path] = [
+        "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot", "-M", "pc",
+        "-accel", "tcg", "-cpu", "Nehalem", "-smp", "1", "-m", str(MEMORY), "-icount", "shift=0,sleep=off",
+        "-kernel", kernel, "-initrd", initramfs, "-append", _APPEND,
+        "-fsdev", f"local,id=host,path={share},security_model=none",
+        "-device", "virtio-9p-pci,fsdev=host,mount_tag=host",
+        "-device", "isa-debug-exit,iobase=0x501,iosize=1",
+        "-serial", f"file:{share / 'console'}", "-serial", f"file:{asked}",
+        "-qmp", f"unix:{monitor},server=on,wait=off", "-object", "can-bus,id=wire",
+        *(word for card, place in CARDS.items()
+          for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={place}")),
+    ]  # fmt: skip
+    begin = time.monotonic()
+    machine = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    try:
+        with suppress(OSError):  # it ended
+            _serve(machine, monitor, asked, begin + timeout)
+    finally:
+        if machine.poll() is None:
+            machine.terminate()
+        machine.wait()
+    told = share / "code-of-exit"
+    return Outcome(int(told.read_text()) if told.exists() else None, time.monotonic() - begin)
+
+
+def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: float) -> None:
+    """Do what the guest asks for until it ends or the time is over."""
+    with socket.socket(socket.AF_UNIX) as connection:
+        _connect(connection, machine, path)
+        monitor = _Monitor(connection.makefile("rw"))
+        done = 0
+        while machine.poll() is None and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+            orders = asked.read_text().split("\n")[:-1]
+            for order in orders[done:]:
+                what, card = order.split()
+                monitor.pull(card) if what == "pull" else monitor.put(card)
+            done = len(orders)
+
+
+def _connect(connection: socket.socket, machine: subprocess.Popen[bytes], path: Path) -> None:
+    deadline = time.monotonic() + _PATIENCE
+    while machine.poll() is None:
+        try:
+            connection.connect(str(path))
+            return
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(_LOOK)
+
+
+class _Monitor:
+    """QEMU's own side of the machine (QMP)."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        stream.readline()
+        self._ask("qmp_capabilities")
+
+    def pull(self, card: str) -> None:
+        """Ask the guest to let go of a card, as a hand at its lever does."""
+        self._ask("device_del", id=card)
+
+    def put(self, card: str) -> None:
+        """Put it back; its place is free only after the guest has let go."""
+        deadline = time.monotonic() + _PATIENCE
+        card_there = {"driver": "kvaser_pci", "canbus": "wire", "id": card, "addr": CARDS[card]}
+        while "error" in self._ask("device_add", **card_there) and time.monotonic() < deadline:
+            time.sleep(_LOOK)
+
+    def _ask(self, command: str, **arguments: str) -> dict[str, Any]:
+        self._stream.write(json.dumps({"execute": command, "arguments": arguments}) + "\n")
+        self._stream.flush()
+        while True:
+            answer: dict[str, Any] = json.loads(self._stream.readline())
+            if "return" in answer or "error" in answer:
+                return answer
