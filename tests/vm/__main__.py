@@ -29,8 +29,8 @@ from tests.vm.image import HOME, MACHINE_CODE, PACKAGES, build_image
 from tests.vm.inside_frames import FAULTS
 from tests.vm.machine import run_machine
 
-RATE = 450.0
-"""Hz; at 500 the guest's processor is busy for 71 %."""
+RATE = 500.0
+"""Hz."""
 
 
 def main() -> int:

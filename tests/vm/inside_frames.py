@@ -339,13 +339,14 @@ FAULTS: dict[str, Fault] = {
     "all frames of the bench lost": Fault(None, _netem("loss", "100%"), _calm, LOST),
     "every frame 30 ms later": Fault(None, _netem("delay", "30ms"), _calm, 2 * LOST),
     "card taken out by the kernel, then found again": Fault(
-        lambda: Path("/sys/class/net/can0/device/remove").write_text("1"), None, _plug, LOST
+        None, Prepared("echo", "1", ">/sys/class/net/can0/device/remove"), _plug, LOST
     ),
     "card pulled out of its slot, then put back": Fault(
-        None, Prepared("echo", "pull", "card0", ">/dev/ttyS1"), _put, None
+        None, Prepared("echo", "pull", "card0", ">/dev/ttyS1"), _put, LOST
     ),
 }
-_PULLED = "card pulled out of its slot, then put back"
+_TAKEN = (_plug, _put)
+"""Mends of a card that goes some time after that is asked for: counted from the last command on the wire."""
 BEFORE, AFTER = 0.1, 0.4
 """s of ticks before a fault and after it."""
 
@@ -371,7 +372,7 @@ def provoke(loop: Loop, name: str, fault: Fault) -> Row:
         elif fault.command is not None and begun[0] and not fault.command.done and fault.mend is _calm:
             begun[0] = time.monotonic()  # counted from when tc has ended
 
-    loop.run(round((AFTER if name != _PULLED else 3.0) / loop.period), each)
+    loop.run(round((AFTER if fault.mend not in _TAKEN else 3.0) / loop.period), each)
     frames = list(witness.frames())
     witness.close()
     trouble, operational = driver.trouble, driver.operational
@@ -380,10 +381,9 @@ def provoke(loop: Loop, name: str, fault: Fault) -> Row:
     fault.mend()
     first = _reaction(frames, begun[0])
     start = begun[0]
-    if name == _PULLED:  # the slot is emptied some time after it is asked for: from the last command on
+    if fault.mend in _TAKEN:
         commands = [f.time for f in frames if f.identifier == COMMAND and f.data[6] & SUPPLY]
         start = commands[-1] if commands else start
-        fault = fault._replace(longest_ms=LOST)
     again = _open_anew(loop)
     counts = ", ".join(
         f"{n} {getattr(counters, n) - lost[n]}" for n in lost if getattr(counters, n) - lost[n]
