@@ -1,8 +1,9 @@
 """The CANopen driver on a real CAN stack, in a virtual machine: `python -m tests.vm`, or `make test-vm`.
 
 A stock Debian kernel with systemd, driver and simulated nodes on emulated cards with their kernel driver, or
-on vcan: frames and times of a minute at the highest rate that the guest can carry, then faults of link, card,
-queue and bus, each with the time to the reaction at the valve node.
+on vcan. The part "driver": frames and times of a minute at the highest rate that the guest can carry, then
+faults of link, card, queue and bus, each with the time to the reaction at the valve node. The part "bench":
+the whole bench as systemd's service, ten shots, faults in mid-swing, a killed loop, a frozen supervisor.
 
 Exit code 1 when a promised figure is missed or the guest did not come to its end, 2 when something it needs
 is absent.
@@ -15,6 +16,7 @@ import json
 import os
 import shlex
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -25,6 +27,8 @@ from rich.console import Console
 from tests.benchmarks.__main__ import show, verdict
 from tests.benchmarks.row import Row
 from tests.vm.code import add_code
+from tests.vm.guest_faults import FAULTS as SWING_FAULTS
+from tests.vm.guest_faults import USUAL
 from tests.vm.image import HOME, MACHINE_CODE, PACKAGES, build_image
 from tests.vm.inside_frames import FAULTS
 from tests.vm.machine import run_machine
@@ -33,40 +37,51 @@ RATE = 500.0
 """Hz."""
 
 
+PARTS = ("driver", "bench")
+
+
 def main() -> int:
-    """Make the image if there is none, run the guest, show what it found."""
+    """Make the image if there is none, run a guest for each part, show what they found."""
     parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
-    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="default: %(default)g")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of load (default: %(default)g)")
-    parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: load only")
-    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), help="only these (default: all)")
-    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of the guest")
+    parser.add_argument("--parts", nargs="*", choices=PARTS, default=PARTS, help="default: both")
+    parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: without faults")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
+    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
+    parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
+    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS), metavar="NAME",
+                        help="of the driver's part, default: all")  # fmt: skip
+    parser.add_argument("--swing-faults", nargs="*", choices=list(SWING_FAULTS), default=list(USUAL),
+                        metavar="NAME", help="of the bench's part, in mid-swing")  # fmt: skip
+    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
     options = parser.parse_args()
     if lacking := _lacking():
         print(f"test-vm: {lacking}", file=sys.stderr)
         return 2
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # QEMU ends, too
     console, begin = Console(), time.monotonic()
 
     def say(text: str) -> None:
         console.print(f"[dim]{time.monotonic() - begin:4.0f} s[/] {text}", highlight=False)
 
-    image = build_image(say)
-    with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
-        share = Path(name)
-        add_code(image, share / "initramfs", say)
-        (share / "command").write_text(_command(options))
-        say("running the guest")
-        outcome = run_machine(image.kernel, share / "initramfs", share, options.timeout)
-        say(f"the guest ended after {outcome.seconds:.0f} s with {outcome.code}")
-        if options.keep is not None:
-            _keep(share, options.keep)
-        rows = _rows(share / "rows")
-        show(rows, console)
-        if outcome.code != 0:
-            _explain(share, console)
-            return 1
-    return verdict(rows, console)
+    image, rows, ended = build_image(say), [], True
+    for part in options.parts:
+        with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
+            share = Path(name)
+            add_code(image, share / "initramfs", say)
+            (share / "command").write_text(_command(part, options))
+            say(f"running the guest: {part}")
+            outcome = run_machine(image.kernel, share / "initramfs", share, options.timeout)
+            say(f"the guest ended after {outcome.seconds:.0f} s with {outcome.code}")
+            if options.keep is not None:
+                _keep(share, options.keep / part)
+            found = _rows(share / "rows")
+            show(found, console)
+            rows += found
+            if outcome.code != 0:
+                _explain(share, console)
+                ended = False
+    return verdict(rows, console) or int(not ended)
 
 
 def _lacking() -> str:
@@ -77,16 +92,18 @@ def _lacking() -> str:
     return f"apt-get install {' '.join(missing)}" if missing else ""
 
 
-def _command(options: argparse.Namespace) -> str:
+def _command(part: str, options: argparse.Namespace) -> str:
     """Return the script that the guest runs."""
-    faults = list(FAULTS) if options.faults is None else options.faults
-    arguments = [
-        f"--rate={options.rate:g}", f"--seconds={options.seconds:g}", f"--interface={options.interface}",
-        "--faults", *faults,
-    ]  # fmt: skip
+    arguments = [f"--rate={options.rate:g}", f"--interface={options.interface}"]
+    if part == "driver":
+        module = "tests.vm.inside_frames"
+        arguments += [f"--seconds={options.seconds:g}", "--faults", *options.faults]
+    else:
+        module = "tests.vm.inside_bench"
+        arguments += [f"--shots={options.shots}", "--faults", *options.swing_faults]
     return (
         f"export NUMBA_CACHE_DIR=/{MACHINE_CODE}; cd /root\n"
-        f"exec /{HOME}/bin/python -m tests.vm.inside_frames {shlex.join(arguments)}\n"
+        f"exec /{HOME}/bin/python -m {module} {shlex.join(arguments)}\n"
     )
 
 

@@ -8,7 +8,20 @@ import tempfile
 from pathlib import Path
 
 from sim.compiled import source_digest
-from tests.vm.image import HOME, MACHINE_CODE, PROCESSOR, PROJECT, SITE, Image, Say, archive, run_pip
+from tests.vm.image import (
+    HOME,
+    MACHINE_CODE,
+    PROCESSOR,
+    PROJECT,
+    SITE,
+    Image,
+    Say,
+    archive,
+    digest_of,
+    run_pip,
+)  # fmt: skip
+
+WHAT_IS_COMPILED = Path(__file__).with_name("compile_all.py")
 
 
 def add_code(image: Image, initramfs: Path, say: Say) -> None:
@@ -42,7 +55,7 @@ def _stage(image: Image, folder: Path, say: Say) -> None:
 
 def _machine_code(image: Image, site: Path, say: Say) -> Path:
     """Return the folder of the machine code of the sources in `site`, compiled now if it is not there."""
-    kept = image.root.parent / f"machine-code-{source_digest()}"
+    kept = image.root.parent / f"machine-code-{source_digest()}-{digest_of([WHAT_IS_COMPILED])}"
     if not kept.exists():
         say("compiling for the guest's processor")
         inside, made = image.root / SITE, image.root / MACHINE_CODE

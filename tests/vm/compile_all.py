@@ -1,4 +1,4 @@
-"""Compile what loop and nodes run, so that the guest finds it in its cache: run in the guest's root."""
+"""Compile what loop, nodes and shots run, so that the guest finds it in its cache: run in the guest's root."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from bench.control.settings import build_controller
 from bench.lifecycle import State
 from bench.loop import Cycle
 from bench.processes.tick_timing import TickTiming, new_timing
+from bench.shot.recorded_shot import Surroundings, warm_up_shots
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
@@ -19,8 +20,9 @@ from sim.nodes import run_nodes
 
 
 def main() -> None:
-    """Run a tick of a loop, and the nodes until they live."""
+    """Run a tick of a loop, the nodes until they live, and a shot."""
     c = load_configuration(None)
+    warm_up_shots(c.plant, Surroundings())
     parameters = build_controller(
         c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope, c.estimator, c.lifecycle,
         c.homing,

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -29,71 +27,31 @@ from drivers.canopen.frames import bus_load
 from drivers.canopen.settings import CanopenSettings
 from tests.benchmarks.can_bits import bits_of
 from tests.benchmarks.row import Row
+from tests.vm.guest import (
+    COMMAND,
+    EMERGENCY,
+    GREATEST_SHARE,
+    OTHERS,
+    POSITIONS,
+    SUPPLY,
+    SYNC,
+    bring_links_up,
+    busy_time,
+    keep,
+    keep_journal,
+    run,
+    say,
+    start_nodes,
+    wait_until,
+)
 from tests.vm.guest_bus import Frame, Listener, interface_counters, matches, send, switch_link
 
-HOST = Path("/host")
-NODES = "golfbench-nodes"
 WATCHDOG = 0.02
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
-GREATEST_SHARE = 70.0
-"""% of the processor."""
-SYNC, COMMAND, POSITIONS, EMERGENCY = 0x80, 0x20A, (0x281, 0x282, 0x283), 0x08A
-OTHERS = (0x18A, 0x28A, 0x38A, 0x701, 0x702, 0x703, 0x70A, 0x77F, 0x081, 0x082, 0x083, EMERGENCY)
-SUPPLY = 0x01
-"""Bit of the switches in byte 6 of a command."""
 LOST = 24.0
 """ms in which the valve node must have let go by itself: its own 20, and two ticks."""
 TOLD = 4.0
 """ms in which the driver must have sent the passive command when the interface tells of the fault."""
-
-_CONFIG = """base = "shipped"
-[loop]
-rate_hz = {rate:g}
-[driver]
-name = "canopen"
-[canopen]
-channel = "{nodes}"
-[plant]
-substeps = {substeps}
-"""
-_UNIT = """[Unit]
-Description=Simulated devices of a golf bench
-[Service]
-ExecStart=/opt/golfbench/bin/golfbench --config /etc/golfbench/nodes.toml nodes
-Environment=NUMBA_CACHE_DIR=/var/cache/golfbench PYTHONUNBUFFERED=1 HOME=/root
-LimitRTPRIO=98
-LimitMEMLOCK=infinity
-"""
-
-
-def run(*command: str) -> str:
-    """Run a command and return what it printed; RuntimeError when it fails."""
-    done = subprocess.run(command, check=False, text=True, capture_output=True, stdin=subprocess.DEVNULL)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {done.returncode} {done.stdout}{done.stderr}")
-    return done.stdout.strip()
-
-
-def wait_until(holds: Callable[[], bool], what: str, longest: float = 120.0) -> None:
-    """Wait until `holds()`; RuntimeError naming `what` after `longest` s."""
-    deadline = time.monotonic() + longest
-    while not holds():
-        if time.monotonic() > deadline:
-            raise RuntimeError(f"not within {longest:g} s: {what}")
-        time.sleep(0.05)
-
-
-def say(text: str) -> None:
-    """Tell where the test is."""
-    print(f"{time.monotonic():.1f} s: {text}", flush=True)
-
-
-def keep(rows: list[Row]) -> None:
-    """Give rows to the host."""
-    with (HOST / "rows").open("a") as file:
-        for row in rows:
-            file.write(json.dumps(row._asdict()) + "\n")
-
 
 # The loop ----------------------------------------------------------------------------------------------
 
@@ -133,8 +91,11 @@ class Loop:
 
 
 def in_real_time() -> None:
-    """Run before everything else, as the loop does, and collect no garbage meanwhile."""
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(80))
+    """Run before everything else, as the loop does, and collect no garbage meanwhile.
+
+    Not so what is started from here: it would come before the nodes.
+    """
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(80))
     gc.collect()
     gc.disable()
 
@@ -149,10 +110,10 @@ def measure(title: str, loop: Loop, seconds: float, wire: str, ends: tuple[str, 
     loop.run(200)  # everything has been called
     loop.forget()
     before = {name: getattr(loop.driver.counters, name) for name in (*CLASSES, "frames", "syncs", "missing")}
-    links, seen, busy = interface_counters(*ends, wire), matches(wire), _busy()
+    links, seen, busy = interface_counters(*ends, wire), matches(wire), busy_time()
     ticks, begun = round(seconds / loop.period), time.monotonic()
     loop.run(ticks)
-    lasted, used = time.monotonic() - begun, _busy() - busy
+    lasted, used = time.monotonic() - begun, busy_time() - busy
     links_after, seen_after = interface_counters(*ends, wire), matches(wire)
     new = {name: getattr(loop.driver.counters, name) - before[name] for name in before}
     frames = {i: seen_after.get(i, 0) - seen.get(i, 0) for i in (SYNC, COMMAND, *POSITIONS, *OTHERS)}
@@ -174,17 +135,6 @@ def measure(title: str, loop: Loop, seconds: float, wire: str, ends: tuple[str, 
         Row(title, "ticks without all three positions", loop.old, f"of {ticks}", at_most=0),
         *_sums(title, ticks, new, frames, more, wire, ends),
     ]
-
-
-def _busy() -> float:
-    """Return s for which the processor ran anything since the start, exactly.
-
-    The ticks of /proc/stat are samples, and a loop in step with them is seen always or never.
-    """
-    for line in Path("/proc/schedstat").read_text().splitlines():
-        if line.startswith("cpu0 "):
-            return 1e-9 * int(line.split()[7])
-    raise RuntimeError("this kernel does not count the time of its processors")
 
 
 def _times(title: str, name: str, durations: list[float]) -> Row:
@@ -384,8 +334,9 @@ def provoke(loop: Loop, name: str, fault: Fault) -> Row:
         elif fault.command is not None and begun[0] and not fault.command.done and fault.mend is _calm:
             begun[0] = time.monotonic()  # counted from when tc has ended
 
+    loop.forget()
     loop.run(round((AFTER if fault.mend not in _TAKEN else 3.0) / loop.period), each)
-    frames = list(witness.frames())
+    frames, lateness = list(witness.frames()), loop.lateness
     witness.close()
     trouble, operational = driver.trouble, driver.operational
     if fault.command is not None:
@@ -401,7 +352,10 @@ def provoke(loop: Loop, name: str, fault: Fault) -> Row:
         f"{n} {getattr(counters, n) - lost[n]}" for n in lost if getattr(counters, n) - lost[n]
     )
     what = "" if first is None else "passive command; " if first.identifier == COMMAND else "node by itself; "
+    held_up = 1e3 * max(lateness)
     note = f"{what}{trouble or 'operational'}; {counts or 'nothing counted'}; {again}"
+    if held_up > 1e3 * loop.period:
+        note += f"; the loop was held up for {held_up:.1f} ms"
     if fault.longest_ms is None:
         return Row(_FAULTS, name, float(first is not None or not operational), "reactions", note, at_most=0)
     milliseconds = float("nan") if first is None else 1e3 * (first.time - start)
@@ -440,28 +394,6 @@ def _open_anew(loop: Loop) -> str:
 # The whole ---------------------------------------------------------------------------------------------
 
 
-def set_up(rate: float, interface: str) -> CanopenSettings:
-    """Bring links and nodes up by their units."""
-    units, etc = Path("/opt/golfbench/systemd"), Path("/etc")
-    (etc / "golfbench").mkdir(exist_ok=True)
-    bench, nodes = ("can0", "can1") if interface == "can" else ("vcan0", "vcan0")
-    text = _CONFIG.format(rate=rate, nodes=nodes, substeps=-int(-4000.0 // rate))
-    (etc / "golfbench/nodes.toml").write_text(text)
-    shutil.copy(units / "golfbench-can@.service", etc / "systemd/system")
-    shutil.copy(units / "can0.env", etc / "golfbench")
-    (Path("/run/systemd/system") / f"{NODES}.service").write_text(_UNIT)
-    run("systemctl", "daemon-reload")
-    if interface == "vcan":
-        run("modprobe", "vcan")
-        run("ip", "link", "add", "vcan0", "type", "vcan")
-        run("ip", "link", "set", "vcan0", "up")
-    else:
-        run("systemctl", "start", *(f"golfbench-can@{name}" for name in ("can0", "can1", "can2")))
-    run("systemctl", "start", NODES)
-    wait_until(lambda: "live on" in run("journalctl", "-u", NODES, "--output=cat"), "the nodes on the bus")
-    return CanopenSettings("socketcan", bench, answer_time=0.5 / rate, service_time=1.0)
-
-
 def main() -> int:
     """Set up, measure, provoke."""
     parser = argparse.ArgumentParser()
@@ -471,13 +403,15 @@ def main() -> int:
     parser.add_argument("--faults", nargs="*", default=list(FAULTS))
     options = parser.parse_args()
     try:
-        settings = set_up(options.rate, options.interface)
+        bench, nodes, wire = bring_links_up(options.interface)
+        start_nodes(options.rate, nodes)
         say("nodes live")
+        settings = CanopenSettings("socketcan", bench, answer_time=0.5 / options.rate, service_time=1.0)
         driver = CanopenDriver(settings, period=1.0 / options.rate, watchdog=WATCHDOG)
         driver.open()
         in_real_time()
         loop, is_card = Loop(driver), options.interface == "can"
-        wire, ends = ("can2", ("can0", "can1")) if is_card else ("vcan0", ())
+        ends = (bench, nodes) if is_card else ()
         title = f"driver and nodes on {'emulated CAN cards' if is_card else 'vcan'}, virtual time"
         keep(measure(title, loop, options.seconds, wire, ends))
         say("load measured")
@@ -491,8 +425,7 @@ def main() -> int:
         traceback.print_exc()
         return 1
     finally:
-        journal = run("journalctl", "--no-pager", "--output=short-monotonic")
-        (HOST / "journal").write_text(journal)
+        keep_journal()
     return 0
 
 

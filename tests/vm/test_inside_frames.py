@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from tests.vm.guest import COMMAND, EMERGENCY, SYNC
 from tests.vm.guest_bus import Frame
-from tests.vm.inside_frames import COMMAND, EMERGENCY, SYNC, _reaction, _thirds
+from tests.vm.inside_frames import _reaction, _thirds
 
 OPEN, PASSIVE = bytes([0, 0, 0, 0, 0, 0, 1]), bytes(7)
 

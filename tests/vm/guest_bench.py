@@ -1,0 +1,209 @@
+"""The bench in the guest: golfbench's own units run by systemd, the simulated nodes on another card."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+
+from bench.bench_folder import bench_folder
+from bench.calibration.archive import add_calibration
+from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
+from bench.config import Configuration, load_configuration
+from bench.lifecycle import Phase, State
+from bench.network.client import BenchClient, CommandRefused
+from bench.processes.plan import RING_FILE, TIMING_FILE
+from bench.processes.tick_timing import TimingReader
+from bench.store.database import database_url, open_database
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile, save_profile
+from bench.telemetry.ring import RingReader
+from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
+from sim.shared_record import SharedRecord
+from tests.vm.guest import CARDS, CONFIGURATIONS, NODES_FOLDER, SYSTEM, UNITS, configuration, run
+
+UNIT = "golfbench@bench1"
+CONFIG = CONFIGURATIONS / "bench1.toml"
+SLOWER = 2
+"""A sample in so many of the profile is kept: the guest carries no more than 500 ticks a second."""
+LONGEST = 120.0
+"""Guest seconds that anything may take."""
+
+_MORE = """[bench]
+id = "bench1"
+data_dir = "/var/lib/golfbench"
+[lifecycle]
+series = true
+[swing]
+profile = "{profile}"
+"""
+_AFTER_LINK = """[Unit]
+Wants=golfbench-can@{link}.service
+After=golfbench-can@{link}.service
+"""
+
+
+def install(rate: float, link: str) -> Configuration:
+    """Install the units as systemd/README.md says, configure the bench on `link`, calibrate it."""
+    etc = Path("/etc")
+    for unit in UNITS.glob("*.service"):
+        shutil.copy(unit, SYSTEM)
+    for kind in ("sysusers", "tmpfiles"):
+        (etc / f"{kind}.d").mkdir(exist_ok=True)
+        shutil.copy(UNITS / f"golfbench.{kind}", etc / f"{kind}.d/golfbench.conf")
+    shutil.copy(UNITS / "golfbench.rules", etc / "udev/rules.d/60-golfbench.rules")
+    if link in CARDS:
+        more = SYSTEM / f"{UNIT}.service.d"
+        more.mkdir()
+        (more / "can.conf").write_text(_AFTER_LINK.format(link=link))
+    profile = CONFIGURATIONS / "slower.toml"
+    save_profile(profile, slower(load_profile(find_profile("default")), SLOWER))
+    CONFIG.write_text(configuration(rate, link) + _MORE.format(profile=profile))
+    run("systemd-sysusers")
+    run("systemd-tmpfiles", "--create", "golfbench.conf")
+    run("udevadm", "control", "--reload")
+    run("udevadm", "trigger", "--name-match=cpu_dma_latency", "--settle")
+    run("systemctl", "daemon-reload")
+    c = load_configuration(CONFIG)
+    _calibrate(c)
+    run("chown", "-R", "golfbench:golfbench", "/var/lib/golfbench", "/var/cache/golfbench")
+    return c
+
+
+def slower(profile: Profile, times: int) -> Profile:
+    """Return the same swing for a loop that ticks `times` less often."""
+    return replace(
+        profile, period=times * profile.period, begins=tuple(ceil(begin / times) for begin in profile.begins),
+        angle=profile.angle[::times], velocity=profile.velocity[::times], valve=profile.valve[::times],
+        blind_spacing=profile.blind_spacing // times,
+    )  # fmt: skip
+
+
+def _calibrate(c: Configuration) -> None:
+    """Store the values that the configuration has: an interface of SocketCAN counts as a machine."""
+    encoders, site, club = c.plant.encoders, c.plant.site, c.plant.robot.club
+    now = datetime.now(UTC)
+    values: tuple[Values, ...] = (
+        EncoderZeros(encoders.zero_count, encoders.sign, encoders.counts_per_revolution, 0.001),
+        BallPosition(site.ball_x, site.ball_y, 0.001),
+        ClubInMount(club.name, club.length_to_face, club.loft, club.lie, 0.001, 0.001),
+        ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.02), 0.001),
+    )
+    with open_database(database_url(c.bench.database, c.bench.data_dir), now) as database:
+        for value in values:
+            add_calibration(
+                database, c.bench.id, value, date=now, expires=now + timedelta(days=30), by="test",
+                method="values of the simulated robot",
+            )  # fmt: skip
+
+
+class GuestBench:
+    """The running bench: asked over the network, looked at in its shared memory."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        """Attach to the bench, which runs."""
+        self.configuration = configuration
+        folder = bench_folder(configuration.bench.id)
+        self.client = BenchClient.connect(configuration, timeout=10.0)
+        self.ring = RingReader(folder / RING_FILE)
+        self.timing = TimingReader(folder / TIMING_FILE)
+        self._report = SharedRecord.open(NODES_FOLDER / REPORT_FILE, PLANT_REPORT)
+
+    def close(self) -> None:
+        """Let go of it."""
+        self.client.close()
+        self.ring.close()
+        self.timing.close()
+        self._report.close()
+
+    def report(self) -> np.void:
+        """Return what the plant tells."""
+        record = np.zeros(1, PLANT_REPORT)
+        self._report.read(record)
+        found: np.void = record[0]
+        return found
+
+    def now(self) -> np.void:
+        """Return the newest cycle record."""
+        newest = self.ring.newest()
+        if newest is None:
+            raise RuntimeError("the loop has written nothing")
+        record: np.void = newest[0]
+        return record
+
+    def wait_phase(self, phase: Phase, longest: float = 30.0) -> None:
+        """Wait until the robot is in `phase`; looks 500 times a second."""
+        deadline = time.monotonic() + longest
+        while self.now()["phase"] != phase:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"not in {phase.name} but {self.words()}")
+            time.sleep(0.002)
+
+    def words(self) -> str:
+        """Return state, phase and cause."""
+        status = self.client.status()
+        cause = status["cause"]
+        return f"{status['state']}, {status['phase']}, {cause['name'] if cause else 'no cause'}"
+
+    def take_address(self) -> None:
+        """Come to the address from wherever it rests: reset, home and arm."""
+        deadline = time.monotonic() + LONGEST
+        while True:
+            state, phase = State(int(self.now()["state"])), Phase(int(self.now()["phase"]))
+            if state is State.ARMED and phase is Phase.HOLD:
+                return
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"not at the address but {self.words()}")
+            ask = {
+                State.ESTOP: self.client.reset, State.FAULT: self.client.reset, State.SAFE: self.client.home,
+                State.READY: self.client.arm,
+            }.get(state)  # fmt: skip
+            if ask is not None:
+                with suppress(CommandRefused):  # not vented yet, not at rest
+                    ask()
+            time.sleep(0.1)
+
+    def swing(self) -> None:
+        """Swing as soon as it rests at its address, with a ball on the tee."""
+        deadline = time.monotonic() + LONGEST
+        while True:
+            try:
+                self.client.tee()
+                self.client.swing()
+                return
+            except CommandRefused:
+                if time.monotonic() > deadline or self.now()["state"] != State.ARMED:
+                    raise
+                time.sleep(0.1)
+
+    def stop_share(self) -> float:
+        """Return the greatest energy that a stop has taken since the plant began, of its rating."""
+        ratings = np.array([[actuator.stop.energy] for actuator in self.configuration.plant.actuators])
+        return float((self.report()["stop_energy"] / ratings).max())
+
+    def pressure_share(self) -> float:
+        """Return the greatest chamber pressure since the plant began, of its rating."""
+        ratings = np.array([[actuator.pressure_rating] for actuator in self.configuration.plant.actuators])
+        return float((self.report()["peak_pressure"].reshape(3, 2) / ratings).max())
+
+
+def service(name: str, unit: str = UNIT) -> str:
+    """Return a property of a unit."""
+    return run("systemctl", "show", "--property", name, "--value", unit)
+
+
+def journal(unit: str = UNIT) -> str:
+    """Return what a unit has told."""
+    return run("journalctl", "--no-pager", "--output=cat", f"--unit={unit}")
+
+
+def be_polite() -> None:
+    """Leave the processor to the bench whenever it wants it."""
+    os.nice(10)
