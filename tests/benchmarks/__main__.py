@@ -30,6 +30,7 @@ LONG = (
     "reactions",
     "healthy_swings",
     "canopen_reactions",
+    "canopen_bus",
     "kills",
     "recorder_kills",
     "telemetry_age",

@@ -20,7 +20,9 @@ import signal
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 from rich.console import Console
 
@@ -31,7 +33,7 @@ from tests.vm.guest_faults import FAULTS as SWING_FAULTS
 from tests.vm.guest_faults import USUAL
 from tests.vm.image import HOME, MACHINE_CODE, PACKAGES, build_image
 from tests.vm.inside_frames import FAULTS
-from tests.vm.machine import run_machine
+from tests.vm.machine import Outcome, run_machine
 
 RATE = 500.0
 """Hz."""
@@ -43,7 +45,9 @@ PARTS = ("driver", "bench")
 def main() -> int:
     """Make the image if there is none, run a guest for each part, show what they found."""
     parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
-    parser.add_argument("--parts", nargs="*", choices=PARTS, default=PARTS, help="default: both")
+    parser.add_argument(
+        "--parts", nargs="*", choices=PARTS, default=PARTS, help="default: both, beside each other"
+    )
     parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: without faults")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
     parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
@@ -64,24 +68,35 @@ def main() -> int:
     def say(text: str) -> None:
         console.print(f"[dim]{time.monotonic() - begin:4.0f} s[/] {text}", highlight=False)
 
-    image, rows, ended = build_image(say), [], True
-    for part in options.parts:
-        with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
-            share = Path(name)
-            add_code(image, share / "initramfs", say)
-            (share / "command").write_text(_command(part, options))
-            say(f"running the guest: {part}")
-            outcome = run_machine(image.kernel, share / "initramfs", share, options.timeout)
-            say(f"the guest ended after {outcome.seconds:.0f} s with {outcome.code}")
+    image = build_image(say)
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
+        top, ended = Path(name), Event()
+        add_code(image, top / "initramfs", say)
+
+        def run_part(part: str) -> Outcome:
+            return run_machine(image.kernel, top / "initramfs", top / part, options.timeout, ended)
+
+        for part in options.parts:
+            (top / part).mkdir()
+            (top / part / "command").write_text(_command(part, options))
+        say(f"running the guests: {', '.join(options.parts)}")
+        with ThreadPoolExecutor() as pool:
+            try:
+                outcomes = list(pool.map(run_part, options.parts))
+            finally:
+                ended.set()
+        for part, outcome in zip(options.parts, outcomes, strict=True):
+            took = f"{outcome.seconds:.0f} s, {outcome.processor:.0f} s of processor"
+            say(f"{part}: the guest ended after {took}, with {outcome.code}")
             if options.keep is not None:
-                _keep(share, options.keep / part)
-            found = _rows(share / "rows")
+                _keep(top / part, options.keep / part)
+            found = _rows(top / part / "rows")
             show(found, console)
             rows += found
             if outcome.code != 0:
-                _explain(share, console)
-                ended = False
-    return verdict(rows, console) or int(not ended)
+                _explain(top / part, console)
+    return verdict(rows, console) or int(any(outcome.code != 0 for outcome in outcomes))
 
 
 def _lacking() -> str:

@@ -1,4 +1,4 @@
-"""Compile what loop, nodes and shots run, so that the guest finds it in its cache: run in the guest's root."""
+"""Compile what loop, nodes and shots run, so that the guest finds it compiled: run in the guest's root."""
 
 from __future__ import annotations
 

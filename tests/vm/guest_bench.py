@@ -154,6 +154,7 @@ class GuestBench:
 
     def take_address(self) -> None:
         """Come to the address from wherever it rests: reset, home and arm."""
+        self.client.renew_lease()
         deadline = time.monotonic() + LONGEST
         while True:
             state, phase = State(int(self.now()["state"])), Phase(int(self.now()["phase"]))

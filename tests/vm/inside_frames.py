@@ -8,8 +8,6 @@ valve node. Rows go to /host/rows, one JSON a line. Nothing is imported here tha
 from __future__ import annotations
 
 import argparse
-import gc
-import os
 import subprocess
 import sys
 import time
@@ -20,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.base import Command
 from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load
 from drivers.canopen.settings import CanopenSettings
 from tests.benchmarks.can_bits import bits_of
+from tests.benchmarks.driver_loop import DriverLoop, in_real_time, times
 from tests.benchmarks.row import Row
 from tests.vm.guest import (
     COMMAND,
@@ -47,63 +45,15 @@ from tests.vm.guest import (
 from tests.vm.guest_bus import Frame, Listener, interface_counters, matches, send, switch_link
 
 WATCHDOG = 0.02
-MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
 LOST = 24.0
 """ms in which the valve node must have let go by itself: its own 20, and two ticks."""
 TOLD = 4.0
 """ms in which the driver must have sent the passive command when the interface tells of the fault."""
 
-# The loop ----------------------------------------------------------------------------------------------
-
-
-class Loop:
-    """Ticks of the driver on an absolute grid."""
-
-    def __init__(self, driver: CanopenDriver) -> None:
-        self.driver, self.period = driver, driver.period
-        self.forget()
-
-    def forget(self) -> None:
-        """Begin to count anew."""
-        self.lateness: list[float] = []
-        self.reading: list[float] = []
-        self.writing: list[float] = []
-        self.sampled: list[float] = []
-        self.old = 0
-
-    def run(self, ticks: int, each: Callable[[int], None] = lambda tick: None) -> None:
-        """Run ticks; `each` is called between them."""
-        clock, driver, start = time.monotonic, self.driver, time.monotonic() + self.period
-        for tick in range(ticks):
-            due = start + tick * self.period
-            if (early := due - clock()) > 0.0:
-                time.sleep(early)
-            begun = clock()
-            readings = driver.read(begun)
-            read = clock()
-            driver.write(MOVING)
-            self.lateness.append(begun - due)
-            self.reading.append(read - begun)
-            self.writing.append(clock() - read)
-            self.sampled.append(readings.encoder_time[0])
-            self.old += max(readings.encoder_age) > 0.5 * self.period
-            each(tick)
-
-
-def in_real_time() -> None:
-    """Run before everything else, as the loop does, and collect no garbage meanwhile.
-
-    Not so what is started from here: it would come before the nodes.
-    """
-    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(80))
-    gc.collect()
-    gc.disable()
-
-
 # Load --------------------------------------------------------------------------------------------------
 
 
-def measure(title: str, loop: Loop, seconds: float, wire: str, ends: tuple[str, ...]) -> list[Row]:
+def measure(title: str, loop: DriverLoop, seconds: float, wire: str, ends: tuple[str, ...]) -> list[Row]:
     """Run for `seconds`; `wire` is where all frames are seen, `ends` the bench's and the nodes' interface."""
     counter = Listener(wire, (SYNC, COMMAND, *POSITIONS, *OTHERS), 4096)
     _open_anew(loop)  # while nothing ran the node's watchdog has struck
@@ -129,17 +79,12 @@ def measure(title: str, loop: Loop, seconds: float, wire: str, ends: tuple[str, 
             "1 GIPS; loop and nodes",
             at_most=GREATEST_SHARE,
         ),
-        _times(title, "wake-up", loop.lateness),
-        _times(title, "read: SYNC out, three positions in", loop.reading),
-        _times(title, "write: command out", loop.writing),
+        times(title, "wake-up", loop.lateness),
+        times(title, "read: SYNC out, three positions in", loop.reading),
+        times(title, "write: command out", loop.writing),
         Row(title, "ticks without all three positions", loop.old, f"of {ticks}", at_most=0),
         *_sums(title, ticks, new, frames, more, wire, ends),
     ]
-
-
-def _times(title: str, name: str, durations: list[float]) -> Row:
-    p50, p99, longest = 1e6 * np.quantile(durations, [0.5, 0.99, 1.0])
-    return Row(title, name, p50, "us", f"median; p99 {p99:.1f}, longest {longest:.1f} us")
 
 
 def _sums(
@@ -175,7 +120,7 @@ def _sums(
     return rows
 
 
-def look_at_wire(title: str, loop: Loop, seconds: float, wire: str) -> list[Row]:
+def look_at_wire(title: str, loop: DriverLoop, seconds: float, wire: str) -> list[Row]:
     """Look at each frame for a while: load, answers by the kernel's stamps, how true a sample's time is."""
     _open_anew(loop)
     listener = Listener(wire)
@@ -193,7 +138,7 @@ def look_at_wire(title: str, loop: Loop, seconds: float, wire: str) -> list[Row]
     return [
         Row(title, "bus load, frames really sent", load, "%",
             f"{len(frames) / seconds:.0f} frames a second, stuff bits counted", at_most=most),
-        _times(title, "SYNC to the third position, on the wire", thirds),
+        times(title, "SYNC to the third position, on the wire", thirds),
         Row(title, "a sample's time less its SYNC's, spread", float(np.std(errors)), "us",
             f"mean {np.mean(errors):+.1f}, from {errors.min():+.1f} to {errors.max():+.1f} us", at_most=2.0),
     ]  # fmt: skip
@@ -313,7 +258,7 @@ BEFORE, AFTER = 0.1, 0.4
 """s of ticks before a fault and after it."""
 
 
-def provoke(loop: Loop, name: str, fault: Fault) -> Row:
+def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
     """Bring one fault while the valves are open, watch what the valve node does, mend it, open anew."""
     driver, begun = loop.driver, [0.0]
     counters = driver.counters
@@ -374,7 +319,7 @@ def _reaction(frames: list[Frame], after: float) -> Frame | None:
     return None
 
 
-def _open_anew(loop: Loop) -> str:
+def _open_anew(loop: DriverLoop) -> str:
     """Close and open the driver as a reset does; return how that went."""
     driver = loop.driver
     driver.close()
@@ -410,7 +355,7 @@ def main() -> int:
         driver = CanopenDriver(settings, period=1.0 / options.rate, watchdog=WATCHDOG)
         driver.open()
         in_real_time()
-        loop, is_card = Loop(driver), options.interface == "can"
+        loop, is_card = DriverLoop(driver), options.interface == "can"
         ends = (bench, nodes) if is_card else ()
         title = f"driver and nodes on {'emulated CAN cards' if is_card else 'vcan'}, virtual time"
         keep(measure(title, loop, options.seconds, wire, ends))

@@ -8,11 +8,13 @@ device of that name that cannot run a stock kernel, QEMU starts and hangs.
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import time
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 from typing import IO, Any, NamedTuple
 
 CARDS = {"card0": "0x10", "card1": "0x11", "card2": "0x12"}
@@ -36,10 +38,14 @@ class Outcome(NamedTuple):
     code: int | None
     """Of the command; None: the guest ended without one, or the time was over."""
     seconds: float
+    processor: float
+    """s of this machine's processors."""
 
 
-def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float) -> Outcome:
+def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ended: Event) -> Outcome:
     """Run `share`/command in the guest; what it writes to /host lies in `share`, its console there too.
+
+    It is over after `timeout` s, and when `ended` is set.
 
     A line "pull card0" or "put card0" in the guest's second serial port pulls a card out and puts it back.
     """
@@ -60,22 +66,29 @@ def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float) -> O
     machine = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         with suppress(OSError):  # it ended
-            _serve(machine, monitor, asked, begin + timeout)
+            _serve(machine, monitor, asked, begin + timeout, ended)
     finally:
-        if machine.poll() is None:
+        if _runs(machine):
             machine.terminate()
-        machine.wait()
+        _, _, used = os.wait4(machine.pid, 0)
+        machine.returncode = 0  # it has been waited for
     told = share / "code-of-exit"
-    return Outcome(int(told.read_text()) if told.exists() else None, time.monotonic() - begin)
+    code = int(told.read_text()) if told.exists() else None
+    return Outcome(code, time.monotonic() - begin, used.ru_utime + used.ru_stime)
 
 
-def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: float) -> None:
+def _runs(machine: subprocess.Popen[bytes]) -> bool:
+    """Whether it has not ended; it is waited for at the end, for the time that it used."""
+    return os.waitid(os.P_PID, machine.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
+
+
+def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: float, ended: Event) -> None:
     """Do what the guest asks for until it ends or the time is over."""
     with socket.socket(socket.AF_UNIX) as connection:
         _connect(connection, machine, path)
         monitor = _Monitor(connection.makefile("rw"))
         done = 0
-        while machine.poll() is None and time.monotonic() < deadline:
+        while _runs(machine) and time.monotonic() < deadline and not ended.is_set():
             time.sleep(_LOOK)
             orders = asked.read_text().split("\n")[:-1]
             for order in orders[done:]:
@@ -86,7 +99,7 @@ def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: 
 
 def _connect(connection: socket.socket, machine: subprocess.Popen[bytes], path: Path) -> None:
     deadline = time.monotonic() + _PATIENCE
-    while machine.poll() is None:
+    while _runs(machine):
         try:
             connection.connect(str(path))
             return
