@@ -1,0 +1,71 @@
+"""The whole bench over CANopen, daemon and nodes on the local bus: a bus that goes and comes back."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import State
+from bench.network.client import CommandRefused
+from drivers.base import PASSIVE, Command, unpack_command
+from drivers.can_bus import switch
+from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
+from sim.shared_record import SharedRecord
+from tests.running_bench import running_bench, write_configuration
+
+pytestmark = pytest.mark.timeout(400)  # the first start compiles
+
+
+@contextmanager
+def played_nodes(file: Path, folder: Path) -> Iterator[None]:
+    """Play the devices of the configuration `file`; the plant's files lie in `folder`."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "bench", "--config", str(file), "nodes", "--folder", str(folder)],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
+            yield
+        finally:
+            process.terminate()
+
+
+def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_path: Path) -> None:
+    channel = tmp_path / "bus"
+    file = write_configuration(  # patient: the machine may be busy
+        tmp_path, "bus",
+        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{channel}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )  # fmt: skip
+    with played_nodes(file, tmp_path), running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+        report, plant = np.zeros(1, PLANT_REPORT), SharedRecord.open(tmp_path / REPORT_FILE, PLANT_REPORT)
+
+        def in_force() -> Command:
+            plant.read(report)
+            command: Command = unpack_command(report["node"]["applied"])
+            a, b, c = (round(opening, 3) + 0.0 for opening in command.valve)
+            return command._replace(valve=(a, b, c))
+
+        bench.recover()
+        switch(channel, on=False)
+        bench.wait_until(lambda record: record["state"] == State.FAULT)
+        deadline = time.monotonic() + 20.0
+        while in_force() != PASSIVE:
+            assert time.monotonic() < deadline, in_force()
+            time.sleep(0.01)
+        with pytest.raises(CommandRefused):
+            bench.client.reset()
+        switch(channel, on=True)
+        time.sleep(1.0)
+        assert bench.now()["state"] in (State.FAULT, State.ESTOP)  # a bus that is back changes nothing by itself
+        bench.recover()
+        plant.close()
