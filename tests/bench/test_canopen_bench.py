@@ -66,6 +66,6 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
             bench.client.reset()
         switch(channel, on=True)
         time.sleep(1.0)
-        assert bench.now()["state"] in (State.FAULT, State.ESTOP)  # a bus that is back changes nothing by itself
+        assert bench.now()["state"] in (State.FAULT, State.ESTOP)  # back, it changes nothing
         bench.recover()
         plant.close()
