@@ -315,6 +315,54 @@ def abort(context: typer.Context, campaign: Id) -> None:
     _request(context, campaign, "abort")
 
 
+@app.command()
+def air(
+    context: typer.Context,
+    temperature: Annotated[float | None, typer.Option(metavar="C", help="Degrees Celsius.")] = None,
+    pressure: Annotated[
+        float | None, typer.Option(metavar="HPA", help="Of the place, not reduced to sea level.")
+    ] = None,
+    humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative.")] = None,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who or what read it [default: user@host].")] = "",
+) -> None:
+    """Tell the air that was read at the bench, or show the newest reading.
+
+    The shots of a real bench have it from then on, for as long as the plan says ([air] valid_for).
+    """
+    from datetime import UTC, datetime
+
+    from bench.campaign.terminal import user_name
+    from bench.errors import BenchError
+    from bench.store.air_readings import AirReading, add_reading, newest_reading
+    from sim.air import Air
+
+    bench = context.ensure_object(Session).configuration().bench.id
+    given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
+    if missing := [name for name, value in given.items() if value is None]:
+        if len(missing) < len(given):
+            raise BenchError("air", f"no {', '.join(missing)}", "all three of them", "Read them, too.")
+    with _store(context.ensure_object(Session).configuration()) as store:
+        if temperature is not None and pressure is not None and humidity is not None:
+            try:
+                read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
+            except ValueError as error:
+                raise BenchError(
+                    "air", f"{temperature} deg C, {pressure} hPa, {humidity} %", str(error), "Correct it."
+                ) from None
+            reading = AirReading(datetime.now(UTC), read, by or user_name())
+            add_reading(store.database, bench, reading)
+        elif not (found := newest_reading(store.database, bench, datetime(1970, 1, 1, tzinfo=UTC))):
+            typer.echo("The air has not been read yet.")
+            return
+        else:
+            reading = found
+    now = reading.air
+    typer.echo(
+        f"{now.temperature - 273.15:.1f} deg C, {now.pressure / 100:.1f} hPa, "
+        f"{100 * now.relative_humidity:.0f} %; read {reading.date:%Y-%m-%d %H:%M} UTC by {reading.by}"
+    )
+
+
 @app.command("list")
 def list_campaigns(context: typer.Context, json_: Json = False) -> None:
     """Show the campaigns of this bench, the newest first."""

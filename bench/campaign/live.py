@@ -25,7 +25,7 @@ from bench.bench_folder import bench_folder
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind, Wish
 from bench.campaign.plan import Plan
-from bench.campaign.runner import Suspended
+from bench.campaign.runner import Hindrance, NotNow, Suspended
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
@@ -38,6 +38,7 @@ from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, Status
 from bench.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import Outcome
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery, strike
@@ -140,16 +141,17 @@ class LiveShots:
         interrupted: Callable[[], bool],
         aborted: Callable[[], bool],
         monitored: bool = False,
+        air: Callable[[], Air | None] = lambda: None,
     ) -> None:
         """`monitored`: the bench's launch monitor tells of the balls.
 
         `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
 
-        `clubs` are those of the bench's configuration.
+        `clubs` are those of the bench's configuration; `air` tells what was read of a real bench's.
         """
         self._plan, self._profiles, self._clubs = plan, profiles, clubs
         self._client, self._holder, self.simulated = client, holder, simulated
-        self._interrupted, self._aborted = interrupted, aborted
+        self._interrupted, self._aborted, self._air = interrupted, aborted, air
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held = False
         self._monitored = monitored
@@ -174,16 +176,31 @@ class LiveShots:
         """Return the clock's time."""
         return datetime.now(UTC)
 
-    def hindrance(self) -> str:
-        """Return that no launch monitor is connected, where one is to be."""
-        if not self._monitored:
-            return ""
+    def hindrance(self, step: Step) -> Hindrance | None:
+        """Return that no launch monitor is connected, where one is to be, or that the supply is too low."""
         with _suspending():
-            link = self._client.status()["launch_monitor"]
-        if link is None:
+            status = self._client.status()
+        return self._unseen(status) or self._short_of_air(step, status)
+
+    def _unseen(self, status: BenchStatus) -> Hindrance | None:
+        if not self._monitored:
+            return None
+        if (link := status["launch_monitor"]) is None:
             raise Suspended("the bench was started anew without its launch monitor, [launch_monitor] enabled")
         note = f": {link['note']}" if link["note"] else ""
-        return "" if link["present"] else f"no launch monitor is connected{note}"
+        return None if link["present"] else Hindrance(f"no launch monitor is connected{note}")
+
+    def _short_of_air(self, step: Step, status: BenchStatus) -> Hindrance | None:
+        """Look at the supply of a robot that rests at its address: otherwise its manifold is empty."""
+        supply, pressure = self._plan.supply, status["supply_pressure_pa"]
+        if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
+            return None
+        profile = self._profiles[step.trial.arm.swing, step.trial.arm.club]
+        least = supply.least * profile.limits.get("supply_pressure_pa", 0.0)
+        if pressure >= least:
+            return None
+        text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
+        return Hindrance(text, armed=True, patience=supply.patience)
 
     def rest(self) -> None:
         """Let the air out."""
@@ -198,7 +215,7 @@ class LiveShots:
         with _suspending():
             self._take_lease()
             self._ball_chosen = self._monitored and self.simulated and self._choose_ball(ball)
-            tick = self._swing(events)
+            tick = self._swing(step, events)
             if tick is None:
                 return self._untaken(step, number, sample, tuple(events))
             self._wait_until_over()
@@ -268,8 +285,12 @@ class LiveShots:
                     raise
                 self._pause()
 
-    def _swing(self, events: list[tuple[str, str]]) -> int | None:
-        """Swing as soon as the robot rests at its address; return a tick before, None when no ball came."""
+    def _swing(self, step: Step, events: list[tuple[str, str]]) -> int | None:
+        """Swing as soon as the robot rests at its address; return a tick before, None when no ball came.
+
+        Raises:
+            NotNow: it rests there, with too little air.
+        """
         deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
         while True:
             status = self._client.status()
@@ -280,6 +301,8 @@ class LiveShots:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
                     if status["time"] - held_since >= _HOLD:
+                        if self._short_of_air(step, status):
+                            raise NotNow(*events)
                         if self._must_practise and not status["ball_present"]:
                             self._practise(events)
                             deadline, held_since = time.monotonic() + _READY, np.inf
@@ -457,6 +480,7 @@ class LiveShots:
                 "struck_in_the_plant": ball.name if self._ball_chosen else plant.ball.name,
             }
         launch, figures, doubt = None, dict[str, Any](), ""
+        air = around.air if self.simulated else self._air()
         if self._monitored:
             doubt = NO_WORD if told is None else told.reason
             if told is not None and told.launch is not None:
@@ -471,16 +495,16 @@ class LiveShots:
         flight = None
         if launch is not None and not doubt:
             try:
-                flight = fly(launch, around.air, ball, around.wind, around.turf)
+                flight = fly(launch, air or around.air, ball, around.wind, around.turf)
             except ValueError as error:
                 doubt = f"no flight: {error}"
         if doubt and not reason:
             status, reason = Status.EXCLUDED, doubt
-        if self.simulated:  # a real bench measures none of these yet
+        if air is not None:
             row |= {
-                "air_temperature_k": around.air.temperature,
-                "air_pressure_pa": around.air.pressure,
-                "relative_humidity": around.air.relative_humidity,
+                "air_temperature_k": air.temperature,
+                "air_pressure_pa": air.pressure,
+                "relative_humidity": air.relative_humidity,
             }
         shot = Shot.from_measurements(
             **row, delivery=delivery, launch=launch, flight=flight, status=status, reason=reason,

@@ -6,7 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,9 @@ from bench.file_lock import try_lock
 from bench.network.client import BenchClient
 from bench.network.desk import Status
 from bench.network.lease import LONGEST_HOLDER
+from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
+from sim.air import Air
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")
 """Whose versions stand in the record."""
@@ -122,6 +124,16 @@ def run_live(
     def aborted() -> bool:
         return store.standing(entry.id).requested == "abort"
 
+    def air() -> Air | None:
+        since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
+        reading = newest_reading(store.database, entry.bench, since)
+        return None if reading is None else reading.air
+
+    if not entry.simulated and air() is None:
+        watcher.say(
+            "The air has not been read lately: shots are without it, carry is for the configured air. "
+            "golfbench campaign air tells it, also meanwhile."
+        )
     with (
         runner_lock(data_dir, entry.id),
         bench_lock(data_dir, entry),
@@ -139,6 +151,7 @@ def run_live(
             monitored=bool(entry.real_time.get("launch_monitor")),
             interrupted=interrupted,
             aborted=aborted,
+            air=air,
         )
         with shots as source:
             runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator)

@@ -95,6 +95,24 @@ class BallHandling:
 
 
 @dataclass(frozen=True)
+class Supply:
+    """The air that a running bench must have before each swing."""
+
+    least: Annotated[float, Range(0.0, 1.5, "")]
+    """Share of the pressure that the swing was designed for; 0: not looked at."""
+    patience: Annotated[float, Range(0.0, 86400.0, "s")]
+    """Held at its address until the pressure is back; then the robot is vented and a person is needed."""
+
+
+@dataclass(frozen=True)
+class AirSettings:
+    """The air at a running bench; a simulated one has the configured air."""
+
+    valid_for: Annotated[float, Range(0.0, 1e6, "s")]
+    """That a reading (`golfbench campaign air`) counts; shots without one have none."""
+
+
+@dataclass(frozen=True)
 class Gate:
     """Half widths of what counts as the same delivery; 0: not looked at. Never the ball's result."""
 
@@ -192,6 +210,8 @@ class Plan:
     control: Control
     warm_up: WarmUp
     ball_handling: BallHandling
+    supply: Supply
+    air: AirSettings
     gate: Gate
     stop: Stop
     analysis: Analysis

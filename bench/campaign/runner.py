@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -36,6 +37,20 @@ class Suspended(Exception):
     """The bench gives no more shots until a person has looked; the text says why."""
 
 
+class Hindrance(NamedTuple):
+    """What is in the way of a shot and passes by itself."""
+
+    text: str
+    armed: bool = False
+    """Only a bench that stays armed, resting at its address, sees it pass."""
+    patience: float = inf
+    """s; then it is left to a person."""
+
+
+class NotNow(Exception):
+    """A hindrance was met on the way to the swing; the arguments are the (kind, text) of what happened."""
+
+
 class ShotSource(Protocol):
     """A bench as a campaign sees it."""
 
@@ -50,12 +65,13 @@ class ShotSource(Protocol):
 
         Raises:
             Suspended: it was not taken, and none can be for now.
+            NotNow: it was not taken; `hindrance` tells why.
             KeyboardInterrupt: somebody asked to stop before the swing.
         """
         ...
 
-    def hindrance(self) -> str:
-        """Return what is in the way of a shot and passes by itself; empty: nothing. Raises Suspended."""
+    def hindrance(self, step: Step) -> Hindrance | None:
+        """Return what is in the way of `step` and passes by itself; None: nothing. Raises Suspended."""
         ...
 
     def rest(self) -> None:
@@ -241,7 +257,7 @@ class Runner:
         while not isinstance(step, Ending):
             for state, reason in self._asked(interrupted):
                 return state, reason
-            for state, reason in self._hindered(interrupted):
+            for state, reason in self._hindered(step, interrupted):
                 return state, reason
             number = self.taken + 1
             sample = sample_for(self._plan, step.trial.arm.ball, self._hits)
@@ -252,7 +268,11 @@ class Runner:
                 )
             if asked := self._fit(step, number, sample, interrupted):
                 return asked
-            taken = self._source.take(step, number, sample)
+            try:
+                taken = self._source.take(step, number, sample)
+            except NotNow as trouble:
+                self._noted += trouble.args
+                continue
             if taken.stopped:  # by Ctrl-C: as if it had not been begun
                 return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
             shot = self._gated(step, taken)
@@ -358,26 +378,31 @@ class Runner:
         self._store.change(self._entry.id, state=state, reason=reason)
         self._watcher.standing(state, reason)
 
-    def _hindered(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
+    def _hindered(self, step: Step, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
         """Suspend while something is in the way that passes by itself; yield as `_asked`."""
-        if not (reason := self._source.hindrance()):
+        if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
-        self._source.rest()
+        if not first.armed:
+            self._source.rest()
         began = free_since = time.monotonic()
-        self._stand(CampaignState.SUSPENDED, reason)
-        self._watcher.say(f"suspended: {reason}")
+        self._stand(CampaignState.SUSPENDED, first.text)
+        self._watcher.say(f"suspended: {first.text}")
         while (now := time.monotonic()) - free_since < _SETTLED:
             for ending in self._asked(interrupted):
                 yield ending
                 return
-            if found := self._source.hindrance():
+            if found := self._source.hindrance(step):
                 free_since = now
+                if now - began > found.patience:
+                    self._source.rest()
+                    yield CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now"
+                    return
                 if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
-                    self._stand(CampaignState.SUSPENDED, found)  # it was paused meanwhile
+                    self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)
         self._stand(CampaignState.RUNNING, "")
-        text = f"{reason}; it went on by itself after {now - began:.0f} s"
+        text = f"{first.text}; it went on by itself after {now - began:.0f} s"
         self._watcher.say(text)
         self._noted.append(("suspended", text))
 

@@ -105,9 +105,8 @@ class SimulatedShots:
         """Return when shot `number` is."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
 
-    def hindrance(self) -> str:
+    def hindrance(self, step: Step) -> None:
         """Return nothing: what passes by itself has passed."""
-        return ""
 
     def rest(self) -> None:
         """Nothing is to be done: its time stands still between two shots."""

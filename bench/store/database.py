@@ -16,9 +16,9 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, func, insp
 from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
 
 from bench.errors import BenchError
-from bench.store.tables import VERSION_2, VERSION_3, VERSION_4, Row, SchemaVersionRow
+from bench.store.tables import VERSION_2, VERSION_3, VERSION_4, VERSION_5, Row, SchemaVersionRow
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -39,10 +39,16 @@ def _add_learned_swings(connection: Connection) -> None:
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_4])
 
 
+def _add_air_readings(connection: Connection) -> None:
+    """Version 4 knew the configured air only."""
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_5])
+
+
 MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     1: _add_campaigns,
     2: _add_prompts,
     3: _add_learned_swings,
+    4: _add_air_readings,
 }
 """Version -> what turns its tables into those of the next one."""
 

@@ -231,6 +231,25 @@ class LearnedSwingRow(Row):
 
 _only_add(Row.metadata.tables[LearnedSwingRow.__tablename__], "learned swings")
 
+
+class AirReadingRow(Row):
+    """One reading of the air at a bench. Rows are only added."""
+
+    __tablename__ = "air_readings"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    bench: Mapped[str] = mapped_column(index=True)
+    date: Mapped[datetime]
+    temperature: Mapped[float]
+    """K"""
+    pressure: Mapped[float]
+    """Pa"""
+    relative_humidity: Mapped[float]
+    by: Mapped[str]
+
+
+_only_add(Row.metadata.tables[AirReadingRow.__tablename__], "readings of the air")
+
 VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
 """Tables that came with schema version 2."""
 
@@ -239,3 +258,6 @@ VERSION_3 = ("campaign_prompts",)
 
 VERSION_4 = ("learned_swings",)
 """Tables that came with schema version 4."""
+
+VERSION_5 = ("air_readings",)
+"""Tables that came with schema version 5."""

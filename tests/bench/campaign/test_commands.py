@@ -23,7 +23,7 @@ from bench.campaign.shot_table import read_shot_table
 from bench.campaign.simulated import BEGIN
 from bench.cli import app, main
 from bench.config import load_configuration
-from bench.errors import ExitCode, Refused
+from bench.errors import BenchError, ExitCode, Refused
 from bench.simulate import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import database_url, open_database
@@ -278,3 +278,29 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     assert found.by_status["valid"] >= len(all_trials(plan))
     assert all(found.verdicts)
     assert entry.title in render_campaign_report(record, found)
+
+
+def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
+    assert "not been read yet" in call("air").output
+    told = call("air", "--temperature", "21.5", "--pressure", "1008.2", "--humidity", "40", "--by", "Ann")
+    assert told.exit_code == ExitCode.OK, told.output
+    shown = call("air").output
+    assert shown == told.output
+    assert shown.startswith("21.5 deg C, 1008.2 hPa, 40 %; read 20")
+    assert shown.endswith("by Ann\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("--temperature", "21"), "--pressure, --humidity"),
+        (("--temperature", "210", "--pressure", "1000", "--humidity", "40"), "temperature"),
+        (("--temperature", "21", "--pressure", "nan", "--humidity", "40"), "pressure"),
+        (("--temperature", "21", "--pressure", "1000", "--humidity", "-1"), "humidity"),
+    ],
+)
+def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:
+    refused = call("air", *arguments)
+    assert isinstance(refused.exception, BenchError)
+    assert what in str(refused.exception)
+    assert "not been read yet" in call("air").output

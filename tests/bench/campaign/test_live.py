@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +18,28 @@ import pytest
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.gate import Centre
-from bench.campaign.live import LiveShots, require_live
-from bench.campaign.operate import ask
+from bench.campaign.live import LiveShots, _Record, require_live
+from bench.campaign.operate import ask, bench_facts, new_entry, run_live
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Suspended
+from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.swings import require_swings
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
+from bench.launch.shot_message import ShotMessage
 from bench.lifecycle import Phase, State
 from bench.network.client import CommandRefused
 from bench.network.command import Answer, Verb
 from bench.shot.shot import Status
-from bench.simulate import never
+from bench.simulate import SimulatedBench, never, simulate_swing
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import database_url, open_database
 from bench.telemetry.recorder import read_swing
+from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.record import LaunchRecord
+from sim.air import Air
+from sim.ball import Ball
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 PLAN = """
@@ -126,7 +132,7 @@ class StandingBench:
         self.asked: list[str] = []
         self._status = {
             "state": "READY", "phase": "STANDING", "cause": None, "lease": {"holder": "me"}, "tick": 1,
-            **status,
+            "supply_pressure_pa": 8.0e5, **status,
         }  # fmt: skip
 
     def status(self) -> dict[str, Any]:
@@ -144,24 +150,35 @@ class StandingBench:
         return lambda: self.asked.append(verb)
 
 
+def a_step() -> Step:
+    """Return a shot with the tour ball."""
+    return Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+
+
 @pytest.fixture
 def plan() -> Plan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
 def shots_of(
-    plan: Plan, bench: Any, *, simulated: bool = True, interrupted: Any = never, monitored: bool = False
+    plan: Plan,
+    bench: Any,
+    *,
+    simulated: bool = True,
+    interrupted: Any = never,
+    monitored: bool = False,
+    air: Air | None = None,
 ) -> LiveShots:
     configuration = load_configuration(Path("shipped"))
     return LiveShots(
         plan, require_swings(plan, configuration), configuration.clubs, bench, "me",
         simulated=simulated, interrupted=interrupted, aborted=never,
-        monitored=monitored,
+        monitored=monitored, air=lambda: air,
     )  # fmt: skip
 
 
 def take(plan: Plan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
-    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    step = a_step()
     with shots_of(plan, bench, simulated=simulated, interrupted=interrupted) as source:
         return source.take(step, 1, 1)
 
@@ -240,7 +257,7 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
 
 def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: Plan) -> None:
     bench = StandingBench(profile="thesis", club="driver")
-    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    step = a_step()
     wish = shots_of(plan, bench).lacks(step)
     assert wish is not None
     assert wish.kind is Kind.BENCH
@@ -275,16 +292,106 @@ def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
 def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(
     plan: Plan,
 ) -> None:
-    bench = StandingBench(launch_monitor={"present": False, "note": "not listening"})
-    assert shots_of(plan, bench).hindrance() == ""  # begun without one
-    assert shots_of(plan, bench, monitored=True).hindrance() == (
+    step = a_step()
+    bench = StandingBench(launch_monitor={"present": False, "note": "not listening"}, supply_pressure_pa=None)
+    assert shots_of(plan, bench).hindrance(step) is None  # begun without one
+    assert shots_of(plan, bench, monitored=True).hindrance(step) == Hindrance(
         "no launch monitor is connected: not listening"
     )
     bench._status["launch_monitor"] = {"present": True, "note": ""}
-    assert shots_of(plan, bench, monitored=True).hindrance() == ""
+    assert shots_of(plan, bench, monitored=True).hindrance(step) is None
     bench._status["launch_monitor"] = None
     with pytest.raises(Suspended, match="without its launch monitor"):
-        shots_of(plan, bench, monitored=True).hindrance()
+        shots_of(plan, bench, monitored=True).hindrance(step)
+
+
+@pytest.mark.parametrize(
+    ("state", "phase", "pressure", "least", "hindered"),
+    [
+        ("ARMED", "HOLD", 7.7e5, 0.97, True),
+        ("ARMED", "HOLD", 7.8e5, 0.97, False),
+        ("ARMED", "HOLD", 7.7e5, 0.0, False),
+        ("ARMED", "HOLD", None, 0.97, False),  # no such sensor
+        ("ARMED", "STANDING", 1.0e5, 0.97, False),  # the manifold still fills
+        ("READY", "STANDING", 1.0e5, 0.97, False),
+    ],
+)
+def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
+    plan: Plan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
+) -> None:
+    plan = replace(plan, supply=replace(plan.supply, least=least))
+    bench = StandingBench(state=state, phase=phase, supply_pressure_pa=pressure)
+    found = shots_of(plan, bench).hindrance(a_step())
+    assert (found is not None) == hindered
+    if found:
+        assert found == Hindrance("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
+
+
+def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: Plan, tmp_path: Path) -> None:
+    c = load_configuration(Path("shipped"))
+    profile = require_swings(plan, c)["default", "driver"]
+    robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    swing = simulate_swing(robot, Ball())
+    assert swing.launch is not None
+    metadata = {
+        **robot.metadata(), "outcome": {"cause": "NONE"}, "complete": True, "lost_records": 0,
+        "time_utc": "2026-11-21T12:00:00+00:00",
+    }  # fmt: skip
+    record = _Record(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
+    told = ShotMessage(
+        "1", None, Outcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
+    )
+    carries, temperatures = [], []
+    for air in (None, c.air, Air(263.15)):
+        source = shots_of(plan, StandingBench(), simulated=False, monitored=True, air=air)
+        shot = source._taken(a_step(), 1, 1, record, told, ()).shot
+        assert shot.carry_m is not None
+        carries.append(shot.carry_m)
+        temperatures.append(shot.air_temperature_k)
+    assert temperatures == [None, c.air.temperature, 263.15]
+    assert carries[0] == carries[1]
+    assert carries[2] < carries[1]  # cold air is dense
+
+
+LOW_SUPPLY = """
+[lifecycle]
+series = true
+[faults.compressor]
+signal = "supply"
+kind = "scale"
+value = 0.9
+duration = 45.0
+"""
+
+
+@pytest.mark.timeout(400)
+def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live", LOW_SUPPLY)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    configuration = load_configuration(file)
+    plan = load_plan(tmp_path / "plan.toml", configuration)
+    stood = []
+    with (
+        running_bench(file) as bench,
+        open_database(database_url("", configuration.bench.data_dir)) as engine,
+    ):
+
+        class Noting(Watcher):
+            def standing(self, state: CampaignState, reason: str) -> None:
+                stood.append((state, reason[:17], bench.client.status()["state"]))
+
+        store, facts = CampaignStore(engine), bench_facts(plan, configuration, bench.client.status())
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
+        store.begin(entry)
+        outcome = run_live(entry, configuration, store, Noting(), never)
+        assert (outcome.state, outcome.shots, outcome.valid) == (CampaignState.FINISHED, 2, 2)
+        assert stood[:3] == [
+            (CampaignState.RUNNING, "", "ESTOP"),
+            (CampaignState.SUSPENDED, "supply 7.20 bar a", "ARMED"),
+            (CampaignState.RUNNING, "", "ARMED"),
+        ]
+        assert bench.client.status()["swings"] == 2
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "suspended"]
 
 
 TWO_CLUBS = """
@@ -452,6 +559,6 @@ def test_a_swing_without_a_ball_follows_each_arming(
     with shots_of(plan, bench) as source:
         source._take_lease()
         for _ in range(2):
-            source._swing(events)
+            source._swing(a_step(), events)
     assert bench.asked == asked
     assert [kind for kind, _ in events] == ["practice"] * practice

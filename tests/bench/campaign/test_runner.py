@@ -28,7 +28,7 @@ from bench.campaign.operate import (
 )
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Outcome, Runner, Watcher
+from bench.campaign.runner import Hindrance, NotNow, Outcome, Runner, Watcher
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
@@ -57,8 +57,8 @@ class Scripted:
     def time_of(self, number: int) -> datetime:
         return NOW + timedelta(seconds=48 * number)
 
-    def hindrance(self) -> str:
-        return ""
+    def hindrance(self, step: Step) -> Hindrance | None:
+        return None
 
     def rest(self) -> None:
         pass
@@ -399,11 +399,12 @@ class Unseen(Scripted):
         super().__init__()
         self.looks, self.rests = 0, 0
 
-    def hindrance(self) -> str:
+    def hindrance(self, step: Step) -> Hindrance | None:
         if len(self.taken) != 2:
-            return ""
+            return None
         self.looks += 1
-        return "no launch monitor is connected" if self.looks < 5 and self.looks != 3 else ""
+        away = self.looks < 5 and self.looks != 3
+        return Hindrance("no launch monitor is connected") if away else None
 
     def rest(self) -> None:
         self.rests += 1
@@ -448,10 +449,60 @@ def test_who_asks_while_it_is_suspended_is_heard(
     bench = make()
 
     class Away(Unseen):
-        def hindrance(self) -> str:
+        def hindrance(self, step: Step) -> Hindrance | None:
             if len(self.taken) == 2:
                 bench.store.change(bench.entry.id, requested=request_)
-            return super().hindrance() and "away" if len(self.taken) == 2 else ""
+            return super().hindrance(step)
 
     assert bench.run(Away()).state is CampaignState[state]
     assert len(bench.shots) == 2
+
+
+class ShortOfAir(Scripted):
+    """A bench whose supply is low when it comes to shot 3, for `long` looks."""
+
+    def __init__(self, long: float, patience: float) -> None:
+        super().__init__()
+        self.left, self.patience, self.armed, self.log = long, patience, False, list[str]()
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        if len(self.taken) != 2 or not self.armed or self.left <= 0:
+            return None
+        self.left -= 1
+        return Hindrance("supply 7.0 bar", armed=True, patience=self.patience)
+
+    def rest(self) -> None:
+        self.log.append("rest")
+        self.armed = False
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        self.armed = number == 3
+        if number == 3 and self.left > 0:
+            self.log.append("not now")
+            raise NotNow(("practice", "a swing without a ball"))
+        return super().take(step, number, sample)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_low_supply_is_waited_for_with_the_robot_held_and_no_shot_is_lost(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source = make(), ShortOfAir(5, 60.0)
+    assert bench.run(source).state is CampaignState.FINISHED
+    assert source.log == ["not now"]  # never vented: a vented bench does not see its supply
+    assert [shot.shot for shot in bench.shots] == list(range(1, len(bench.shots) + 1))
+    events = [(event.kind, event.before_shot) for event in bench.store.events(bench.entry.id)]
+    assert events == [("practice", 3), ("suspended", 3)]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_supply_that_stays_low_is_left_to_a_person_with_the_robot_vented(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source = make(), ShortOfAir(1e9, 0.1)
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "supply 7.0 bar, for 0 s now" in outcome.reason
+    assert source.log == ["not now", "rest"]
+    source.left = 0
+    assert bench.run(source).state is CampaignState.FINISHED

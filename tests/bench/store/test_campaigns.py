@@ -11,6 +11,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -102,34 +103,31 @@ def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_pat
 
 
 @pytest.fixture
-def postgres(tool: Callable[[str], str], tmp_path: Path) -> Iterator[str]:
+def postgres(tool: Callable[[str], str]) -> Iterator[str]:
     """The URL of an empty database of a server that lives as long as the test."""
     programs = Path(tool("postgres")).resolve().parent
-    data, user = tmp_path / "server", "nobody"
-    data.mkdir()
     as_root = shutil.which("setpriv") if Path("/proc/self").stat().st_uid == 0 else None
     prefix: list[str] = []
-    if as_root:  # the server refuses to run as root
-        for folder in (tmp_path, *tmp_path.parents):
-            if folder.is_relative_to("/tmp/pytest-of-root"):  # noqa: S108 - pytest's own
-                folder.chmod(0o755)
-        shutil.chown(data, user)
-        prefix = [as_root, "--reuid", user, "--clear-groups"]
-    options = "-c listen_addresses='' -c unix_socket_directories=" + str(data) + " -c fsync=off"
+    with TemporaryDirectory(prefix="golfbench-postgres-", ignore_cleanup_errors=True) as folder:
+        data = Path(folder)
+        if as_root:  # the server refuses to run as root
+            shutil.chown(data, "nobody")
+            prefix = [as_root, "--reuid", "nobody", "--clear-groups"]
+        options = f"-c listen_addresses='' -c unix_socket_directories={data} -c fsync=off"
 
-    def call(*arguments: str) -> None:
-        done = subprocess.run(
-            [*prefix, *arguments], capture_output=True, text=True, cwd=data, timeout=60, check=False
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
+        def call(*arguments: str) -> None:
+            done = subprocess.run(
+                [*prefix, *arguments], capture_output=True, text=True, cwd=data, timeout=60, check=False
+            )
+            assert done.returncode == 0, done.stdout + done.stderr
 
-    call(str(programs / "initdb"), "-D", str(data / "db"), "-U", "test", "-A", "trust", "--no-sync")
-    control = (str(programs / "pg_ctl"), "-D", str(data / "db"), "-w")
-    call(*control, "-l", str(data / "log"), "-o", options, "start")
-    try:
-        yield f"postgresql+psycopg://test@/postgres?host={data}"
-    finally:
-        call(*control, "-m", "immediate", "stop")
+        call(str(programs / "initdb"), "-D", str(data / "db"), "-U", "test", "-A", "trust", "--no-sync")
+        control = (str(programs / "pg_ctl"), "-D", str(data / "db"), "-w")
+        call(*control, "-l", str(data / "log"), "-o", options, "start")
+        try:
+            yield f"postgresql+psycopg://test@/postgres?host={data}"
+        finally:
+            call(*control, "-m", "immediate", "stop")
 
 
 def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
@@ -180,7 +178,7 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, 3, 4])
 def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
         plain.executescript((STORED / f"version_{version}.sql").read_text())
