@@ -38,9 +38,9 @@ ESTIMATOR_PARAMETERS = np.dtype(
     ],
     align=True,
 )
-"""Per joint: variance of the encoder's rounding (rad²); standard deviation of a sample's time (s); variance
-of the acceleration's change per second (rad²/s⁵); of the velocity's jumps per second inside the impact window
-(rad²/s³); variances of angle, velocity and acceleration after the first sample."""
+"""Per joint: variance of the encoder's rounding and noise (rad²); standard deviation of a sample's time (s);
+variance of the acceleration's change per second (rad²/s⁵); of the velocity's jumps per second inside the
+impact window (rad²/s³); variances of angle, velocity and acceleration after the first sample."""
 
 ESTIMATOR_STATE = np.dtype(
     [
@@ -66,6 +66,7 @@ def design_estimator(
     *,
     period: float,
     counts_per_revolution: tuple[int, int, int],
+    noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
     jitter: tuple[float, float, float] = (0.0, 0.0, 0.0),
     acceleration_change: tuple[float, float, float] = (50.0, 50.0, 100.0),
     velocity_jump: tuple[float, float, float] = (0.3, 0.3, 1.0),
@@ -74,14 +75,14 @@ def design_estimator(
 ) -> np.ndarray[Any, Any]:
     """Return an ESTIMATOR_PARAMETERS record for ticks of about `period` (s); tuples are in joint order.
 
-    Standard deviations: `jitter` of a sample's time (s), `acceleration_change` in one period (rad/s²),
-    `velocity_jump` in one period of the impact window (rad/s), `initial_velocity` (rad/s) and
-    `initial_acceleration` (rad/s²) at the first sample.
+    Standard deviations: `noise` of a sample beside its rounding (rad), `jitter` of a sample's time (s),
+    `acceleration_change` in one period (rad/s²), `velocity_jump` in one period of the impact window (rad/s),
+    `initial_velocity` (rad/s) and `initial_acceleration` (rad/s²) at the first sample.
 
     Raises:
         ValueError: a value is not finite or outside its meaning.
     """
-    values = np.array([jitter, acceleration_change, velocity_jump], dtype=float)
+    values = np.array([jitter, acceleration_change, velocity_jump, noise], dtype=float)
     initial = np.array([initial_velocity, initial_acceleration])
     if not 0 < period < np.inf:
         raise ValueError(f"estimator: period must be above 0 s and finite, found {period}")
@@ -89,8 +90,8 @@ def design_estimator(
         raise ValueError(f"estimator: need at least 2 counts per revolution, found {counts_per_revolution}")
     if not (np.all(np.isfinite(values)) and np.all(values >= 0) and np.all(values[1] > 0)):
         raise ValueError(
-            "estimator: jitter and velocity_jump must be at least 0, acceleration_change above 0, "
-            f"all finite; found {jitter}, {velocity_jump}, {acceleration_change}"
+            "estimator: noise, jitter and velocity_jump must be at least 0, acceleration_change above 0, "
+            f"all finite; found {noise}, {jitter}, {velocity_jump}, {acceleration_change}"
         )
     if not (np.all(np.isfinite(initial)) and np.all(initial > 0)):
         raise ValueError(f"estimator: initial deviations must be above 0 and finite, found {initial}")
@@ -102,7 +103,7 @@ def design_estimator(
         resolution = 2.0 * np.pi / counts_per_revolution[joint]
         q = Q_discrete_white_noise(3, period, acceleration_change[joint] ** 2)
         q_jump = Q_continuous_white_noise(2, period, velocity_jump[joint] ** 2 / period)
-        parameters["quantisation"][0, joint] = resolution**2 / 12.0
+        parameters["quantisation"][0, joint] = resolution**2 / 12.0 + noise[joint] ** 2
         parameters["jitter"][0, joint] = jitter[joint]
         parameters["density"][0, joint] = q[2, 2] / period
         parameters["jump_density"][0, joint] = q_jump[1, 1] / period

@@ -32,6 +32,7 @@ from sim.plant import PlantParameters, build_plant
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Ge(0), Le(1)]
 JointName = Literal["shoulder", "arm", "wrist"]
 Direction = Annotated[int, Ge(-1), Le(1)]
 Triple = tuple[float, float, float]
@@ -44,6 +45,8 @@ _Span = tuple[float, float]
 class EstimatorSettings:
     """Kalman filters; joints in the order shoulder, arm, wrist."""
 
+    noise: NotNegativeTriple = (0.0, 0.0, 0.0)
+    """Standard deviation of a sample beside its rounding, rad."""
     jitter: NotNegativeTriple = (0.0, 0.0, 0.0)
     """Standard deviation of the sampling instant, s."""
     acceleration_change: PositiveTriple = (50.0, 50.0, 100.0)
@@ -73,6 +76,17 @@ class ControlSettings:
     """Use the profile's openings beside the PIDs."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
+    downswing_damping: Share = 1.0
+    """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
+    the club's speed, a little differently in every swing."""
+    dither: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)
+    """Opening to either side of what is wanted, in backswing and top. It carries spools through their dead
+    band and joints through dry friction, so that every swing begins its downswing in the same pose with the
+    same air."""
+    dither_period: Positive = 0.03
+    """s"""
+    dither_delay: NotNegative = 0.25
+    """From the start of a swing, s: by then the club is away from the ball."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
@@ -321,6 +335,7 @@ def build_controller(
         estimator=design_estimator(
             period=plant.tick,
             counts_per_revolution=(counts,) * 3,
+            noise=estimator.noise,
             jitter=estimator.jitter,
             acceleration_change=estimator.acceleration_change,
             velocity_jump=estimator.velocity_jump,

@@ -46,6 +46,10 @@ ACCEPTED, REFUSED = int(Answer.ACCEPTED), int(Answer.REFUSED)
 CONTROL_PARAMETERS = np.dtype(
     [
         ("damping", "f8", (3,)),
+        ("downswing_damping", "f8"),
+        ("dither", "f8", (3,)),
+        ("dither_period", "f8"),
+        ("dither_delay", "f8"),
         ("move_gain", "f8", (3,)),
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
@@ -90,7 +94,9 @@ CONTROL_PARAMETERS = np.dtype(
     align=True,
 )
 """Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's
-spring has hardly any damping of its own, and position and velocity feedback cannot add it. `move_gain` is the
+spring has hardly any damping of its own, and position and velocity feedback cannot add it.
+`downswing_damping` is the share of it left in the downswing, `dither` swings the spools around what is wanted
+of them up to the top. `move_gain` is the
 opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 CONTROL_STATE = np.dtype(
@@ -178,6 +184,8 @@ PROFILE = np.dtype(
 
 _HOLD, _RETURN, _STANDING = int(Phase.HOLD), int(Phase.RETURN), int(Phase.STANDING)
 _SEARCH = int(Phase.HOMING)
+_BACKSWING, _TOP = int(Phase.BACKSWING), int(Phase.TOP)
+_DOWN, _COMMITTED = int(Phase.DOWNSWING), int(Phase.COMMITTED)
 _IMPACT, _FOLLOW = int(Phase.IMPACT), int(Phase.FOLLOW_THROUGH)
 _NONE, _COMPLETE, _BRAKE = int(Reaction.NONE), int(Reaction.COMPLETE), int(Reaction.BRAKE)
 _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(Reaction.VENT)
@@ -653,19 +661,29 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
             s.feed_forward[i] = 0.0
         # The impact's jump is no motion to be damped.
         if s.phase != _IMPACT:
-            s.feed_forward[i] += p.damping[i] * (s.reference_acceleration[i] - e.acceleration[i])
+            share = p.downswing_damping if s.phase in (_DOWN, _COMMITTED) else 1.0
+            s.feed_forward[i] += share * p.damping[i] * (s.reference_acceleration[i] - e.acceleration[i])
     control(
         state.pid, parameters.pid, s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward,
         measured_step,
     )  # fmt: skip
-    push = 0.0
+    push = side = 0.0
     if _charging(s, time):
         # A closed-centre spool fills one chamber while it empties the other. Swung around the centre it
         # passes as much in as out of both, which ends at about three quarters of the supply in each.
-        part = (time - s.move_start) / p.precharge_period
-        push = p.precharge_opening if part - floor(part) < 0.5 else -p.precharge_opening
+        push = p.precharge_opening * _side((time - s.move_start) / p.precharge_period)
+    elif s.phase in (_BACKSWING, _TOP) and time - s.swing_start >= p.dither_delay:
+        side = _side((time - s.swing_start) / p.dither_period)
     for i in range(3):
-        s.desired[i] = state.pid[0].output[i] + push
+        s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]
+
+
+@compiled
+def _side(periods: float) -> float:
+    """Return a square wave at so many periods: 1 in the first half of each, -1 in the second."""
+    # A millionth of a period guards the floor against rounding of exact ticks.
+    periods += 1e-6
+    return 1.0 if periods - floor(periods) < 0.5 else -1.0
 
 
 @compiled

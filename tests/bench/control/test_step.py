@@ -45,6 +45,7 @@ from drivers.base import COMMAND, PASSIVE, unpack_command
 from sim.compiled import new_record
 from tests.bench.control.puppet import (
     ADDRESS,
+    BEGINS,
     COUNTS,
     GOOD,
     QUICK,
@@ -306,6 +307,32 @@ def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
         puppet.tick()
         assert puppet.reaction is Reaction.NONE
     assert puppet.phase is Phase.RETURN
+
+
+def test_dither_swings_the_spools_up_to_the_top_only() -> None:
+    puppet = Puppet(control=replace(QUICK, dither=(0.1, 0.2, 0.0), dither_period=0.02, damping=(0.0,) * 3))
+    puppet.parameters.control["dither_delay"] = 0.15
+    puppet.swing(0)
+    openings = puppet.run(BEGINS[5])
+    before, moving, down = openings[:145], openings[152 : BEGINS[3] - 2], openings[BEGINS[3] :]
+    assert np.abs(before).max() < 0.01
+    assert np.abs(moving) == pytest.approx(np.tile([0.1, 0.2, 0.0], (len(moving), 1)), abs=0.01)
+    assert (np.diff(moving[:, 0]) > 0.1).sum() == pytest.approx(len(moving) / 20, abs=1)
+    assert np.abs(down).max() < 0.01
+
+
+def test_the_downswing_keeps_its_share_of_the_damping() -> None:
+    added = {}
+    for share in (0.0, 1.0):
+        puppet = Puppet(curved(), replace(QUICK, downswing_damping=share)).swing(50)
+        profile = curved()
+        for phase, last in (("backswing", BEGINS[2]), ("downswing", BEGINS[3] + 100)):
+            while puppet.control["swing_sample"] < last - 10:
+                puppet.tick()
+            planned = profile.valve[int(puppet.control["swing_sample"])]
+            added[share, phase] = np.abs(puppet.control["feed_forward"] - planned).max()
+    assert added[0.0, "downswing"] < 1e-6 < 1e-4 < added[1.0, "downswing"]
+    assert added[0.0, "backswing"] == added[1.0, "backswing"] > 1e-4
 
 
 def test_after_a_swing_the_robot_returns_and_holds() -> None:

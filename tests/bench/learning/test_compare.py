@@ -26,8 +26,8 @@ def test_planned_openings_track_where_pids_alone_do_not() -> None:
     alone, damped, planned, learned = compare(bench, steady.plant, swings=1, told=told.append)
     assert told == [alone.controller, damped.controller, planned.controller, "learning"]
     assert planned.cause is learned.cause is Cause.NONE
-    assert planned.figures.speed == pytest.approx(43.4, abs=1.0)
-    assert learned.figures.speed == pytest.approx(43.4, abs=0.6)
+    assert planned.figures.speed == pytest.approx(42.4, abs=1.0)
+    assert learned.figures.speed == pytest.approx(42.4, abs=0.3)
     for row in (alone, damped):
         assert row.cause is not Cause.NONE or row.tracking.max() > 2 * planned.tracking.max()
     assert 0.0 < planned.air < 0.5

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
+from bench.learning import variation
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
 from bench.learning.learner import LearningSettings
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.skipif(
 STEADY = load_configuration(Path("steady"))
 PLANT = STEADY.plant
 BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
-WORN = Variation(friction=(1.1, 1.1, 1.1), flow=(0.97, 0.97, 0.97), latency=0.001).applied_to(PLANT)
+WORN = variation.WORN.applied_to(PLANT)
 
 
 @pytest.fixture(scope="module")
@@ -41,15 +42,16 @@ def lesson(lecture: Lecture) -> Lesson:
 
 def test_the_robot_learns_what_the_model_delivers(lecture: Lecture, lesson: Lesson) -> None:
     before, kept = (np.abs(lesson.attempts[k].error).max() for k in (0, lesson.chosen))
-    assert before > 5.0
-    assert kept < 2.0
-    assert lesson.used <= LearningSettings().swings
+    assert before > 10.0
+    assert kept <= 0.5
+    assert lesson.within
+    assert lesson.used < LearningSettings().swings
     series = Series(BENCH, WORN)
     swing = lesson.correction.applied_to(BENCH.profile)
     series.swing(swing)
     truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
     off = (truth - lecture.target.array) / Tolerance().scale(lecture.target)
-    assert np.abs(off).max() < 0.3 * before
+    assert np.abs(off).max() <= 1.0
 
 
 def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: Lecture) -> None:
