@@ -218,12 +218,13 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
 
 
 def _stay_silent(bench: SwingBench, wire: Wire, look: Callable[[], None]) -> None:
-    """Let the plant live on without the loop until it rests."""
+    """Let the plant live on without the loop until the node has let go and it rests."""
+    node = wire.nodes.plant.node
     for _ in range(LONGEST):
         wire.pass_time(PERIOD)
         bench.tick += 1
         look()
-        if np.all(np.abs(bench.state["speed"][0]) < 0.01):
+        if not node.applied.supply_enable and np.all(np.abs(bench.state["speed"][0]) < 0.01):
             return
 
 

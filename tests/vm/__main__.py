@@ -5,8 +5,8 @@ on vcan. The part "driver": frames and times of a minute at the highest rate tha
 faults of link, card, queue and bus, each with the time to the reaction at the valve node. The part "bench":
 the whole bench as systemd's service, ten shots, faults in mid-swing, a killed loop, a frozen supervisor.
 
-Exit code 1 when a promised figure is missed or the guest did not come to its end, 2 when something it needs
-is absent.
+Exit code 1 when a promised figure is missed or a guest did not come to its end, 2 when something it needs is
+absent or the image cannot be made.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import os
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -68,7 +69,11 @@ def main() -> int:
     def say(text: str) -> None:
         console.print(f"[dim]{time.monotonic() - begin:4.0f} s[/] {text}", highlight=False)
 
-    image = build_image(say)
+    try:
+        image = build_image(say)
+    except (subprocess.CalledProcessError, OSError) as error:
+        print(f"test-vm: the image cannot be made here: {error}", file=sys.stderr)
+        return 2
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="golfbench-vm-") as name:
         top, ended = Path(name), Event()
@@ -109,10 +114,15 @@ def _lacking() -> str:
 
 def _command(part: str, options: argparse.Namespace) -> str:
     """Return the script that the guest runs."""
-    arguments = [f"--rate={options.rate:g}", f"--interface={options.interface}"]
+    arguments = [f"--interface={options.interface}"]
     if part == "driver":
         module = "tests.vm.inside_frames"
-        arguments += [f"--seconds={options.seconds:g}", "--faults", *options.faults]
+        arguments += [
+            f"--rate={options.rate:g}",
+            f"--seconds={options.seconds:g}",
+            "--faults",
+            *options.faults,
+        ]
     else:
         module = "tests.vm.inside_bench"
         arguments += [f"--shots={options.shots}", "--faults", *options.swing_faults]

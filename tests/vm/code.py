@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -47,7 +48,12 @@ def _stage(image: Image, folder: Path, say: Say) -> None:
         shutil.unpack_archive(wheel, site, "zip")
     shutil.rmtree(wheels)
     for part in ("vm", "benchmarks"):
-        shutil.copytree(PROJECT / "tests" / part, site / "tests" / part)
+        shutil.copytree(
+            PROJECT / "tests" / part, site / "tests" / part, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    if sys.version_info[:2] == (3, 11):  # the guest's Python; its services may not keep what they compiled
+        kept = ["-f", "-q", "--invalidation-mode=unchecked-hash", "-s", str(site), "-p", f"/{SITE}"]
+        subprocess.run([sys.executable, "-m", "compileall", *kept, site], check=True)
     shutil.copytree(PROJECT / "systemd", folder / HOME / "systemd")
     subprocess.run(["find", folder, "-exec", "touch", "-d", "@1600000000", "{}", "+"], check=True)
     shutil.copytree(_machine_code(image, site, say), folder / MACHINE_CODE)

@@ -33,13 +33,14 @@ _PLANT_RATE = 4000.0
 _LOOK = 0.05
 _CONFIG = """base = "shipped"
 [loop]
-rate_hz = {rate:g}
+rate_hz = {rate!r}
 realtime = "require"
 [driver]
 name = "canopen"
 [canopen]
 channel = "{channel}"
 service_time = 1.0
+answer_time = {answer_time!r}
 [plant]
 substeps = {substeps}
 """
@@ -91,7 +92,9 @@ def keep_journal() -> None:
 
 def configuration(rate: float, channel: str) -> str:
     """Return the configuration of a bench of `rate` Hz on `channel`."""
-    return _CONFIG.format(rate=rate, channel=channel, substeps=ceil(_PLANT_RATE / rate))
+    return _CONFIG.format(
+        rate=rate, channel=channel, answer_time=0.5 / rate, substeps=ceil(_PLANT_RATE / rate - 1e-9)
+    )
 
 
 def bring_links_up(interface: str) -> tuple[str, str, str]:

@@ -14,7 +14,7 @@ from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, State
 from tests.benchmarks.row import Row
 from tests.vm.guest import COMMAND, EMERGENCY, SUPPLY, run, wait_until
-from tests.vm.guest_bench import GuestBench
+from tests.vm.guest_bench import RATE, GuestBench
 from tests.vm.guest_bus import Listener, send, switch_link
 
 TITLE = "faults in mid-swing, to the reaction at the valve node"
@@ -198,10 +198,10 @@ def _nothing() -> None:
 
 
 _FOREIGN, _AS_ENCODER = _Babble(0x555, 1.0), _Babble(0x282, 0.2)
-WATCHDOG = 20.0 + 4.0
-"""ms: the valve node's time, and two ticks."""
-TICKS = 4.0
-"""ms: two ticks at 500 Hz."""
+TICKS = 2 * 1e3 / RATE
+"""ms of two ticks."""
+WATCHDOG = 20.0 + TICKS
+"""ms in which the valve node must have let go by itself."""
 
 FAULTS: dict[str, Fault] = {
     "frames delayed by 0.1 ms": Fault(_disturb("delay", "100us"), _calm, None),

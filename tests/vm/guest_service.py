@@ -12,10 +12,9 @@ from tests.benchmarks.row import Row
 from tests.vm.guest import EMERGENCY, wait_until
 from tests.vm.guest_bench import UNIT, GuestBench, journal, service
 from tests.vm.guest_bus import Listener
+from tests.vm.guest_faults import WATCHDOG
 
 TITLE = "systemd"
-_WATCHDOG = 24.0
-"""ms: the valve node's time, and two ticks."""
 
 
 def kill_and_freeze(bench: GuestBench) -> tuple[GuestBench, list[Row]]:
@@ -37,7 +36,7 @@ def kill_and_freeze(bench: GuestBench) -> tuple[GuestBench, list[Row]]:
     witness.close()
     rows += [
         Row(TITLE, "loop killed, to centred valves", 1e3 * told[0] if told else float("nan"), "ms",
-            "by the valve node itself", at_most=_WATCHDOG),
+            "by the valve node itself", at_most=WATCHDOG),
         Row(TITLE, "loop killed, to READY=1 again", took, "s", _state(bench)),
     ]  # fmt: skip
     begun, before = time.monotonic(), _restarts()

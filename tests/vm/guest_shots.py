@@ -15,8 +15,8 @@ from bench.shot.recorded_shot import read_shot
 from drivers.canopen.frames import bus_load
 from tests.benchmarks.can_bits import bits_of
 from tests.benchmarks.row import Row
-from tests.vm.guest import COMMAND, GREATEST_SHARE, OTHERS, POSITIONS, SYNC, busy_time
-from tests.vm.guest_bench import GuestBench
+from tests.vm.guest import COMMAND, GREATEST_SHARE, OTHERS, POSITIONS, SYNC, busy_time, say
+from tests.vm.guest_bench import GuestBench, alone_on_processor
 from tests.vm.guest_bus import Listener, interface_counters, matches
 
 Cycles = np.ndarray[Any, Any]
@@ -32,8 +32,9 @@ def swing_and_measure(bench: GuestBench, title: str, shots: int, witness: str | 
     names = () if witness is None else ("can0", "can1", witness)
     bench.take_address()
     bench.ring.read()
-    before, busy = bench.timing.snapshot(), busy_time()
-    counted, links = matches(witness or ""), interface_counters(*names)
+    with alone_on_processor():
+        before, busy = bench.timing.snapshot(), busy_time()
+        counted, links = matches(witness or ""), interface_counters(*names)
     begin, lost_before = time.monotonic(), bench.ring.lost
     records = set(bench.configuration.bench.data_dir.glob("swings/*/*.parquet"))
     ages: list[Cycles] = []
@@ -45,10 +46,12 @@ def swing_and_measure(bench: GuestBench, title: str, shots: int, witness: str | 
         ages.append(bench.ring.read()["encoder_age"].max(axis=1))
         if bench.now()["state"] != State.ARMED:
             raise RuntimeError(f"shot {swing} ended in {bench.words()}")
+        say(f"shot {swing}")
         time.sleep(1.0)
     lasted = time.monotonic() - begin
-    after, busy = bench.timing.snapshot(), busy_time() - busy
-    counted_after, links_after = matches(witness or ""), interface_counters(*names)
+    with alone_on_processor():
+        after, busy = bench.timing.snapshot(), busy_time() - busy
+        counted_after, links_after = matches(witness or ""), interface_counters(*names)
     told = summary(after, before)
     share = 100.0 * busy / lasted
     rows = [

@@ -14,7 +14,7 @@ import traceback
 from bench.network.lease import LONGEST
 from tests.benchmarks.row import Row
 from tests.vm.guest import bring_links_up, keep, keep_journal, run, say, start_nodes
-from tests.vm.guest_bench import UNIT, GuestBench, be_polite, install, service
+from tests.vm.guest_bench import RATE, UNIT, GuestBench, install, service
 from tests.vm.guest_faults import FAULTS, provoke_all
 from tests.vm.guest_service import TITLE, kill_and_freeze
 from tests.vm.guest_shots import look_at_wire, swing_and_measure
@@ -23,23 +23,23 @@ from tests.vm.guest_shots import look_at_wire, swing_and_measure
 def main() -> int:
     """Bring the bench up and go through all of it."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--rate", type=float, required=True)
     parser.add_argument("--interface", choices=("can", "vcan"), required=True)
     parser.add_argument("--shots", type=int, required=True)
     parser.add_argument("--faults", nargs="*", default=list(FAULTS))
     options = parser.parse_args()
-    be_polite()
+
     try:
         link, nodes, wire = bring_links_up(options.interface)
-        configuration = install(options.rate, link)
+        configuration = install(link)
         say("installed")
-        start_nodes(options.rate, nodes)
+        start_nodes(RATE, nodes)
         say("nodes live")
         begin = time.monotonic()
         run("systemctl", "enable", "--now", UNIT)
         keep([Row(TITLE, "start to READY=1", time.monotonic() - begin, "s", service("StatusText"))])
         bench = GuestBench(configuration)
         bench.client.take_lease("test", LONGEST)
+        say("bench up")
         if options.shots:
             title = f"bench on {'emulated CAN cards' if options.interface == 'can' else 'vcan'}, virtual time"
             witness = wire if wire != link else None
