@@ -134,10 +134,13 @@ def _silent_velocity(
 ) -> Array:
     """Return what to add to the estimated `velocity` (n, 3) so that derivative and damping cancel out.
 
-    The estimated acceleration lags; damping against the reference's would otherwise open the valves by a
-    good part of the stroke, more than a feed-forward at full opening can take back.
+    The first row's reference is at rest, as the top before it: the tick before looks at it, too, and would
+    otherwise begin the downswing with a kick. The estimated acceleration lags; damping against the
+    reference's would otherwise open the valves by a good part of the stroke, more than a feed-forward at full
+    opening can take back.
     """
     away = np.zeros_like(velocity)
+    away[0] = -velocity[0]
     derivative, damping = np.array(control.pid.derivative), np.array(control.damping)
     rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
     for k in range(min(window, len(velocity) - 1)):

@@ -61,13 +61,11 @@ def show(
     """Show a profile: phases and times, planned delivery, limits."""
     from rich.console import Console
 
-    from bench.errors import BenchError
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
     from bench.swing.show import details, draw
 
-    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")
+    _require_picture(plot)
     path = find_profile(profile)
     swing = load_profile(path)
     plant = context.ensure_object(Session).configuration().plant
@@ -200,17 +198,31 @@ def design(
         typer.Argument(metavar="[FILE]", help="The profile to write, .toml [default: by its demand]."),
     ] = None,
     club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
+    golfer: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Golfer whose motion to keep close to."),
+    ] = None,
     speed: Annotated[
         float | None,
-        typer.Option(metavar="M_PER_S", min=5.0, max=60.0, help="Head speed at the ball [default: 45]."),
+        typer.Option(
+            metavar="M_PER_S",
+            min=5.0,
+            max=60.0,
+            help="Head speed at the ball [default: 45, or golfer's].",
+        ),
     ] = None,
     attack: Annotated[
         float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")
     ] = 0.0,
     lean: Annotated[
-        float,
-        typer.Option(metavar="DEG", min=-3.0, max=3.0, help="Shaft lean at the ball, in the swing plane."),
-    ] = 0.15,
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            min=-3.0,
+            max=3.0,
+            help="Shaft lean at the ball, in the swing plane [default: the easiest within 1.5 deg].",
+        ),
+    ] = None,
     strike: Annotated[
         float,
         typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane."),
@@ -219,41 +231,64 @@ def design(
         float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Of each valve, left to feedback.")
     ] = 15.0,
     backswing: Annotated[
-        float, typer.Option(metavar="S", min=0.5, max=3.0, help="How long the backswing takes: the tempo.")
-    ] = 0.85,
+        float | None,
+        typer.Option(
+            metavar="S",
+            min=0.5,
+            max=3.0,
+            help="How long the backswing takes: the tempo [default: 0.85, or the golfer's].",
+        ),
+    ] = None,
     highest: Annotated[
         bool, typer.Option("--highest", help="Only say how fast it can be, and what limits it.")
     ] = False,
     start: Annotated[
-        str, typer.Option("--from", metavar="PROFILE", help='Swing to begin with, or "nothing".')
-    ] = "default",
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="PROFILE",
+            help='Swing to begin with, or "nothing" [default: the configuration\'s].',
+        ),
+    ] = None,
 ) -> None:
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
     Deterministic. A demand beyond the robot is refused with what limits it.
     """
     import math
+    from dataclasses import replace
+
+    from rich.console import Console
 
     from bench.errors import BenchError
     from bench.progress import progress_bar
     from bench.swing.design import Demand, DesignFailed, design_swing, highest_speed
+    from bench.swing.follow import demand_like
+    from bench.swing.golfers import find_golfer, human_downswing
+    from bench.swing.golfers_table import golfer_row, golfers_table
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
     configuration = context.ensure_object(Session).configuration()
     plant = configuration.plant_with(club=club)
-    begin = None if start == "nothing" else load_profile(find_profile(start))
-    wanted = 45.0 if speed is None else speed
-    if output is None:
-        output = Path(f"{plant.robot.club.name}-{wanted:g}mps.toml")
+    whose = None if golfer is None else find_golfer(golfer)
+    begin = None if start == "nothing" else load_profile(find_profile(start or configuration.swing.profile))
     demand = Demand(
-        head_speed=wanted,
+        head_speed=45.0 if speed is None else speed,
         attack=math.radians(attack),
-        lean=math.radians(lean),
+        lean=None if lean is None else math.radians(lean),
         strike=strike / 1e3,
         margin=margin / 100,
-        backswing_time=backswing,
     )
+    text = ""
+    if whose is not None:
+        human = human_downswing(plant, whose)
+        demand = demand_like(plant, whose, human, demand, speed)
+        text = f"as close to a golfer as the robot can: {whose.text}"
+    if backswing is not None:
+        demand = replace(demand, backswing_time=backswing)
+    if output is None:
+        output = Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     settings = (configuration.control, configuration.envelope, configuration.estimator)
     with progress_bar() as bar:
         tasks = {}
@@ -265,12 +300,15 @@ def design(
 
         try:
             if highest:
-                _tell_highest(highest_speed(plant, demand, *settings, progress=show_progress))
+                plan = highest_speed(plant, demand, *settings, start=begin, progress=show_progress)
+                _tell_highest(plan, margin)
                 return
             made = design_swing(
                 plant,
                 demand,
                 output.stem,
+                golfer=golfer or "robot",
+                text=text,
                 control=configuration.control,
                 envelope=configuration.envelope,
                 estimator=configuration.estimator,
@@ -282,7 +320,7 @@ def design(
                 "swing design",
                 str(failure),
                 "a swing that this plant can do",
-                "Ask for less speed or a steeper attack angle; --highest tells how fast it can be.",
+                "Ask for less --speed or a steeper --attack angle; --highest tells how fast it can be.",
             ) from None
     save_profile(output, made.profile)
     delivery, limits = made.profile.delivery, made.profile.limits
@@ -295,12 +333,27 @@ def design(
         f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
         f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
     )
+    if whose is not None:
+        away = golfer_row(plant, whose, made.profile)
+        Console().print(golfers_table([away], plant), highlight=False)
     typer.echo(f"Next: golfbench swing check {output}")
 
 
 @app.command()
-def golfers(context: typer.Context, profile: Name, json_: Json = False) -> None:
-    """Compare a profile's downswing with golfers': root mean square over the human's range.
+def golfers(
+    context: typer.Context,
+    profile: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[PROFILE]", help="Name or path of a profile [default: each golfer's own swing]."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw them: a .png, .svg or .pdf.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Compare the robot's downswings with golfers': root mean square over the human's range.
 
     Their motion is Hunt's with a free wrist, scaled in time and amplitude to their tempo and head speed.
     """
@@ -308,33 +361,41 @@ def golfers(context: typer.Context, profile: Name, json_: Json = False) -> None:
 
     from rich.console import Console
 
-    from bench.swing.golfers import GOLFERS, deviation, human_downswing
-    from bench.swing.golfers_table import golfers_table
-    from bench.swing.library import find_profile
+    from bench.swing.golfers import GOLFERS
+    from bench.swing.golfers_table import draw_golfers, golfer_record, golfer_row, golfers_table
+    from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
 
-    plant, swing = context.ensure_object(Session).configuration().plant, load_profile(find_profile(profile))
-    humans = [(golfer, human_downswing(plant, golfer)) for golfer in GOLFERS.values()]
-    rows = [(golfer, human, deviation(plant, swing, human)) for golfer, human in humans]
+    _require_picture(plot)
+    plant = context.ensure_object(Session).configuration().plant
+    swung = [name for name in GOLFERS if profile is not None or name in profile_names()]
+    rows = [
+        golfer_row(plant, GOLFERS[name], load_profile(find_profile(name if profile is None else profile)))
+        for name in swung
+    ]
+    if plot is not None and rows:
+        draw_golfers(rows, plant, plot)
     if json_:
-        found = [
-            {
-                "golfer": golfer.name,
-                "text": golfer.text,
-                "golfer_head_speed_mps": golfer.head_speed,
-                "model_head_speed_mps": human.head_speed,
-                "amplitude": human.amplitude,
-                "deviation": away._asdict(),
-            }
-            for golfer, human, away in rows
-        ]
-        typer.echo(json.dumps(found, indent=2))
+        typer.echo(json.dumps([golfer_record(plant, row) for row in rows], indent=2))
         return
-    Console().print(golfers_table(swing.name, rows, plant), highlight=False)
+    console = Console()
+    console.print(golfers_table(rows, plant) if rows else "No golfers' swings here yet.", highlight=False)
+    if plot is not None and rows:
+        console.print(f"Picture: {plot}", highlight=False)
 
 
-def _tell_highest(plan: Plan) -> None:
+def _require_picture(plot: Path | None) -> None:
+    from bench.errors import BenchError
+
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")
+
+
+def _tell_highest(plan: Plan, margin: float) -> None:
     """Print the fastest plan and what limits it."""
-    typer.echo(f"At most {plan.speed:.1f} m/s at the ball by the model of arms and air. What limits it:")
+    typer.echo(
+        f"At most {plan.speed:.1f} m/s at the ball, {margin:g} % of each valve left to feedback, "
+        "cushions kept when the ball is missed or the bench falls silent. What limits it:"
+    )
     for name, gain in plan.binding.items():
         typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")

@@ -28,7 +28,7 @@ from bench.swing.casadi_package import load_casadi
 from bench.swing.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
 from bench.swing.optimal_control import BAR, STATES, DownswingProblem, Plan, solve_downswing
 from bench.swing.profile import Profile, as_written
-from bench.swing.refine import UNITS, NotReached, refine
+from bench.swing.refine import NEAR, UNITS, NotReached, refine
 from bench.swing.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
 from sim.impact import in_plane_error
 from sim.kinematics import head_motion, inverse_kinematics, theta2_from_right_arm
@@ -42,9 +42,9 @@ BEFORE_CONTACT = 3
 _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
 """s before the ball at which the bench may fall silent."""
 _INTERVALS = 40
-_CORRECTED = 0.02
-"""Share of the stroke left to the correction on the plant."""
-_ROUNDS = 3
+_CORRECTED = 0.02, 0.06
+"""Share of the stroke left to the correction on the plant; the second when a motion is followed."""
+_ROUNDS = 7
 _AIMED = 5
 """Times the loop is aimed off at most."""
 _BROUGHT = (1.2, 0.65)
@@ -227,11 +227,11 @@ def _first_guess(parameters: PlantParameters, state: Array, demand: Demand) -> t
     return time, guess
 
 
-def _guess_from(start: Profile, state: Array) -> tuple[float, Array]:
+def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tuple[float, Array]:
     """Return time and states of the downswing of another profile."""
     begin, end = start.begins[3], start.impact_time / start.period
-    at, samples = np.linspace(begin, end, _INTERVALS + 1), np.arange(len(start.angle))
-    guess = np.tile(state, (_INTERVALS + 1, 1))
+    at, samples = np.linspace(begin, end, intervals + 1), np.arange(len(start.angle))
+    guess = np.tile(state, (intervals + 1, 1))
     for i in range(3):
         guess[:, i] = np.interp(at, samples, start.angle[:, i])
         guess[:, 3 + i] = np.interp(at, samples, start.velocity[:, i])
@@ -251,7 +251,7 @@ def _problem(
         slope=slope_of(demand.attack, parameters.robot.lie),
         theta_t=(SHAFT_DOWN + lean[0], SHAFT_DOWN + lean[1]),
         time=demand.downswing_time,
-        opening=1.0 - demand.margin - _CORRECTED,
+        opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
         slew=150.0,
         wrist=(max(parameters.wrist.lower, 1.5 * pi + asin(demand.least_lever)), parameters.wrist.upper),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
@@ -263,12 +263,21 @@ def _problem(
     )
 
 
-def _openings(plan: Plan, parameters: PlantParameters) -> Array:
-    """Return the plan's openings tick by tick, early by the spools' lag, and on past the ball."""
-    valve, period = parameters.shoulder.valve, parameters.tick
+def _openings(plan: Plan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
+    """Return openings tick by tick, and on past the ball, with which the plant keeps near the plan.
+
+    They are the plan's, early by the spools' lag, with the loop's own feedback on its joints.
+    """
+    valve, period = shooter.plant.parameters.shoulder.valve, shooter.plant.parameters.tick
     lag = 2 * valve.damping_ratio / valve.natural_frequency
-    at = np.arange(round(plan.time[-1] / period) + 40) * period + lag
-    return np.column_stack([np.interp(at, plan.time, plan.state[:, 13 + i]) for i in range(3)])
+    at = np.arange(round(plan.time[-1] / period) + 40) * period
+
+    def rows(first: int, ahead: float = 0.0) -> Array:
+        return np.column_stack([np.interp(at + ahead, plan.time, plan.state[:, first + i]) for i in range(3)])
+
+    # Past the ball the plan ends, the motion does not.
+    angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
+    return shooter.follow(rows(13, lag), angle, rows(3), control.pid, highest)
 
 
 def _wanted(plan: Plan, parameters: PlantParameters, demand: Demand) -> Array:
@@ -318,17 +327,23 @@ def design_downswing(
     else:
         time, guess = _guess_from(start, state)
     best: tuple[float, Downswing] | None = None
+    brought: Array | None = None
     reason = ""
     for count in range(_ROUNDS):
         progress("downswing", count / _ROUNDS)
         plan = solve_downswing(parameters, problem, time, guess, _INTERVALS)
         if not plan.solved:
-            reason = f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
-            break
+            reason = reason or f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
+            if brought is None:
+                break
+            # Asked for too little: half way back to what was possible.
+            problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
+            continue
         time, guess = float(plan.time[-1]), plan.state
         wanted = _wanted(plan, parameters, demand)
         try:
-            opening = refine(shooter, _openings(plan, parameters), wanted, 1.0 - demand.margin)
+            played = _openings(plan, shooter, bench.control, 1.0 - demand.margin)
+            opening = refine(shooter, played, wanted, 1.0 - demand.margin)
         except NotReached as missed:
             reason = str(missed)
             break
@@ -343,10 +358,9 @@ def design_downswing(
             "beside what they may when the ball is missed"
         )
         # What one cushion has too much of, the other one or the shoulder has to give.
-        cushions = np.array(problem.cushions) - np.where(
-            over > 0, 1.5 * over + 0.5, np.maximum(over, -6.0) / 2
-        )
-        problem = replace(problem, cushions=(float(cushions[0]), float(cushions[1])))
+        brought = np.minimum(problem.cushions, plan.carried)
+        less = np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
+        problem = _with_cushions(problem, brought - less)
     progress("downswing", 1.0)
     survived = (1.0 - demand.missed_share) * min(
         parameters.right_arm.stop.energy, parameters.wrist.stop.energy
@@ -356,23 +370,28 @@ def design_downswing(
     return best[1], count + 1
 
 
+def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProblem:
+    return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
+
+
 def highest_speed(
     parameters: PlantParameters, demand: Demand, control: ControlSettings, envelope: EnvelopeSettings,
-    estimator: EstimatorSettings, *, progress: Progress = lambda what, part: None,
+    estimator: EstimatorSettings, *, start: Profile | None = None,
+    progress: Progress = lambda what, part: None,
 ) -> Plan:  # fmt: skip
-    """Return the fastest downswing that the model allows within `demand`, and what limits it.
+    """Return the fastest downswing within `demand` that the plant follows within its cushions.
+
+    Its `binding` says what limits it. Begins with `start`, or with nothing.
 
     Raises:
-        DesignFailed: the collocation found none.
+        BenchError: the package casadi is not installed.
+        DesignFailed: none was found.
     """
-    state = _model_state(_swing_up(_bench(parameters, control, envelope, estimator), demand))
-    problem = replace(_problem(parameters, demand, envelope, state), speed=None, follow=None)
-    progress("the fastest swing", 0.0)
-    plan = solve_downswing(parameters, problem, *_first_guess(parameters, state, demand), _INTERVALS)
-    progress("the fastest swing", 1.0)
-    if not plan.solved:
-        raise DesignFailed(f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})")
-    return plan
+    load_casadi()
+    bench = _bench(parameters, control, envelope, estimator)
+    free = replace(demand, head_speed=None, follow=None)
+    downswing, _ = design_downswing(bench, free, start, _swing_up(bench, free), progress)
+    return downswing.plan
 
 
 def _model_state(begun: _Start) -> Array:
@@ -412,7 +431,8 @@ def _assemble(
             top + contact + AFTER_CONTACT,
         ),
         angle=angle,
-        velocity=np.vstack([begun.velocity, trial.speed[:contact], np.zeros((past, 3))]),
+        # At rest in the first row: what the tick before the downswing does must not depend on it.
+        velocity=np.vstack([begun.velocity, np.zeros(3), trial.speed[1:contact], np.zeros((past, 3))]),
         valve=np.vstack([begun.valve, opening[:contact], np.zeros((past, 3))]),
         blind_spacing=SPACING,
         blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
@@ -517,8 +537,8 @@ def _into_the_loop(
             break
         downswing = downswing._replace(opening=opening, trial=shooter.shoot(opening))
     progress("closed loop", 1.0)
-    if best is None:
-        raise LoopFailed("the swing does not run")
+    if best is None or best[0] > NEAR:
+        raise LoopFailed("in closed loop the head does not pass the ball as demanded")
     return best[1], best[2]
 
 

@@ -14,12 +14,14 @@ across its path. Hunt and Wiens (2003, as quoted in the thesis) give 9.6 % witho
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from math import radians
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
 from bench.swing.hunt import BACKSWING_DURATION, DOWNSWING_DURATION, right_arm_length, shoulder_turn
 from bench.swing.profile import Profile
 from sim.compiled import compiled
@@ -40,7 +42,8 @@ _COCK_AT_TOP = 1.769
 _WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
 """Range of the human wrist (thesis), as theta3."""
 _RIGHT_ARM_AT_ADDRESS = -0.03032
-_AMPLITUDES = 0.5, 1.8
+_AMPLITUDES = [0.5 + 0.01 * k for k in range(131)]
+"""That are tried, in this order."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,19 @@ GOLFERS = {
         _golfer("senior", "over 60 years, 80-90 mph", 82, 1.0, 0.30),
     )
 }  # fmt: skip
+
+
+def find_golfer(name: str) -> Golfer:
+    """Return the golfer with `name`.
+
+    Raises:
+        BenchError: there is none; the text names the known ones.
+    """
+    if name in GOLFERS:
+        return GOLFERS[name]
+    near = get_close_matches(name, GOLFERS, n=1)
+    cure = f"Did you mean {near[0]}?" if near else "`golfbench swing golfers` shows them."
+    raise BenchError(f"golfer {name}", "no such golfer", f"one of {', '.join(GOLFERS)}", cure)
 
 
 class HumanDownswing(NamedTuple):
@@ -118,16 +134,31 @@ def free_wrist(
 
 
 def human_downswing(plant: PlantParameters, golfer: Golfer) -> HumanDownswing:
-    """Return the downswing of `golfer`, with the amplitude that gives his speed at the ball."""
+    """Return the downswing of `golfer`, with the least amplitude that gives his or her speed at the ball.
+
+    With more than some amplitude the wrist meets its stop before the ball, and the head is slow again. Where
+    that comes first, the fastest downswing is returned; its `head_speed` says so.
+    """
     if golfer.as_given:
         return _downswing(plant, golfer, 1.0)
-    low, high = _AMPLITUDES
+    slower = fastest = _downswing(plant, golfer, _AMPLITUDES[0])
+    for amplitude in _AMPLITUDES[1:]:
+        tried = _downswing(plant, golfer, amplitude)
+        if tried.reaches and tried.head_speed >= golfer.head_speed:
+            return _bisected(plant, golfer, slower.amplitude, tried.amplitude)
+        slower = tried
+        if tried.reaches and tried.head_speed > fastest.head_speed:
+            fastest = tried
+    return fastest
+
+
+def _bisected(plant: PlantParameters, golfer: Golfer, low: float, high: float) -> HumanDownswing:
     for _ in range(18):
         middle = (low + high) / 2
         found = _downswing(plant, golfer, middle)
         fast = found.reaches and found.head_speed > golfer.head_speed
         low, high = (low, middle) if fast else (middle, high)
-    return _downswing(plant, golfer, (low + high) / 2)
+    return _downswing(plant, golfer, high)
 
 
 def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> HumanDownswing:
@@ -165,11 +196,16 @@ class Deviation(NamedTuple):
     head: float
 
 
-def deviation(plant: PlantParameters, profile: Profile, human: HumanDownswing) -> Deviation:
-    """Return how far the motion of `profile` is from `human`, clocks laid together at the ball."""
+def beside(profile: Profile, human: HumanDownswing) -> Array:
+    """Return the angles (n, 3) of `profile` at the instants of `human`, clocks laid together at the ball."""
     samples = np.arange(len(profile.angle)) * profile.period
     at = profile.impact_time - human.time[-1] + human.time
-    robot = np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
+    return np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
+
+
+def deviation(plant: PlantParameters, profile: Profile, human: HumanDownswing) -> Deviation:
+    """Return how far the motion of `profile` is from `human`, clocks laid together at the ball."""
+    robot = beside(profile, human)
     joints = np.sqrt(np.mean((robot - human.angle) ** 2, axis=0)) / np.ptp(human.angle, axis=0)
     head = forward_kinematics(plant.robot, robot)[:, :2] - human.head
     across = max(

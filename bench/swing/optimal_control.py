@@ -262,6 +262,8 @@ class Plan(NamedTuple):
     iterations: int
     binding: dict[str, float]
     """m/s of head speed gained for one per cent more of each limit, when the speed was free."""
+    carried: Array
+    """J that the model brings the upper cushions of right arm and wrist, (2,)."""
 
 
 def solve_downswing(
@@ -322,12 +324,13 @@ def solve_downswing(
     state = variable("x0", guess[0], first_low, first_high, ("the top",) * STATES)
     cost: Expression = 0.0
     step = duration / n
-    states = [state]
+    states, controls = [state], []
     for k in range(n):
         rate = (guess[k + 1, 13:] - guess[k, 13:]) / (guess_time / n)
         points, control = advance(str(k), state, step, guess[k + 1], rate, low, high)
         state = points[-1]  # Radau: the last point is the interval's end
         states.append(state)
+        controls.append(control)
         cost += 1e-6 * ca.sumsqr(control) / n
         require(
             "rod speed",
@@ -353,6 +356,10 @@ def solve_downswing(
         for k in range(n + 1):
             row = p.follow[round(k * (len(p.follow) - 1) / n)]
             cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
+        # Openings that jump are planned well and followed badly.
+        cost += (
+            sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n
+        )
     elif p.speed is not None:
         cost += sum(ca.sumsqr(s[13:]) for s in states) / n
 
@@ -373,7 +380,9 @@ def solve_downswing(
         lbg=np.concatenate(g_lower), ubg=np.concatenate(g_upper),
     )  # fmt: skip
     stats = solver.stats()
-    values = ca.Function("values", [program["x"]], [duration, ca.horzcat(*states), along])(found["x"])
+    values = ca.Function("values", [program["x"]], [duration, ca.horzcat(*states), along, carried])(
+        found["x"]
+    )
     total = float(values[0])
     return Plan(
         np.linspace(0.0, total, n + 1),
@@ -383,6 +392,7 @@ def solve_downswing(
         str(stats["return_status"]),
         int(stats["iter_count"]),
         _gains(found, kinds, names, np.concatenate(lower), np.concatenate(upper)) if p.speed is None else {},
+        np.array(values[3]).ravel(),
     )
 
 

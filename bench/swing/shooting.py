@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings
+from bench.control.settings import ControlSettings, PidSettings
 from drivers.base import PASSIVE, pack_command
 from sim.compiled import compiled, new_record
 from sim.impact import in_plane_error
@@ -92,6 +92,25 @@ def swing_down(robot: Any, plant: Any, impact: Any, states: Any, command: Any, v
 
 
 @compiled
+def follow_plan(
+    robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, angle: Any, speed: Any,
+    proportional: Any, derivative: Any, highest: float,
+) -> None:  # fmt: skip
+    """Play openings `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
+
+    `valve` is changed to what was played, at most `highest`.
+    """
+    s = state[0]
+    for k in range(len(valve)):
+        for i in range(3):
+            opening = valve[k, i] + proportional[i] * (angle[k, i] - s.angle[i])
+            opening += derivative[i] * (speed[k, i] - s.speed[i])
+            valve[k, i] = min(max(opening, -highest), highest)
+            command[0].valve[i] = valve[k, i]
+        advance(robot, plant, impact, state, command)
+
+
+@compiled
 def brake(
     robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, law: Any, ticks: int
 ) -> float:
@@ -150,6 +169,17 @@ class Shooter:
         states["ball_present"] = False
         command = self.command.copy()
         return states, command, int(swing_down(*self.plant.records, states, command, valve))
+
+    def follow(self, valve: Array, angle: Array, speed: Array, pid: PidSettings, highest: float) -> Array:
+        """Return openings (n, 3), at most `highest`, with which the plant keeps near a plan.
+
+        `valve`, `angle`, `speed` (n, 3) are the plan's, one row a tick.
+        """
+        state, played = self.state.copy(), valve.copy()
+        state["ball_present"] = False
+        gains = np.array(pid.proportional), np.array(pid.derivative)
+        follow_plan(*self.plant.records, state, self.command.copy(), played, angle, speed, *gains, highest)
+        return played
 
     def arrive(self, valve: Array) -> Arrival:
         """Play openings `valve` (n, 3), one row a tick, to the ball's place."""

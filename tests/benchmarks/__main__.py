@@ -42,6 +42,7 @@ LONG = (
     "campaign_examples",
     "campaign_show",
     "learning",
+    "swing_design",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

@@ -131,3 +131,29 @@ def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> Non
     assert find_profile("wrong.toml") == Path("wrong.toml")
     with pytest.raises(BenchError):
         find_profile("none.toml")
+
+
+def test_golfers_are_laid_beside_a_profile_and_drawn(run: Run, tmp_path: Path) -> None:
+    answer = run("swing", "golfers", "slow", "--plot", "beside.png")
+    assert answer.code == ExitCode.OK
+    for text in ("tour-male", "senior", "51.4", "9.6 %", "beside.png"):
+        assert text in answer.out
+    assert (tmp_path / "beside.png").read_bytes().startswith(b"\x89PNG")
+    found = json.loads(run("swing", "golfers", "slow", "--json").out)
+    assert found[0]["golfer"] == "tour-male"
+    assert set(found[0]["deviation"]) == {"shoulder", "arm", "wrist", "head"}
+    # Without a profile: each golfer's own, and there is none here.
+    assert json.loads(run("swing", "golfers", "--json").out) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["swing", "design", "new.toml", "--golfer", "senor"], "Did you mean senior?"),
+        (["swing", "golfers", "slow", "--plot", "beside.txt"], ".png"),
+    ],
+)
+def test_a_mistaken_golfer_or_picture_is_told(arguments: list[str], told: str, run: Run) -> None:
+    answer = run(*arguments)
+    assert answer.code == ExitCode.BAD_INPUT
+    assert told in answer.err

@@ -12,9 +12,19 @@ from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase
 from bench.simulate import SimulatedBench, simulate_swing, simulate_swings
 from bench.swing.closed_loop import Rehearsal
-from bench.swing.design import Demand, address_pose, design_swing, slope_of, top_pose
+from bench.swing.design import (
+    Demand,
+    _guess_from,
+    _model_state,
+    _problem,
+    _swing_up,
+    address_pose,
+    design_swing,
+    slope_of,
+    top_pose,
+)
 from bench.swing.library import find_profile
-from bench.swing.optimal_control import BAR, _radau_slopes, build_equations
+from bench.swing.optimal_control import BAR, _radau_slopes, build_equations, solve_downswing
 from bench.swing.profile import load_profile
 from bench.swing.refine import KNOT, correction
 from sim.kinematics import head_motion
@@ -118,6 +128,25 @@ def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
     told = swing[begin : begin + len(cycles)]
     for name in ("angle", "applied_valve", "plant_angle", "phase"):
         assert np.array_equal(cycles[name], told[name])
+
+
+def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParameters) -> None:
+    """The shipped swing's downswing planned anew on a coarse mesh, a little slower."""
+    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    demand = Demand(head_speed=36.0, attack=radians(0.5))
+    state = _model_state(_swing_up(bench, demand))
+    problem = _problem(plant, demand, bench.envelope, state)
+    guess = _guess_from(bench.profile, state, 12)
+    plans = [solve_downswing(plant, problem, *guess, 12) for _ in range(2)]
+    plan = plans[0]
+    assert plan.solved
+    x, y, theta_t, vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[:5]
+    assert (x, y) == pytest.approx((plant.site.ball_x, plant.site.ball_y), abs=1e-5)
+    slope = slope_of(demand.attack, plant.robot.lie)
+    assert (vx, vy) == pytest.approx((36.0 * np.cos(slope), 36.0 * np.sin(slope)), abs=1e-3)
+    assert abs(theta_t - 3.5 * np.pi) <= 0.026 + 1e-6
+    assert np.abs(plan.state[:, 13:]).max() <= 0.85
+    assert np.array_equal(plan.state, plans[1].state)
 
 
 def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.swing.golfers import GOLFERS, HumanDownswing, deviation, free_wrist, human_downswing
+from bench.swing.design import Demand, top_pose
+from bench.swing.follow import demand_like
+from bench.swing.golfers import GOLFERS, Golfer, HumanDownswing, deviation, free_wrist, human_downswing
 from bench.swing.profile import Profile
 from sim.kane import inverse_dynamics
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
 
-FOLLOWED = ("tour-female", "average-male", "average-female", "senior")
+FOLLOWED = ("tour-male", "tour-female", "average-male", "average-female", "senior")
 
 
 @pytest.mark.parametrize("name", FOLLOWED)
@@ -22,6 +24,29 @@ def test_a_scaled_golfer_has_the_head_speed_of_his_or_her_kind(plant: PlantParam
     assert human.reaches
     assert human.head_speed == pytest.approx(GOLFERS[name].head_speed, rel=1e-3)
     assert human.head[-1] == pytest.approx([plant.site.ball_x, plant.site.ball_y], abs=0.25)
+
+
+def test_a_golfer_whose_wrist_meets_its_stop_first_is_as_fast_as_can_be(plant: PlantParameters) -> None:
+    human = human_downswing(plant, replace(GOLFERS["tour-male"], head_speed=70.0))
+    assert human.reaches
+    assert 50.0 < human.head_speed < 70.0
+
+
+@pytest.mark.parametrize("golfer", GOLFERS.values(), ids=GOLFERS)
+def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, golfer: Golfer) -> None:
+    human = human_downswing(plant, golfer)
+    demand = demand_like(plant, golfer, human, Demand())
+    assert demand.head_speed == golfer.head_speed
+    assert demand.backswing_time == golfer.backswing
+    top = top_pose(plant, demand)
+    assert demand.follow is not None
+    assert demand.follow.shape == human.angle.shape
+    assert np.all(demand.follow >= top - 1e-9)
+    assert np.all(demand.follow[:, 2] <= plant.wrist.upper)
+    # Where the robot can go, the human's own motion is asked for.
+    inside = (human.angle[:, 2] > top[2]) & (human.angle[:, 2] < plant.wrist.upper)
+    assert np.array_equal(demand.follow[inside, 2], human.angle[inside, 2])
+    assert demand_like(plant, golfer, human, Demand(), 30.0).head_speed == 30.0
 
 
 def test_hunts_functions_are_taken_as_given(plant: PlantParameters) -> None:
