@@ -46,7 +46,7 @@ def main() -> int:
             keep(swing_and_measure(bench, title, options.shots, witness))
             say("shots taken")
             keep(look_at_wire(title, bench, wire))
-        if options.interface == "can":
+        if options.interface == "can" and options.faults:
             keep(provoke_all(bench, options.faults))
             bench, rows = kill_and_freeze(bench)
             keep(rows)
