@@ -50,9 +50,10 @@ mutation: $(VENV)/.dev  ## do the tests of envelope and lifecycle notice small m
 test-vm: $(VENV)/.dev  ## the driver on a real CAN stack in a virtual machine (root, Debian's packages for it)
 	@$(BIN)/python -m tests.vm $(ARGS)
 
-benchmark-vm: $(VENV)/.dev  ## the same for ten minutes of the guest, on emulated cards and on vcan
-	@$(BIN)/python -m tests.vm --seconds 600 $(ARGS)
-	@$(BIN)/python -m tests.vm --seconds 600 --interface vcan $(ARGS)
+benchmark-vm: $(VENV)/.dev  ## the same for ten minutes of the guest, also on vcan, and the whole bench: hours
+	@$(BIN)/python -m tests.vm --seconds 600 --timeout 14400 $(ARGS)
+	@$(BIN)/python -m tests.vm --seconds 600 --timeout 14400 --interface vcan $(ARGS)
+	@$(BIN)/python -m tests.vm --parts bench --swing-faults all --timeout 14400 $(ARGS)
 
 reference: $(VENV)/.dev  ## renew the reference swings of the replay, after a meant change of the controller
 	@$(BIN)/python -m tests.replay.renew

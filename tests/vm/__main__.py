@@ -55,7 +55,7 @@ def main() -> int:
     parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
     parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS), metavar="NAME",
                         help="of the driver's part, default: all")  # fmt: skip
-    parser.add_argument("--swing-faults", nargs="*", choices=list(SWING_FAULTS), default=list(USUAL),
+    parser.add_argument("--swing-faults", nargs="*", choices=[*SWING_FAULTS, "all"], default=list(USUAL),
                         metavar="NAME", help="of the bench's part, in mid-swing")  # fmt: skip
     parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
@@ -125,7 +125,8 @@ def _command(part: str, options: argparse.Namespace) -> str:
         ]
     else:
         module = "tests.vm.inside_bench"
-        arguments += [f"--shots={options.shots}", "--faults", *options.swing_faults]
+        faults = SWING_FAULTS if "all" in options.swing_faults else options.swing_faults
+        arguments += [f"--shots={options.shots}", "--faults", *faults]
     return (
         f"export NUMBA_CACHE_DIR=/{MACHINE_CODE}; cd /root\n"
         f"exec /{HOME}/bin/python -m {module} {shlex.join(arguments)}\n"
