@@ -123,10 +123,14 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     velocity[rows] = cycles["velocity"] + away
     derivative = np.array(control.pid.derivative) * away
     following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
-    damping = np.array(control.damping) * ((following - velocity[rows]) / profile.period - acceleration)
+    damping = _downswing_damping(control) * ((following - velocity[rows]) / profile.period - acceleration)
     damping[window:] = 0.0
     valve[rows] = np.clip(opening - integral - derivative - damping, -1.0, 1.0)
     return replace(profile, angle=angle, velocity=velocity, valve=valve)
+
+
+def _downswing_damping(control: ControlSettings) -> Array:
+    return control.downswing_damping * np.array(control.damping)
 
 
 def _silent_velocity(
@@ -141,7 +145,7 @@ def _silent_velocity(
     """
     away = np.zeros_like(velocity)
     away[0] = -velocity[0]
-    derivative, damping = np.array(control.pid.derivative), np.array(control.damping)
+    derivative, damping = np.array(control.pid.derivative), _downswing_damping(control)
     rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
     for k in range(min(window, len(velocity) - 1)):
         lag = (velocity[k + 1] - velocity[k]) / period - acceleration[k]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from math import asin, radians, sin
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase
 from bench.simulate import SimulatedBench, simulate_swing, simulate_swings
@@ -27,13 +29,20 @@ from bench.swing.library import find_profile
 from bench.swing.optimal_control import BAR, _radau_slopes, build_equations, solve_downswing
 from bench.swing.profile import load_profile
 from bench.swing.refine import KNOT, correction
+from bench.swing.validate import profile_faults
 from sim.kinematics import head_motion
 from sim.motion import STATES as PLANT_STATES
 from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
 
-SHIPPED = (("driver-85mph", 38.0, 0.0),)
-"""Name, head speed (m/s) and attack angle (deg) demanded."""
+SHIPPED = (("driver-85mph", "shipped", 38.0),)
+"""Name, whose gains, and head speed (m/s) demanded; all level."""
+
+
+def _bench(name: str, variant: str) -> SimulatedBench:
+    c = load_configuration(None if variant == "shipped" else Path(variant))
+    profile = load_profile(find_profile(name))
+    return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
 
 
 def test_the_models_derivative_is_the_plants(plant: PlantParameters) -> None:
@@ -96,27 +105,35 @@ def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
         assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(Demand().least_lever))
 
 
-@pytest.mark.parametrize(("name", "speed", "attack"), SHIPPED)
-def test_a_shipped_design_delivers_in_closed_loop(name: str, speed: float, attack: float) -> None:
-    profile = load_profile(find_profile(name))
-    result = simulate_swing(SimulatedBench(profile))
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
+    result, told = simulate_swing(bench), bench.profile.delivery
     delivery = result.delivery
     assert delivery is not None
-    assert delivery.speed == pytest.approx(speed, abs=0.02)
-    assert np.degrees(delivery.attack_angle) == pytest.approx(attack, abs=0.02)
-    assert abs(delivery.in_plane_error) < 5e-4
-    # What the file tells is what the simulated bench does: both are one rehearsal.
-    assert profile.delivery["head_speed_mps"] == pytest.approx(delivery.speed, abs=1e-9)
-    assert profile.delivery["in_plane_error_mm"] == pytest.approx(1e3 * delivery.in_plane_error, abs=1e-6)
-    assert max(profile.limits["stop_share_missed"], profile.limits["stop_share_silent"]) <= 1.0
+    assert delivery.speed == pytest.approx(speed, abs=0.1)
+    assert np.degrees(delivery.attack_angle) == pytest.approx(0.0, abs=0.1)
+    assert abs(delivery.in_plane_error) < 1e-3
+    # What the file tells is what the simulated bench did when it was made: both are one rehearsal.
+    assert told["head_speed_mps"] == pytest.approx(delivery.speed, abs=0.05)
+    assert told["in_plane_error_mm"] == pytest.approx(1e3 * delivery.in_plane_error, abs=0.5)
+    limits = bench.profile.limits
+    assert max(limits["stop_share_missed"], limits["stop_share_silent"]) <= 1.0
+    assert limits["greatest_opening"] == 0.85
 
 
-@pytest.mark.parametrize(("name", "speed", "attack"), SHIPPED)
-def test_a_shipped_design_survives_a_missed_ball(name: str, speed: float, attack: float) -> None:
-    bench = SimulatedBench(load_profile(find_profile(name)))
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
     (missed,) = simulate_swings(bench, [None])
     assert missed.cause == Cause.NONE
     assert np.all(missed.stop_energy <= [[a.stop.energy] for a in bench.plant.actuators])
+
+
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_may_be_swung(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
+    assert profile_faults(bench.profile, bench.plant, bench.envelope) == []
 
 
 def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
