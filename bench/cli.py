@@ -22,6 +22,7 @@ from bench.export.commands import export
 from bench.faults.commands import app as faults_app
 from bench.launch.command import launch_monitor
 from bench.learning.commands import compare, learn
+from bench.learning.identify_command import identify
 from bench.network.certificates_command import certificates
 from bench.network.control_commands import app as control_app
 from bench.nodes_command import nodes
@@ -54,6 +55,7 @@ app.command()(run)
 app.command()(nodes)
 app.command()(launch_monitor)
 app.command()(learn)
+app.command()(identify)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)

@@ -31,6 +31,13 @@ def learn(
         int | None,
         typer.Option(metavar="SEED", min=0, help="Or a robot drawn within 10 % of the configured one."),
     ] = None,
+    identified: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What golfbench identify has written: learning begins where that robot ends in simulation.",
+        ),
+    ] = None,
     swings: Annotated[int, typer.Option(min=1, max=100, help="At most.")] = 12,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write the corrected profile, .toml.")
@@ -76,10 +83,16 @@ def learn(
         task = bar.add_task("the model's response", total=1.0)
         lecture = prepare(bench, lambda part: bar.update(task, completed=part))
         bar.update(task, completed=1.0)
+        begin = None
+        if identified is not None:
+            task = bar.add_task("the identified robot learns", total=None)
+            twin = Series(bench, load_configuration(identified).plant)
+            begin = learned(lecture, twin, by_encoders(lecture)).weights
+            bar.update(task, total=1.0, completed=1.0)
         task = bar.add_task("learning swings", total=swings + 1)
         lesson = learned(
             lecture, Series(bench, truth), by_encoders(lecture), LearningSettings(swings=swings),
-            told=lambda attempt: bar.update(task, advance=1),
+            told=lambda attempt: bar.update(task, advance=1), start=begin,
         )  # fmt: skip
     settings, now = configuration.bench, datetime.now(UTC)
     conditions = Conditions.of(swing, plant, configuration.air.temperature, truth)

@@ -20,7 +20,7 @@ from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
-_UNDAMPED = (0.0, 0.0, 0.0)
+_NONE = (0.0, 0.0, 0.0)
 
 
 class Compared(NamedTuple):
@@ -53,9 +53,9 @@ def compare(
     """
     whole = bench.control
     controllers: tuple[tuple[str, ControlSettings], ...] = (
-        ("PID alone", replace(whole, feed_forward=False, damping=_UNDAMPED)),
-        ("PID, acceleration damped", replace(whole, feed_forward=False)),
-        ("PID, damped, planned openings", whole),
+        ("PID alone", replace(whole, feed_forward=False, damping=_NONE, dither=_NONE)),
+        ("PID, acceleration damped", replace(whole, feed_forward=False, downswing_damping=1.0, dither=_NONE)),
+        ("PID, planned openings, dither", whole),
     )
     rows = []
     for name, control in controllers:

@@ -107,16 +107,21 @@ def learn(
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
     told: Callable[[Attempt], None] = lambda attempt: None,
+    start: Array | None = None,
 ) -> Lesson:
     """Swing until the target is reached and confirmed, or the swings are used up.
 
-    It is reached when two swings in a row with the same correction lie well within every tolerance.
+    It is reached when two swings in a row with the same correction lie well within every tolerance. The first
+    swing is made with the weights `start` (m,), such as an identified robot has learned in simulation, or
+    without correction.
 
     Raises:
         Refused: the robot does not come back to its address.
     """
     settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
     learner = Learner(lecture.response, lecture.target, tolerance, settings)
+    if start is not None:
+        learner.point = start
     attempts: list[Attempt] = []
     for _ in range(settings.swings + 1):
         trial, attempt = _attempt(lecture, swinger, measure, learner)

@@ -1,0 +1,191 @@
+"""Identification: which robot swings as the recorded one did? Least squares on the simulated response.
+
+The parameters are factors on the configured plant, and the encoders' latency. A trial arms the plant with
+them, lets it swing as the recorded one did, and compares angles, valve openings, supply pressure and, where
+they are fitted, chamber pressures up to the impact window. The loop is closed, so that what feedback hides in
+the angles shows in the openings. Openings are smoothed: their quick part is dither and noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import least_squares
+
+from bench.errors import BenchError, Refused
+from bench.learning.series import Bench, Series, quiet
+from bench.learning.variation import Variation
+from bench.lifecycle import Phase
+from bench.swing.profile import Profile
+from sim.robot import Club
+
+Array = NDArray[np.float64]
+Cycles = np.ndarray[Any, Any]
+
+NAMES = (
+    "friction of the shoulder", "friction of the right arm", "friction of the wrist",
+    "flow of the shoulder's valve", "flow of the right arm's valve", "flow of the wrist's valve",
+    "dead volume of the shoulder", "dead volume of the right arm", "dead volume of the wrist",
+    "supply pressure", "vane area", "club inertia", "encoder latency",
+)  # fmt: skip
+"""What is asked for: factors on the nominal values, the last one ms beside the nominal latency."""
+SURE = 0.05
+"""Standard error up to which a parameter counts as identified."""
+_SPACING = 5
+"""Samples between those that are compared."""
+_SMOOTHED = 41
+"""Samples over which openings are averaged."""
+_ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
+"""Size of an error that weighs as much as another: rad, opening, Pa; what swings alike differ by."""
+_PRIOR = 0.15
+"""Standard deviation of the parameters before anything was recorded."""
+_BOUND, _MOST = 0.5, 1.0
+_STEP = 0.05
+_LATENCY = 5.0
+"""ms that count as much as a factor of two."""
+_ITERATIONS = 10
+_ALIKE = 10
+"""Neighbouring samples that err alike and count as one."""
+_SWINGS = 3
+"""Simulated ones that are averaged; one before them is not, as it begins with the air of arming."""
+
+
+class Identified(NamedTuple):
+    """What the records say of the robot."""
+
+    values: Array
+    """In the order of NAMES."""
+    error: Array
+    """Standard error of each."""
+    before: float
+    """Root mean square of the weighted errors with the nominal plant."""
+    after: float
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which parameters the records tell."""
+        return np.asarray(self.error <= SURE)
+
+    def variation(self, bench: Bench) -> Variation:
+        """Return the robot as a variation of the bench's model, also where it is not sure: the best guess."""
+        return variation_of(self.values, bench)
+
+
+def variation_of(values: Array, bench: Bench) -> Variation:
+    """Return the variation with `values` in the order of NAMES."""
+    f = values.tolist()
+    mass = bench.model.robot.club.head_mass * (head_factor(f[11], bench) - 1.0)
+    return Variation(
+        (f[0], f[1], f[2]), (f[3], f[4], f[5]), (f[6], f[7], f[8]), supply=f[9], vane=f[10], head_mass=mass,
+        latency=1e-3 * f[12],
+    )  # fmt: skip
+
+
+def head_factor(inertia: float, bench: Bench) -> float:
+    """Return the factor on the head's mass that makes the club's inertia about the wrist `inertia` times."""
+    club = bench.model.robot.club
+    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
+    return 1.0 + 0.1 * (inertia - 1.0) / slope
+
+
+def club_inertia(club: Club) -> float:
+    """Return the club's moment of inertia about the wrist, kg m2."""
+    return float(club.inertia + club.mass * club.centre_of_mass**2)
+
+
+def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
+    """Return the records of a swing from its first tick on.
+
+    Raises:
+        BenchError: they hold no swing up to the impact window.
+    """
+    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
+    first = int(begun[0]) - profile.begins[1] if begun.size else -1
+    swing = cycles[max(first, 0) :]
+    if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
+        raise BenchError(place, "no whole swing", "one from the address to the ball", "Record another one.")
+    return swing
+
+
+def identify(
+    bench: Bench,
+    observed: Sequence[Cycles],
+    asked: Sequence[str] = NAMES,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Identified:
+    """Return the parameters with which the model swings as in `observed`: CYCLE records from the first tick.
+
+    All swings are of the bench's profile and not the first after arming. What is not `asked` stays nominal,
+    its error unknown. `progress` is told which part of the greatest number of trials is done.
+
+    Raises:
+        BenchError: nothing was observed.
+    """
+    if not observed:
+        raise BenchError("identify", "no swing", "whole swings", "Record some.")
+    free = np.array([NAMES.index(name) for name in asked])
+    seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
+    weight = 1.0 / np.sqrt(np.isfinite(seen).sum() / _ALIKE)
+    trials, most = [0], _ITERATIONS * (2 * len(free) + 1)
+
+    def values(factors: Array) -> Array:
+        every = np.ones(len(NAMES))
+        every[free] = factors
+        # What is added to the latency has no scale of its own.
+        every[-1] = max(_LATENCY * (every[-1] - 1.0), -1e3 * bench.model.encoders.latency)
+        return every
+
+    def residual(factors: Array) -> Array:
+        trials[0] += 1
+        progress(min(trials[0] / most, 1.0))
+        errors = weight * _errors(bench, values(factors), seen)
+        return np.concatenate([errors, weight * (factors - 1.0) / _PRIOR])
+
+    start = np.ones(len(free))
+    nominal = residual(start)
+    found = least_squares(
+        residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST), diff_step=_STEP,
+        max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
+    )  # fmt: skip
+    before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, residual(found.x)))
+    # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.
+    samples = 1.0 / weight**2
+    left = max(after**2 * samples / max(samples - len(free), 1.0) / _ALIKE, 1.0) / samples
+    error = np.full(len(NAMES), np.nan)
+    error[free] = np.sqrt(np.diag(left * np.linalg.inv(found.jac.T @ found.jac)))
+    return Identified(values(found.x), error, before, after)
+
+
+def _seen(profile: Profile, cycles: Cycles) -> Array:
+    """Return what is compared (k, 13), weighted; NaN from a stop on and where no sensor is fitted."""
+    swing = cycles[: profile.begins[5]]
+    openings = uniform_filter1d(swing["applied_valve"], _SMOOTHED, axis=0)
+    values = np.hstack(
+        [
+            swing["angle"] / _ANGLE,
+            openings / _OPENING,
+            swing["supply_pressure"][:, None] / _PRESSURE,
+            swing["chamber_pressure"] / _PRESSURE,
+        ]
+    )
+    values[swing["trip"] != 0] = np.nan
+    return np.asarray(values[::_SPACING])
+
+
+def _errors(bench: Bench, values: Array, seen: Array) -> Array:
+    """Return how far the simulated swings are off `seen`; bounded, and NaN when the plant does not swing."""
+    plant = quiet(variation_of(values, bench).applied_to(bench.model))
+    known = np.isfinite(seen)
+    try:
+        series = Series(bench, plant)
+        series.swing(bench.profile)
+        swings = [_seen(bench.profile, series.swing(bench.profile).cycles) for _ in range(_SWINGS)]
+    except Refused:
+        return np.full(int(known.sum()), 20.0)
+    simulated = np.mean([np.where(np.isfinite(swing), swing, seen + 20.0) for swing in swings], axis=0)
+    return np.asarray(np.clip((simulated - seen)[known], -50.0, 50.0))

@@ -1,0 +1,64 @@
+"""Identification: the parameters of a simulated robot from its swings, and the file they become."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.config import load_configuration
+from bench.errors import BenchError
+from bench.learning.identify import NAMES, Identified, from_first_tick, identify, variation_of
+from bench.learning.plant_file import plant_file, write_plant_file
+from bench.learning.series import Bench, Series
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+
+STEADY = load_configuration(Path("steady"))
+BENCH = Bench(STEADY.plant, load_profile(find_profile("steady")), STEADY.control)
+FLOW, INERTIA = NAMES.index("flow of the shoulder's valve"), NAMES.index("club inertia")
+
+
+def nominal() -> np.ndarray:
+    values = np.ones(len(NAMES))
+    values[-1] = 0.0
+    return values
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+def test_flow_and_inertia_are_found_from_swings() -> None:
+    truth = nominal()
+    truth[FLOW], truth[INERTIA] = 0.92, 1.05
+    series = Series(BENCH, variation_of(truth, BENCH).applied_to(BENCH.model))
+    series.swing(BENCH.profile)
+    swings = [series.swing(BENCH.profile).cycles for _ in range(2)]
+    found = identify(BENCH, swings, (NAMES[FLOW], NAMES[INERTIA]))
+    assert found.values == pytest.approx(truth, abs=0.02)
+    assert found.after < 0.3 * found.before
+    assert list(np.flatnonzero(found.known)) == [FLOW, INERTIA]
+
+
+def test_the_identified_robot_is_a_configuration(tmp_path: Path) -> None:
+    values = nominal() + 0.05
+    error = np.full(len(NAMES), 0.01)
+    error[0] = 0.2
+    found = Identified(values, error, 5.0, 0.5)
+    robot = found.variation(BENCH).applied_to(BENCH.model)
+    path = tmp_path / "robot.toml"
+    write_plant_file(path, plant_file(robot, found, STEADY))
+    assert f"{NAMES[0]}: 1.0500 of the nominal, 0.2000; NOT identified" in path.read_text()
+    again = load_configuration(path)
+    assert again.plant == robot
+    assert again.control == STEADY.control
+
+
+def test_a_record_without_a_whole_swing_is_refused() -> None:
+    from bench.telemetry.cycle_record import CYCLE
+    from sim.compiled import new_record
+
+    with pytest.raises(BenchError, match="no whole swing"):
+        from_first_tick(new_record(CYCLE, 100), BENCH.profile, "record")
+    with pytest.raises(BenchError, match="no swing"):
+        identify(BENCH, [])
