@@ -149,15 +149,16 @@ def identify(
     start = np.ones(len(free))
     nominal = residual(start)
     found = least_squares(
-        residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST), diff_step=_STEP,
+        residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST), diff_step=np.full(len(free), _STEP),
         max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
     )  # fmt: skip
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, residual(found.x)))
     # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.
     samples = 1.0 / weight**2
     left = max(after**2 * samples / max(samples - len(free), 1.0) / _ALIKE, 1.0) / samples
+    jacobian: Array = np.asarray(found.jac)
     error = np.full(len(NAMES), np.nan)
-    error[free] = np.sqrt(np.diag(left * np.linalg.inv(found.jac.T @ found.jac)))
+    error[free] = np.sqrt(np.diag(left * np.linalg.inv(jacobian.T @ jacobian)))
     return Identified(values(found.x), error, before, after)
 
 
