@@ -149,8 +149,8 @@ def identify(
     start = np.ones(len(free))
     nominal = residual(start)
     found = least_squares(
-        residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST), diff_step=np.full(len(free), _STEP),
-        max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
+        residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST),
+        diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
     )  # fmt: skip
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, residual(found.x)))
     # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.
