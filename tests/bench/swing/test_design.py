@@ -35,7 +35,12 @@ from sim.motion import STATES as PLANT_STATES
 from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
 
-SHIPPED = (("driver-85mph", "shipped", 38.0),)
+SHIPPED = (
+    ("driver-85mph", "shipped", 38.0),
+    ("average-male", "steady", 41.57),
+    ("senior", "steady", 36.66),
+    ("average-female", "steady", 33.53),
+)
 """Name, whose gains, and head speed (m/s) demanded; all level."""
 
 
