@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from bench.control.settings import (
+    MODEL_PHASES,
     ControlSettings,
     EnvelopeSettings,
     EstimatorSettings,
@@ -174,6 +175,17 @@ class Configuration:
         if driver.name != "sim" and envelope.model.check == "simulated":
             envelope = replace(envelope, model=replace(envelope.model, check="off"))
         return replace(self, driver=driver, envelope=envelope)
+
+    def running(self) -> Configuration:
+        """Return the configuration of a bench that runs.
+
+        A plant on a clock of its own obeys some part of a tick earlier or later than the model has it, which
+        the model's limits do not allow for.
+        """
+        if self.driver.paced or self.envelope.model.check != "simulated":
+            return self
+        model = replace(self.envelope.model, check="off")
+        return replace(self, envelope=replace(self.envelope, model=model))
 
     @property
     def is_machine(self) -> bool:
@@ -388,7 +400,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"
         yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
-    for kind in ("air", "velocity", "jump", "effort"):
+    for kind in MODEL_PHASES:
         watched = getattr(ModelSettings(), kind).keys()
         for name in getattr(c.envelope.model, kind).keys() ^ watched:
             found = "nothing" if name in watched else "an unknown phase"
@@ -519,6 +531,9 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"more than the atmosphere's {short(supply.atmosphere)}, less than {short(supply.pressure)} Pa"
         )
         yield "envelope.least_supply", f"{short(least)} Pa", wanted, "Correct it; pressures are Pa absolute."
+    if c.envelope.greatest_supply <= supply.pressure:
+        found, wanted = f"{short(c.envelope.greatest_supply)} Pa", f"more than {short(supply.pressure)} Pa"
+        yield "envelope.greatest_supply", found, wanted, "Correct it; pressures are Pa absolute."
     if c.envelope.minimum_stop_margin > 1.0:
         found = short(c.envelope.minimum_stop_margin)
         yield "envelope.minimum_stop_margin", found, "0 to 1, a share of the cushions' travel", "Lower it."

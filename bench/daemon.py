@@ -92,7 +92,7 @@ class Daemon:
         """
         self._now, self.read_only = now, read_only
         self.calibration = calibration_of(configuration, now())
-        self.configuration = apply(self.calibration, configuration)
+        self.configuration = apply(self.calibration, configuration).running()
         self.profile = load_profile(find_profile(self.configuration.swing.profile))
         self.wall = not configuration.driver.paced
         """The loop's clock is the wall's."""

@@ -185,6 +185,12 @@ class Cause(IntEnum):
     SHOULDER_EFFORT = 43
     ARM_EFFORT = 44
     WRIST_EFFORT = 45
+    SHOULDER_FLOW = 46
+    ARM_FLOW = 47
+    WRIST_FLOW = 48
+    SHOULDER_SENSOR = 49
+    ARM_SENSOR = 50
+    WRIST_SENSOR = 51
 
 
 CAUSE_TEXT = {
@@ -196,7 +202,7 @@ CAUSE_TEXT = {
     Cause.ARM_ENCODER: "arm encoder R2 without a valid reading: check cable and supply",
     Cause.WRIST_ENCODER: "wrist encoder R3 without a valid reading: check cable and supply",
     Cause.TICK_GAP: "the loop stood still for longer than a swing allows: run `golfbench doctor`",
-    Cause.SUPPLY_PRESSURE: "supply pressure below the swing's minimum: check compressor and regulator",
+    Cause.SUPPLY_PRESSURE: "supply pressure outside what a swing allows: check compressor and regulator",
     Cause.SHOULDER_RANGE: "shoulder angle outside its working range",
     Cause.ARM_RANGE: "right-arm rod outside its working range",
     Cause.WRIST_RANGE: "wrist angle outside its working range",
@@ -234,6 +240,12 @@ CAUSE_TEXT = {
     Cause.SHOULDER_EFFORT: "shoulder's motion does not fit its air: check encoder R1, club, pressure sensors",
     Cause.ARM_EFFORT: "arm's motion does not fit its air: check encoder R2, club, pressure sensors",
     Cause.WRIST_EFFORT: "wrist's motion does not fit its air: check encoder R3, club, pressure sensors",
+    Cause.SHOULDER_FLOW: "shoulder valve passes more or less air than it is told: check valve and sensors",
+    Cause.ARM_FLOW: "right arm's valve passes more or less air than it is told: check valve and sensors",
+    Cause.WRIST_FLOW: "wrist valve passes more or less air than it is told: check valve and sensors",
+    Cause.SHOULDER_SENSOR: "one chamber of the shoulder alone does not fit the model: check its sensor",
+    Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
+    Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
 }
 """What the operator reads, with the cure where one is known."""
 
@@ -316,17 +328,27 @@ def accepted_table() -> NDArray[np.uint8]:
     return np.array([[state in ACCEPTED_IN[r] for state in State] for r in Request], dtype=np.uint8)
 
 
-TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED = 0, 1, 2, 3, 4
+TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED, DOUBTED = 0, 1, 2, 3, 4, 5
 """Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, a
-shoulder or arm that does not obey, a wrist that does not."""
+shoulder or arm that does not obey, a wrist that does not, one chamber alone that does not fit."""
 
-_STANDING = (Reaction.VENT,) * 5
-_SLOW = (Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.PASSIVE)
-_STOPPABLE = (Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE)
-_COMMITTED = (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE)
-_BLOW = (Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE, Reaction.PASSIVE, Reaction.COMPLETE)
+_STANDING = (Reaction.VENT,) * 6
+_SLOW = (
+    Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.PASSIVE,
+    Reaction.PASSIVE,
+)  # fmt: skip
+_STOPPABLE = (
+    Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE, Reaction.BRAKE,
+)  # fmt: skip
+_COMMITTED = (
+    Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE, Reaction.BRAKE,
+)  # fmt: skip
+_BLOW = (
+    Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE, Reaction.PASSIVE, Reaction.COMPLETE,
+    Reaction.COMPLETE,
+)  # fmt: skip
 
-STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction]] = {
+STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Reaction]] = {
     Phase.STANDING: _STANDING,
     Phase.HOMING: _SLOW,
     Phase.HOLD: _SLOW,
@@ -345,7 +367,9 @@ brake as planned. An actuator that does not obey may be a stuck valve, and only 
 the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by `golfbench swing check`: a
 shoulder valve stuck open, noticed within milliseconds by the model-based check, ends within the ratings when
 the supply is cut at once, and at up to 384 % of them when the others brake with air on. The wrist is the
-exception: while it is fast its own air must brake it, and without it its stop takes up to 168 %."""
+exception: while it is fast its own air must brake it, and without it its stop takes up to 168 %. A chamber
+that alone does not fit is a sensor rather than a spool, which moves air in both: past the no-return instant
+its air is worth more than its cut."""
 
 
 def reaction_table() -> NDArray[np.uint8]:

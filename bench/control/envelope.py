@@ -30,6 +30,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("lost_time", "f8"),
         ("greatest_gap", "f8"),
         ("least_supply", "f8"),
+        ("greatest_supply", "f8"),
         ("ground", "f8"),
         ("sole_depth", "f8"),
         ("clearance", "f8"),
@@ -116,7 +117,8 @@ def motion_cause(
         return _TICK_GAP
     # Past the no-return instant stopping sooner than planned helps neither a sagging supply nor a short way.
     stoppable = phase <= _DOWNSWING or phase == _RETURN
-    if stoppable and not charging and readings[0].supply_pressure < p.least_supply:
+    supply = readings[0].supply_pressure
+    if stoppable and ((not charging and supply < p.least_supply) or supply > p.greatest_supply):
         return _SUPPLY
     for i in range(3):
         position, speed = joint_coordinates(robot, angle, velocity, i)

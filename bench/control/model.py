@@ -1,9 +1,11 @@
 """The model-based check: what is measured against what the plant's model says must come of it.
 
-Four comparisons, each against a limit by phase that healthy swings stay below:
+Five comparisons, each against a limit by phase that healthy swings stay below:
 
 air       each chamber's pressure against an observer, which knows the valve's command, the motion and the
           supply: a valve that does not obey, a sagging actuator or a wrong pressure sensor
+flow      the same, smoothed: a valve that leaks, misses ticks or is off its centre, an encoder that drifts;
+          too little to be seen in one tick, and nothing that must be answered within one
 velocity  each joint against its reference, which in a swing is the plant model's own prediction: the same,
           seen later, but without pressure sensors
 jump      each encoder's sample against what the motion so far predicts: steps, garbage, a count that stands
@@ -32,13 +34,14 @@ MODEL_LIMITS = np.dtype(
     [
         ("check", "?"),
         ("air", "f8", (PHASES, 3)),
+        ("flow", "f8", (PHASES, 3)),
         ("velocity", "f8", (PHASES, 3)),
         ("jump", "f8", (PHASES, 3)),
         ("effort", "f8", (PHASES, 3)),
     ],
     align=True,
 )
-"""Whether to check at all; limits by phase and joint: Pa, rad/s, rad, N m."""
+"""Whether to check at all; limits by phase and joint: Pa, Pa, rad/s, rad, N m."""
 
 MODEL_STATE = np.dtype(
     [
@@ -52,15 +55,15 @@ MODEL_STATE = np.dtype(
         ("measured", "f8", (6,)),
         ("since", "f8", (6,)),
         ("residual", "f8", (6,)),
+        ("flow", "f8", (6,)),
         ("effort", "f8", (3,)),
         ("settled", "f8"),
     ],
     align=True,
 )
 """The observer: spools, pressures as `sim.motion.chambers` takes them (chambers from 6 on, supply), what each
-sensor showed last and for how long (s); residuals of the chambers (Pa; NaN where there is none) and,
-smoothed, of the torques (N m); s since the observer began or was disturbed. Not part of a snapshot: it
-forgets within `_MEMORY`."""
+sensor showed last and for how long (s); residuals of the chambers (Pa; NaN where there is none), the
+same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed."""
 
 _MEMORY = 0.010
 """s in which the observer takes over what is measured."""
@@ -68,9 +71,14 @@ _SETTLING = 0.050
 """s from its begin, or a stall of the loop, until it is believed."""
 _SMOOTHING = 0.020
 """s over which torques are smoothed: the estimated acceleration is noisy, and late in a jerk."""
+_FLOW_SMOOTHING = 0.050
+"""s over which chambers are smoothed: long against noise and the shocks of a swing, short against a swing."""
+_BOTH = 0.2
+"""Share of the limit that the other chamber must be off, too, for a valve to be at fault."""
 _CLOSE = 1e-4
 _AIR, _VELOCITY = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_VELOCITY)
 _JUMP, _EFFORT = int(Cause.SHOULDER_JUMP), int(Cause.SHOULDER_EFFORT)
+_FLOW, _SENSOR = int(Cause.SHOULDER_FLOW), int(Cause.SHOULDER_SENSOR)
 
 
 @compiled
@@ -100,7 +108,7 @@ def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, appli
         if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):
                 m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]
-                m.since[k], m.residual[k] = 0.0, np.nan
+                m.since[k], m.residual[k], m.flow[k] = 0.0, np.nan, 0.0
             continue
         for part in range(2):
             back = position - (0.75 - 0.5 * part) * step * speed
@@ -115,6 +123,10 @@ def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, appli
                 m.residual[k] = pressure - m.air[6 + k]
                 m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
                 m.measured[k], m.since[k] = pressure, 0.0
+            if np.isfinite(m.residual[k]):
+                # Of a sensor that long showed the same, nothing new is known.
+                lasting = m.residual[k] if m.since[k] <= _MEMORY else 0.0
+                m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
     m.started = True
     if fresh:
         _compare_efforts(m, robot, p, e, step)
@@ -164,10 +176,15 @@ def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, ph
     for i in range(3):
         if abs(e.innovation[i]) > p.jump[phase, i]:
             return _JUMP + i
-        if abs(m.residual[2 * i]) > p.air[phase, i] or abs(m.residual[2 * i + 1]) > p.air[phase, i]:
-            return _AIR + i
+        a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
+        if max(a, b) > p.air[phase, i]:
+            # A spool moves air in both chambers, a sensor shows what is not there in one.
+            return _AIR + i if min(a, b) > _BOTH * p.air[phase, i] else _SENSOR + i
         if abs(reference_velocity[i] - e.velocity[i]) > p.velocity[phase, i]:
             return _VELOCITY + i
         if abs(m.effort[i]) > p.effort[phase, i]:
             return _EFFORT + i
+        a, b = abs(m.flow[2 * i]), abs(m.flow[2 * i + 1])
+        if max(a, b) > p.flow[phase, i]:
+            return _FLOW + i if min(a, b) > _BOTH * p.flow[phase, i] else _SENSOR + i
     return 0

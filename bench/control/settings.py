@@ -131,6 +131,8 @@ class LifecycleSettings:
     """In which they are to be empty; without chamber sensors the proof itself, s."""
     vented_still: NotNegative = 2.0
     """For which the robot must rest with empty chambers until they count as vented, s."""
+    vented_blind: NotNegative = 10.0
+    """The same where encoders cannot tell: as long as a raised arm may take to sink, s."""
     local_reset: bool = False
     """A reset also takes the button beside the robot; true with hardware."""
     local_reset_time: Positive = 10.0
@@ -180,11 +182,11 @@ class HomingSettings:
 class ModelSettings:
     """The model-based check (`bench.control.model`): limits by phase, above what healthy swings show."""
 
-    check: Literal["off", "simulated", "always"] = "off"
+    check: Literal["off", "simulated", "always"] = "simulated"
     """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver."""
     air: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
-            "homing": (4.0e4, 8.0e4, 8.0e4),
+            "homing": (4.0e4, 3.0e5, 8.0e4),
             "hold": (3.0e4, 3.0e4, 3.0e4),
             "backswing": (3.0e4, 3.0e4, 4.0e4),
             "top": (3.0e4, 3.0e4, 4.0e4),
@@ -196,6 +198,20 @@ class ModelSettings:
         }
     )
     """Chamber pressures from the observer's, Pa."""
+    flow: dict[str, PositiveTriple] = field(
+        default_factory=lambda: {
+            "homing": (4.0e3, 1.2e5, 1.2e4),
+            "hold": (5.0e2, 4.0e3, 9.0e3),
+            "backswing": (1.8e3, 7.0e3, 1.1e4),
+            "top": (1.1e3, 7.0e3, 1.5e4),
+            "downswing": (2.3e3, 7.0e3, 1.1e4),
+            "committed": (2.0e3, 9.0e3, 7.0e3),
+            "impact": (2.2e3, 7.5e3, 6.0e3),
+            "follow_through": (6.0e3, 6.0e4, 1.0e4),
+            "return": (6.0e2, 1.1e4, 1.3e4),
+        }
+    )
+    """The same smoothed over 50 ms, Pa."""
     velocity: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (1.5, 1.2, 3.0),
@@ -212,6 +228,7 @@ class ModelSettings:
     """Joint velocities from their reference, rad/s."""
     jump: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
+            "standing": (0.01, 0.01, 0.01),
             "homing": (0.002, 0.002, 0.002),
             "hold": (0.001, 0.001, 0.001),
             "backswing": (0.001, 0.001, 0.001),
@@ -226,7 +243,7 @@ class ModelSettings:
     """Samples from their prediction, rad."""
     effort: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
-            "homing": (30.0, 70.0, 15.0),
+            "homing": (30.0, 1500.0, 20.0),
             "hold": (30.0, 70.0, 15.0),
             "backswing": (25.0, 60.0, 12.0),
             "top": (25.0, 60.0, 12.0),
@@ -271,6 +288,8 @@ class EnvelopeSettings:
     greatest_gap: Positive = 0.010
     least_supply: Positive = 6.5e5
     """Pa absolute."""
+    greatest_supply: Positive = 8.8e5
+    """Pa absolute; above it the robot becomes faster than its profile."""
     clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60
@@ -297,6 +316,11 @@ _FOLLOWED = {
 
 
 _WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
+MODEL_PHASES = {
+    kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {})
+    for kind in ("air", "flow", "velocity", "jump", "effort")
+}
+"""Phases that have a limit, by comparison. While the robot stands only a jump means something."""
 
 SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
 """Of a bench without anybody beside it: no warning, and the address is held after a swing."""
@@ -410,8 +434,8 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         record["following"][0, _FOLLOWED[name]] = errors
     for name in (
         "greatest_speed", "stop_deceleration", "stop_speed", "greatest_opening", "greatest_slew", "lost_time",
-        "greatest_gap", "least_supply", "clearance", "ball_window", "ball_clearance", "frame_radius",
-        "least_lever",
+        "greatest_gap", "least_supply", "greatest_supply", "clearance", "ball_window", "ball_clearance",
+        "frame_radius", "least_lever",
     ):  # fmt: skip
         record[name] = getattr(settings, name)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
@@ -422,10 +446,10 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
 def _model_record(settings: ModelSettings) -> np.ndarray:
     record = new_record(MODEL_LIMITS)
     record["check"] = settings.check != "off"
-    for kind in ("air", "velocity", "jump", "effort"):
+    for kind in ("air", "flow", "velocity", "jump", "effort"):
         record[kind] = inf
         for name, limits in getattr(settings, kind).items():
-            record[kind][0, _WATCHED[name]] = limits
+            record[kind][0, MODEL_PHASES[kind][name]] = limits
     return record
 
 

@@ -23,6 +23,7 @@ from bench.control.pid import PID_STATE, control, reset_integral
 from bench.control.requests import near_address, note_local_reset, take_request
 from bench.lifecycle import (
     DISOBEYED,
+    DOUBTED,
     EMERGENCY,
     LOST,
     TRUSTED,
@@ -67,7 +68,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("address_tolerance", "f8", (3,)),
         ("rest_band", "f8", (3,)),
         ("strike_drop", "f8"),
-        ("reactions", "u1", (len(Phase), 5)),
+        ("reactions", "u1", (len(Phase), 6)),
         ("accepted", "u1", (len(Request), len(State))),
         ("needs_lease", "u1", (len(Request),)),
         ("emergencies", "u1", (len(Cause),)),
@@ -76,6 +77,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("vented_pressure", "f8"),
         ("vent_time", "f8"),
         ("vented_still", "f8"),
+        ("vented_blind", "f8"),
         ("local_reset", "?"),
         ("local_reset_time", "f8"),
         ("series", "?"),
@@ -106,6 +108,7 @@ CONTROL_STATE = np.dtype(
         ("measured_step", "f8"),
         ("started", "?"),
         ("lost", "i4"),
+        ("distrusted", "?"),
         ("seen", "?"),
         ("request", "u1"),
         ("request_number", "i8"),
@@ -169,8 +172,9 @@ CONTROL_STATE = np.dtype(
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
-`lost` is this tick's verdict on the readings, `seen` that they were trusted once; `emergency` says that the
-stop under way ends in ESTOP; `air` that the supply is on."""
+`lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
+did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
+ESTOP; `air` that the supply is on."""
 
 PROFILE = np.dtype(
     [
@@ -192,6 +196,7 @@ _BLIND, _PASSIVE, _VENT = int(Reaction.BLIND_BRAKE), int(Reaction.PASSIVE), int(
 _E_STOP_CAUSE, _OPERATOR = int(Cause.EMERGENCY_STOP), int(Cause.OPERATOR_STOP)
 _FOLLOWING, _ADDRESS_TIMEOUT = int(Cause.SHOULDER_FOLLOWING), int(Cause.ADDRESS_TIMEOUT)
 _AIR, _JUMP = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_JUMP)
+_FLOW, _SENSOR = int(Cause.SHOULDER_FLOW), int(Cause.SHOULDER_SENSOR)
 _TICK_GAP = int(Cause.TICK_GAP)
 _NETWORK, _SUPERVISOR, _HOMING_FAILED = (
     int(Cause.NETWORK_STOP), int(Cause.SUPERVISOR), int(Cause.HOMING_FAILED),
@@ -371,6 +376,7 @@ def _react(state: Any, parameters: Any, cause: int, column: int, time: float) ->
     s, p = state.control[0], parameters.control[0]
     s.latest_cause = cause
     s.emergency = s.emergency or p.emergencies[cause] != 0
+    s.distrusted = s.distrusted or column == LOST or cause >= _AIR
     if s.cause == 0:
         s.cause = cause
     reaction = p.reactions[s.phase, column]
@@ -405,7 +411,7 @@ def _carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     if request == _RESET:
         s.cause = s.latest_cause = 0
-        s.emergency = False
+        s.emergency = s.distrusted = False
         s.reaction, s.reset_pressed = _NONE, -np.inf
         _enter(s, _READY if s.homed else _SAFE, time)
     elif request == _HOME:
@@ -450,9 +456,10 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
     """Judge whether the chambers are empty; return True when they should be and are not.
 
     A raised arm hangs on what little air is left and then sinks: before anybody goes near, it has to rest
-    for a while with empty chambers.
+    for a while with empty chambers. Where the encoders cannot tell, for as long as sinking may take.
     """
     fitted = empty = True
+    blind = s.lost != 0 or s.distrusted
     for i in range(6):
         pressure = readings[0].chamber_pressure[i]
         if not np.isfinite(pressure):
@@ -461,11 +468,12 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
             empty = False
     still = empty
     for i in range(3):
-        if s.lost == 0 and abs(e.velocity[i]) > p.still_speed[i]:
+        if not blind and abs(e.velocity[i]) > p.still_speed[i]:
             still = False
     if not still:
         s.still_since = time
-    rests = time - s.still_since >= p.vented_still or s.state == _IN_ACCESS
+    wait = p.vented_blind if blind else p.vented_still
+    rests = time - s.still_since >= wait or s.state == _IN_ACCESS
     late = time - s.vent_start >= p.vent_time
     s.vented = empty and rests and (fitted or late)
     return late and not empty
@@ -495,6 +503,7 @@ def _watch_standing(
     """Latch what must not be while the robot stands, and move on the states in which it does."""
     s, p = state.control[0], parameters.control[0]
     pressed = _watch_vent(p, s, state.estimator[0], readings, time)
+    jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, _STANDING)
     for i in range(3):
         if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
             s.homed = False
@@ -527,6 +536,9 @@ def _watch_standing(
         _latch(p, s, asked, time)
     elif s.lost != 0 and s.seen and s.state != _SAFE:
         _latch(p, s, s.lost, time)
+    elif s.state == _READY and jumped != 0:
+        s.homed, s.distrusted = False, True  # whatever turned there, it was not the joint
+        _latch(p, s, jumped, time)
     elif pressed:
         _latch(p, s, _NOT_VENTED, time)
     elif s.state == _READY and not s.homed:
@@ -759,10 +771,12 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
 @compiled
 def _column(cause: int) -> int:
     """Return the column of the stopping table for a broken limit of motion or of the model."""
-    if cause >= _JUMP:
+    if cause >= _SENSOR:
+        return DOUBTED
+    if _JUMP <= cause < _FLOW:
         return LOST
     if cause >= _AIR or _FOLLOWING <= cause < _FOLLOWING + 3:
-        joint = (cause - (_AIR if cause >= _AIR else _FOLLOWING)) % 3
+        joint = (cause - (_AIR if cause >= _AIR else _FOLLOWING)) % 3  # three causes a comparison
         return WRIST_DISOBEYED if joint == 2 else DISOBEYED
     return TRUSTED
 
@@ -796,7 +810,12 @@ def _watch_motion(
             parameters.envelope[0].greatest_gap, state.estimator[0].angle, state.estimator[0].velocity, time,
         )  # fmt: skip
         stuck = _FOLLOWING <= broken < _FOLLOWING + 3
-        if broken != 0:
+        doubted = model_cause(
+            parameters.model, state.model[0], state.estimator, s.reference_velocity, _SEARCH
+        )
+        if doubted != 0 and not _charging(s, time):
+            _react(state, parameters, doubted, _column(doubted), time)
+        elif broken != 0:
             _react(
                 state, parameters, _HOMING_FAILED if stuck else broken, DISOBEYED if stuck else TRUSTED, time
             )

@@ -36,8 +36,10 @@ SPEED_SHARE = 1.05
 CREEP = 0.02
 """rad that a joint may move after the chambers were proven empty."""
 _LATCHED = (State.FAULT, State.ESTOP)
-_LONGEST = 22.0
+_LONGEST = 40.0
 """s that a case is watched."""
+_LONGEST_SEARCH = 10.0
+"""s more for a case that begins in the search: it goes on to a swing."""
 _CHUNK = 100
 _STILL, _STILL_FOR = 0.02, 1.0
 """rad/s; s."""
@@ -242,8 +244,9 @@ class Workbench:
         elif event == "emergency stop":
             state["emergency_stop_clear"] = False
         watch.advance(ask_at - event_at, STOP if event == "stop" else 0)
-        going_on = {"standing": ARM, "hold": SWING}.get(instant.phase, 0)
-        watch.until_rest(round(_LONGEST / self.period), going_on, instant.phase)
+        going_on = {"standing": ARM, "homing": ARM, "hold": SWING}.get(instant.phase, 0)
+        longest = _LONGEST + (_LONGEST_SEARCH if instant.phase == "homing" else 0.0)
+        watch.until_rest(round(longest / self.period), going_on, instant.phase)
         return watch.end(self)
 
 
@@ -318,7 +321,7 @@ class _Watch:
                     request = ARM  # nothing arms before a reset
                 else:
                     request = Request.ACCESS
-            elif going_on == ARM and not asked:
+            elif going_on == ARM and not asked and self.state is not State.HOMING:
                 asked, request = True, ARM
             elif (going_on and control["phase"] == Phase.HOLD and control["state"] == State.ARMED
                   and control["swings"] == (0 if going_on == ARM or phase == "hold" else 1)):  # fmt: skip
@@ -434,7 +437,20 @@ def _other_detection(end: _End, healthy: _End) -> tuple[str, int]:
         gone = _first((end.cycles["tick"] > 0) & ~end.cycles[name])
         if gone >= 0:
             return text, gone
+    left, struck = _ball_left(end.cycles), not _ball_left(healthy.cycles)
+    if left and struck:
+        return "no ball struck, told of the shot", len(end.cycles) - 1
+    ran = np.flatnonzero(end.cycles["tick"] > 0)
+    late = end.cycles["measured_step"][ran] > 1.5 * np.median(end.cycles["measured_step"][ran])
+    if late.any():
+        return "missed ticks, counted with the swing", int(ran[np.flatnonzero(late)[0]])
     return "", -1
+
+
+def _ball_left(cycles: Cycles) -> bool:
+    """Tell whether the ball sensor sees the ball after the blow; no blow leaves none."""
+    seen = cycles["ball_present"][cycles["phase"] == Phase.FOLLOW_THROUGH]
+    return bool(len(seen) and seen[-1])
 
 
 def _change(end: _End, healthy: _End) -> str:

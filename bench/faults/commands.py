@@ -101,20 +101,17 @@ def _matrix(
     compare: bool,
     processes: int,
 ) -> dict[str, Any]:
-    from time import monotonic
-
     from bench.faults.summary import compare as compared
     from bench.faults.summary import summarise
 
-    begun = monotonic()
-    outcomes = _outcomes(configuration, profile, plan, folder / "cases.jsonl", model_check, processes)
-    seconds = monotonic() - begun
+    store = folder / "cases.jsonl"
+    outcomes, seconds = _outcomes(configuration, profile, plan, store, model_check, processes)
     summary = summarise(
         outcomes, plan.skipped, model_check=model_check, profile=profile.name, seconds=seconds
     )
     if compare:
         rest = tuple(case for case in plan.cases if _is_compared(case[0].fault.signal))
-        without = _outcomes(
+        without, _ = _outcomes(
             configuration, profile, type(plan)(rest, ()), folder / "without.jsonl", not model_check, processes
         )
         pair = (outcomes, without) if model_check else (without, outcomes)
@@ -130,7 +127,10 @@ def _is_compared(signal: str) -> bool:
 
 def _outcomes(
     configuration: Configuration, profile: Profile, plan: Plan, path: Path, model_check: bool, processes: int
-) -> list[Outcome]:
+) -> tuple[list[Outcome], float]:
+    """Return the outcomes, and the seconds that they took over all runs."""
+    from time import monotonic
+
     from bench.faults.matrix import CaseStore, digest_of, run_matrix
     from bench.interrupt import deferred_interrupt
     from bench.progress import progress_bar
@@ -139,10 +139,13 @@ def _outcomes(
     with deferred_interrupt() as asked, progress_bar() as bar:
         text = f"breaking {profile.name}" + ("" if model_check else ", no model check")
         task = bar.add_task(text, total=len(plan.cases))
-        return run_matrix(
+        begun = monotonic()
+        outcomes = run_matrix(
             plan, configuration, profile, store, model_check=model_check, processes=processes,
             progress=lambda done: bar.update(task, completed=done), stop=asked.is_made,
         )  # fmt: skip
+        store.took(monotonic() - begun)
+    return outcomes, store.seconds
 
 
 @app.command()

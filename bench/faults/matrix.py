@@ -90,12 +90,18 @@ class CaseStore:
         """Read what is there; a file of another matrix, or a torn last line, is begun anew or cut off."""
         self.path = path
         self.outcomes: dict[tuple[str, str], Outcome] = {}
+        self.seconds = 0.0
+        """That its cases took, over all runs."""
         lines = path.read_text().splitlines() if path.exists() else []
         if not lines or _parsed(lines[0]).get("digest") != digest:
             lines = [json.dumps({"schema": 1, "digest": digest})]
         kept = lines[:1]
         for line in lines[1:]:
-            if record := _parsed(line):
+            record = _parsed(line)
+            if "seconds" in record:
+                self.seconds += float(record["seconds"])
+                kept.append(line)
+            elif record:
                 outcome = outcome_of(record)
                 self.outcomes[outcome.breakage, outcome.instant] = outcome
                 kept.append(line)
@@ -108,6 +114,12 @@ class CaseStore:
             for outcome in outcomes:
                 self.outcomes[outcome.breakage, outcome.instant] = outcome
                 file.write(json.dumps(outcome.as_json()) + "\n")
+
+    def took(self, seconds: float) -> None:
+        """Store how long a run took."""
+        self.seconds += seconds
+        with self.path.open("a") as file:
+            file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
 
 
 def _parsed(line: str) -> dict[str, Any]:

@@ -352,6 +352,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "plant.encoders.latency", "0.002 s", "at most 0.00096875 s",
         ),
         ("[envelope]\nlost_time = 0.0005", "envelope.lost_time", "0.0005 s", "more than one tick"),
+        ("[envelope]\ngreatest_supply = 8e5", "envelope.greatest_supply", "800000 Pa", "more than 800000"),
         ("[envelope]\nleast_supply = 9e5", "envelope.least_supply", "900000 Pa", "less than 800000 Pa"),
         ("[envelope]\nminimum_stop_margin = 1.5", "envelope.minimum_stop_margin", "1.5", "0 to 1"),
         ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
@@ -464,6 +465,9 @@ def test_the_models_limits_are_the_simulated_plants(overlay: Overlay) -> None:
     simulated = '[envelope.model]\ncheck = "simulated"'
     assert load_configuration(overlay(simulated)).envelope.model.check == "simulated"
     mock = f'[driver]\nname = "mock"\n{simulated}'
+    for time, check in (("paced", "simulated"), ("wall", "off")):
+        running = load_configuration(overlay(f'[driver]\ntime = "{time}"\n{simulated}')).running()
+        assert running.envelope.model.check == check
     assert load_configuration(overlay(mock)).envelope.model.check == "off"
     always = '[driver]\nname = "mock"\n[envelope.model]\ncheck = "always"'
     assert load_configuration(overlay(always)).envelope.model.check == "always"

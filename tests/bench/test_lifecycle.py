@@ -13,14 +13,20 @@ from bench.lifecycle import (
     ACCEPTED_IN,
     CAUSE_TEXT,
     DISOBEYED,
+    DOUBTED,
+    EDGES,
+    EMERGENCIES,
     EMERGENCY,
     LOST,
+    NEEDS_LEASE,
     STOPPING,
     TRUSTED,
     WRIST_DISOBEYED,
+    Answer,
     Cause,
     Phase,
     Reaction,
+    Refusal,
     Request,
     State,
     accepted_table,
@@ -54,7 +60,10 @@ def test_every_cause_tells_the_operator_something_of_its_own() -> None:
 
 
 def test_causes_of_a_joint_stand_side_by_side() -> None:
-    names = ("ENCODER", "RANGE", "SPEED", "FOLLOWING", "STOP_DISTANCE", "AIR", "VELOCITY", "JUMP", "EFFORT")
+    names = (
+        "ENCODER", "RANGE", "SPEED", "FOLLOWING", "STOP_DISTANCE", "AIR", "VELOCITY", "JUMP", "EFFORT",
+        "FLOW", "SENSOR",
+    )  # fmt: skip
     for name in names:
         first = Cause[f"SHOULDER_{name}"]
         assert [Cause[f"{joint}_{name}"] - first for joint in ("SHOULDER", "ARM", "WRIST")] == [0, 1, 2]
@@ -62,12 +71,12 @@ def test_causes_of_a_joint_stand_side_by_side() -> None:
 
 def test_the_table_names_a_reaction_for_every_phase_and_column() -> None:
     assert list(STOPPING) == list(Phase)
-    assert {TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED} == set(range(5))
+    assert {TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED, DOUBTED} == set(range(6))
     for row in STOPPING.values():
-        assert len(row) == 5
+        assert len(row) == 6
         assert Reaction.NONE not in row
     table = reaction_table()
-    assert table.shape == CONTROL_PARAMETERS["reactions"].shape == (PHASES, 5)
+    assert table.shape == CONTROL_PARAMETERS["reactions"].shape == (PHASES, 6)
     assert table.dtype == np.uint8
     for phase, column in np.ndindex(table.shape):
         assert Reaction(int(table[phase, column])) is STOPPING[Phase(phase)][column]
@@ -113,6 +122,12 @@ def test_a_wrist_that_does_not_obey_loses_its_air_only_while_it_is_slow() -> Non
     assert {STOPPING[phase][WRIST_DISOBEYED] for phase in fast} == {Reaction.BRAKE}
 
 
+def test_a_chamber_that_alone_does_not_fit_costs_the_air_only_while_the_robot_is_slow() -> None:
+    assert {phase for phase in MOVING if STOPPING[phase][DOUBTED] is Reaction.PASSIVE} == SLOW
+    assert {STOPPING[phase][DOUBTED] for phase in (Phase.DOWNSWING, Phase.COMMITTED)} == {Reaction.BRAKE}
+    assert {STOPPING[phase][DOUBTED] for phase in BLOW} == {Reaction.COMPLETE}
+
+
 def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
     order = [
         Reaction.NONE,
@@ -126,3 +141,82 @@ def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
     for row in STOPPING.values():
         assert row[LOST] >= row[TRUSTED] <= row[EMERGENCY]
         assert row[DISOBEYED] >= row[WRIST_DISOBEYED] >= row[TRUSTED]
+        assert row[DISOBEYED] >= row[DOUBTED] >= row[TRUSTED]
+
+
+# The other tables, written down a second time ---------------------------------------------------------
+
+WAYS = """
+STARTING: warmed up > ESTOP
+ESTOP: reset > SAFE, reset > READY, access > ACCESS
+FAULT: reset > SAFE, reset > READY, access > ACCESS, emergency stop > ESTOP
+SAFE: home > HOMING, access > ACCESS, emergency stop > ESTOP, fault > FAULT
+HOMING: homed > READY, disarm > SAFE, emergency stop > ESTOP, fault > FAULT, stop > FAULT
+READY: home > HOMING, arm > ARMED, access > ACCESS, emergency stop > ESTOP, fault > FAULT
+ARMED: swing > SWINGING, disarm > READY, disarm > RECOVERING, emergency stop > ESTOP, fault > FAULT
+ARMED: stop > FAULT
+SWINGING: swing over > RECOVERING, emergency stop > ESTOP, fault > FAULT, stop > FAULT
+RECOVERING: back at the address > READY, back at the address > ARMED, at rest > READY, emergency stop > ESTOP
+RECOVERING: fault > FAULT, stop > FAULT
+ACCESS: secure > SAFE, secure > READY, secure > ESTOP, secure > FAULT, emergency stop > ESTOP, fault > FAULT
+"""
+
+ANSWERED = """
+ARM: READY
+SWING: ARMED
+DISARM: HOMING ARMED RECOVERING
+RESET: ESTOP FAULT
+HOME: SAFE READY
+ACCESS: SAFE READY ESTOP FAULT
+SECURE: ACCESS
+TEE: ARMED
+"""
+
+
+def test_the_bench_gets_from_state_to_state_in_these_ways_only() -> None:
+    ways = [
+        (State[source], *way.split(" > "))
+        for source, rest in (line.split(": ") for line in WAYS.split("\n") if line)
+        for way in rest.split(", ")
+    ]
+    found = [(e.source, e.event.partition(",")[0], e.target.name) for e in EDGES]
+    assert sorted(found) == sorted(ways)
+
+
+def test_requests_are_accepted_in_these_states_only() -> None:
+    expected = {request: set(State) for request in (Request.STOP, Request.EMERGENCY_STOP)}
+    expected[Request.NONE] = set()
+    for line in ANSWERED.split("\n"):
+        if line:
+            request, states = line.split(": ")
+            expected[Request[request]] = {State[state] for state in states.split()}
+    assert expected == ACCEPTED_IN
+
+
+def test_what_ends_motion_needs_no_lease_and_everything_else_does() -> None:
+    assert set(Request) - NEEDS_LEASE == {
+        Request.NONE, Request.STOP, Request.EMERGENCY_STOP, Request.DISARM,
+    }  # fmt: skip
+
+
+def test_only_these_causes_latch_the_emergency_stop() -> None:
+    assert {cause.name for cause in EMERGENCIES} == {"EMERGENCY_STOP", "NETWORK_STOP", "POWER_UP", "RESTART"}
+
+
+def test_the_tables_for_compiled_code_are_bytes() -> None:
+    assert accepted_table().dtype == reaction_table().dtype == np.uint8
+
+
+@pytest.mark.parametrize("kind", [State, Request, Answer, Refusal])
+def test_numbers_on_the_wire_stay_as_they_are(kind: type[IntEnum]) -> None:
+    assert [member.name for member in kind] == NAMES[kind].split()
+    assert [member.value for member in kind] == list(range(len(kind)))
+
+
+NAMES: dict[type[IntEnum], str] = {
+    State: "STARTING ESTOP SAFE HOMING READY ARMED SWINGING RECOVERING ACCESS FAULT",
+    Request: "NONE ARM SWING DISARM RESET STOP EMERGENCY_STOP HOME ACCESS SECURE TEE",
+    Answer: "NONE ACCEPTED REFUSED",
+    Refusal: "NONE STATE STOPPING EMERGENCY_STOP GUARD READINGS NOT_AT_ADDRESS NO_LEASE SUPPORT NOT_VENTED "
+    "LOCAL_RESET READ_ONLY SUPERVISOR DEVICE",
+}

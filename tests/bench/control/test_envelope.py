@@ -60,6 +60,7 @@ def generous() -> Record:
     p["following"] = p["stop_deceleration"] = p["stop_speed"] = p["greatest_speed"] = 1e3
     p["greatest_opening"], p["greatest_slew"] = 0.75, 50.0
     p["lost_time"], p["greatest_gap"], p["least_supply"] = 0.0045, 0.010, 6.5e5
+    p["greatest_supply"] = 8.8e5
     p["ground"] = -100.0
     return p
 
@@ -173,7 +174,7 @@ def test_a_tick_that_is_too_long_or_runs_backwards(phase: Phase, step: float, br
 @each_phase
 @pytest.mark.parametrize(
     ("pressure", "low"),
-    [(above(6.5e5), False), (6.5e5, False), (inf, False), (below(6.5e5), True), (0.0, True), (-inf, True)],
+    [(above(6.5e5), False), (6.5e5, False), (below(6.5e5), True), (0.0, True), (-inf, True)],
 )
 @pytest.mark.parametrize("charging", [False, True])
 def test_supply_pressure_counts_while_stopping_is_a_choice(
@@ -183,6 +184,17 @@ def test_supply_pressure_counts_while_stopping_is_a_choice(
     motion.readings["supply_pressure"] = pressure
     expected = low and phase in STOPPABLE and not charging
     assert motion.cause() is (Cause.SUPPLY_PRESSURE if expected else Cause.NONE)
+
+
+@each_phase
+@pytest.mark.parametrize(("pressure", "high"), [(8.8e5, False), (above(8.8e5), True), (inf, True)])
+@pytest.mark.parametrize("charging", [False, True])
+def test_a_supply_that_surges_counts_while_it_charges_too(
+    phase: Phase, pressure: float, high: bool, charging: bool
+) -> None:
+    motion = Motion(phase=phase, charging=charging)
+    motion.readings["supply_pressure"] = pressure
+    assert motion.cause() is (Cause.SUPPLY_PRESSURE if high and phase in STOPPABLE else Cause.NONE)
 
 
 @each_phase

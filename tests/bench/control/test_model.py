@@ -34,7 +34,7 @@ SPEEDS = np.zeros(3)
 def limits() -> np.ndarray[Any, Any]:
     made = new_record(MODEL_LIMITS)
     made["check"] = True
-    for k, name in enumerate(("air", "velocity", "jump", "effort"), 1):
+    for k, name in enumerate(("air", "velocity", "jump", "effort", "flow"), 1):
         made[name] = 10.0 * k
     return made
 
@@ -54,10 +54,48 @@ def judged(model: Any, estimator: Any, reference: Any = SPEEDS, phase: Phase = P
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_air_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
     model, estimator = settled()
+    name = ("SHOULDER", "ARM", "WRIST")[joint]
     model["residual"][0, 2 * joint + side] = sign * 10.0
     assert judged(model, estimator) is Cause.NONE
     model["residual"][0, 2 * joint + side] = sign * 10.0001
-    assert judged(model, estimator) is Cause[f"{('SHOULDER', 'ARM', 'WRIST')[joint]}_AIR"]
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["residual"][0, 2 * joint + 1 - side] = 2.0
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["residual"][0, 2 * joint + 1 - side] = -2.001
+    assert judged(model, estimator) is Cause[f"{name}_AIR"]
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("side", range(2))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_flow_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+    model, estimator = settled()
+    name = ("SHOULDER", "ARM", "WRIST")[joint]
+    model["flow"][0, 2 * joint + side] = sign * 50.0
+    assert judged(model, estimator) is Cause.NONE
+    model["flow"][0, 2 * joint + side] = sign * 50.001
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["flow"][0, 2 * joint + 1 - side] = 10.0
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["flow"][0, 2 * joint + 1 - side] = -10.001
+    assert judged(model, estimator) is Cause[f"{name}_FLOW"]
+
+
+def test_what_lasts_stays_in_the_smoothed_air_and_what_passes_does_not() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    readings["chamber_pressure"][0, 0] += 2e4  # one sample
+    watch(model, estimator, readings, 1)
+    once = abs(model["flow"][0, 0])
+    assert 0.0 < once < 1e3
+    for k in range(200):
+        readings["chamber_pressure"][0, 2] += 500.0 + k % 2
+        watch(model, estimator, readings, 1)
+    assert model["flow"][0, 2] == pytest.approx(model["residual"][0, 2], rel=0.3)
+    assert abs(model["flow"][0, 0]) < once
+    readings["chamber_pressure"][0, 3] = np.nan
+    watch(model, estimator, readings, 1)
+    assert (model["flow"][0, 2:4] == 0.0).all()
 
 
 @pytest.mark.parametrize("joint", range(3))

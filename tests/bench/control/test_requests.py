@@ -232,6 +232,27 @@ def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
     assert puppet.control["vented"]
 
 
+@pytest.mark.parametrize("doubt", [{"distrusted": True}, {}])
+def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doubt: dict[str, bool]) -> None:
+    puppet = reach(State.FAULT, vented_still=0.05, vented_blind=0.3)
+    empty, filled = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
+    puppet.give(chamber_pressure=(filled,) * 6, **doubt).tick()
+    if not doubt:
+        lose(puppet)
+    puppet.give(chamber_pressure=(empty,) * 6).run(290)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(20)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_a_reset_trusts_the_readings_again() -> None:
+    puppet = reach(State.FAULT)
+    puppet.give(distrusted=True)
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert not puppet.control["distrusted"]
+
+
 def test_pressure_in_the_chambers_while_the_guard_is_unlocked_locks_it() -> None:
     puppet = reach(State.ACCESS)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()

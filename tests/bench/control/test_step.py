@@ -28,6 +28,7 @@ from bench.control.step import (
 )
 from bench.lifecycle import (
     DISOBEYED,
+    DOUBTED,
     EMERGENCY,
     LOST,
     STOPPING,
@@ -379,25 +380,49 @@ def _wrist_disobeyed(puppet: Puppet) -> None:
     puppet.parameters.envelope["following"][0, :, 2] = -1.0
 
 
+def model_checked(puppet: Puppet, **limits: float) -> Puppet:
+    """Let the model-based check fail at `limits` only, as soon as it likes."""
+    model = puppet.parameters.model
+    model["check"] = True
+    for kind in ("air", "flow", "velocity", "jump", "effort"):
+        model[kind] = limits.get(kind, np.inf)
+    puppet.state.model["started"], puppet.state.model["settled"] = True, 1.0
+    return puppet
+
+
+def _doubted(puppet: Puppet) -> None:
+    model_checked(puppet)
+    puppet.state.model["started"] = False  # it takes over what it sees first
+    for k in range(3):
+        puppet.readings["chamber_pressure"] = 4e5 + k
+        puppet.tick()
+    puppet.readings["chamber_pressure"] = 4e5
+    puppet.readings["chamber_pressure"][0, 0] = 5e5
+    model_checked(puppet, air=5e4)
+
+
 PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
     TRUSTED: (_guard, Cause.GUARD),
     LOST: (_lost, Cause.ARM_ENCODER),
     EMERGENCY: (_emergency, Cause.EMERGENCY_STOP),
     DISOBEYED: (_disobeyed, Cause.SHOULDER_FOLLOWING),
     WRIST_DISOBEYED: (_wrist_disobeyed, Cause.WRIST_FOLLOWING),
+    DOUBTED: (_doubted, Cause.SHOULDER_SENSOR),
 }
 
 
 @moving_phase
-@pytest.mark.parametrize("column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed", "wrist"])
+@pytest.mark.parametrize(
+    "column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed", "wrist", "alone"]
+)
 def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
-    if phase is Phase.HOMING and column >= DISOBEYED:
+    if phase is Phase.HOMING and column in (DISOBEYED, WRIST_DISOBEYED):
         cause = Cause.HOMING_FAILED
     provoke(puppet)
     puppet.run(5 if column == LOST else 1)
-    if phase is Phase.IMPACT and column >= DISOBEYED:
+    if phase is Phase.IMPACT and column in (DISOBEYED, WRIST_DISOBEYED):
         assert puppet.reaction is Reaction.NONE  # the blow's jump is in nobody's reference
         return
     assert puppet.reaction is STOPPING[phase][column]
@@ -413,6 +438,38 @@ def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> 
     assert puppet.reaction is Reaction.VENT
     assert puppet.is_without_energy()
     assert puppet.cause is cause
+
+
+@pytest.mark.parametrize("phase", [Phase.TOP, Phase.DOWNSWING, Phase.HOMING], ids=lambda phase: phase.name)
+@pytest.mark.parametrize("joint", range(3))
+def test_a_valve_that_passes_too_much_is_a_joint_that_does_not_obey(phase: Phase, joint: int) -> None:
+    puppet = model_checked(Puppet().enter(phase))
+    puppet.parameters.model["flow"][0, :, joint] = -1.0
+    puppet.tick()
+    assert puppet.cause == Cause.SHOULDER_FLOW + joint
+    assert puppet.reaction is STOPPING[phase][WRIST_DISOBEYED if joint == 2 else DISOBEYED]
+    assert puppet.control["distrusted"]
+
+
+@pytest.mark.parametrize("kind", ["jump", "effort"])
+def test_readings_that_do_not_fit_are_lost(kind: str) -> None:
+    puppet = model_checked(Puppet().enter(Phase.TOP), **{kind: -1.0})
+    puppet.tick()
+    assert puppet.cause is Cause[f"SHOULDER_{kind.upper()}"]
+    assert puppet.reaction is STOPPING[Phase.TOP][LOST]
+
+
+def test_an_encoder_that_slips_while_the_robot_stands_is_not_homed_any_more() -> None:
+    puppet = model_checked(Puppet())
+    puppet.parameters.model["jump"][0, Phase.STANDING] = 0.01
+    puppet.run(60)
+    puppet.offset[1] = 0.003
+    puppet.run(60)
+    assert (puppet.bench, bool(puppet.control["homed"])) == (State.READY, True)
+    puppet.offset[1] = 0.03
+    puppet.tick()
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.ARM_JUMP)
+    assert not puppet.control["homed"]
 
 
 @moving_phase
