@@ -182,7 +182,7 @@ class HomingSettings:
 class ModelSettings:
     """The model-based check (`bench.control.model`): limits by phase, above what healthy swings show."""
 
-    check: Literal["off", "simulated", "always"] = "simulated"
+    check: Literal["off", "simulated", "always"] = "off"
     """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver."""
     air: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
@@ -214,7 +214,7 @@ class ModelSettings:
     """The same smoothed over 50 ms, Pa."""
     velocity: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
-            "homing": (1.5, 1.2, 3.0),
+            "homing": (5.0, 5.0, 15.0),
             "hold": (0.8, 0.6, 0.8),
             "backswing": (1.6, 1.2, 5.0),
             "top": (1.5, 1.5, 6.5),
@@ -243,7 +243,7 @@ class ModelSettings:
     """Samples from their prediction, rad."""
     effort: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
-            "homing": (30.0, 1500.0, 20.0),
+            "homing": (1500.0, 1500.0, 300.0),
             "hold": (30.0, 70.0, 15.0),
             "backswing": (25.0, 60.0, 12.0),
             "top": (25.0, 60.0, 12.0),
