@@ -40,6 +40,7 @@ SHIPPED = (
     ("average-male", "steady", 41.57),
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
+    ("tour-female", "steady", 42.92),
 )
 """Name, whose gains, and head speed (m/s) demanded; all level."""
 
