@@ -37,6 +37,7 @@ from sim.plant import PlantParameters, build_plant
 
 SHIPPED = (
     ("driver-85mph", "shipped", 38.0),
+    ("driver-90mph", "shipped", 40.2),
     ("average-male", "steady", 41.57),
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
