@@ -130,10 +130,13 @@ def test_blocks_are_complete_and_the_control_ball_stands_at_start_middle_and_end
     configuration: Configuration,
 ) -> None:
     plan = load_plan(Path("ten-balls"), configuration)
-    (section,) = sections(plan)
+    slow, middle, fast = sections(plan)
+    assert [{arm.swing for arm in section.arms} for section in (slow, middle, fast)] == [
+        {"driver-85mph"}, {"driver-90mph"}, {"default"},
+    ]  # fmt: skip
     orders = set()
     for number in range(1, plan.design.blocks + 1):
-        trials = block_trials(plan, section, number)
+        trials = block_trials(plan, slow, number)
         assert [trial.position for trial in trials] == list(range(1, len(trials) + 1))
         assert [t.position for t in trials if t.role is Role.CONTROL] == [1, 7, 13]
         tests = [t.arm.ball for t in trials if t.role is Role.TEST]
@@ -222,7 +225,7 @@ def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
     assert "order from seed 20261121" in shown.stdout
     result = runner.invoke(app, ["--config", "shipped", "campaign", "check", "ten-balls", "--json"])
     record = json.loads(result.stdout)
-    assert record["shots"] == len(record["sequence"]) == 20 * 13
+    assert record["shots"] == len(record["sequence"]) == 3 * 20 * 13
     assert record == json.loads(
         json.dumps(preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped")))))
     )
