@@ -173,7 +173,7 @@ class Configuration:
         """
         envelope = self.envelope
         if driver.name != "sim" and envelope.model.check == "simulated":
-            envelope = replace(envelope, model=replace(envelope.model, check="off"))
+            envelope = envelope.with_model_check("off")
         return replace(self, driver=driver, envelope=envelope)
 
     def running(self) -> Configuration:
@@ -184,8 +184,7 @@ class Configuration:
         """
         if self.driver.paced or self.envelope.model.check != "simulated":
             return self
-        model = replace(self.envelope.model, check="off")
-        return replace(self, envelope=replace(self.envelope, model=model))
+        return replace(self, envelope=self.envelope.with_model_check("off"))
 
     @property
     def is_machine(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from enum import IntEnum
 
 
@@ -52,3 +54,9 @@ class Refused(BenchError):
     """The input is well formed, but what it asks is not done: it is unsafe or its time is wrong."""
 
     exit_code = ExitCode.REFUSED
+
+
+def did_you_mean(wanted: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the cure for an unknown name: the nearest of the `known` ones, or what to do `otherwise`."""
+    near = get_close_matches(wanted, list(known), n=1)
+    return f"Did you mean {near[0]}?" if near else otherwise

@@ -13,14 +13,13 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from difflib import get_close_matches
 from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from bench.errors import BenchError
+from bench.errors import BenchError, did_you_mean
 from sim.ranges import Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
@@ -241,8 +240,7 @@ class Builder:
         for name in sorted(names):
             entry = node[name]
             key = entry.key if isinstance(entry, Leaf) else name
-            near = get_close_matches(key, writable, n=1)
-            cure = f"Did you mean {near[0]}?" if near else "Delete it, or put it under its own table."
+            cure = did_you_mean(key, writable, "Delete it, or put it under its own table.")
             self._fault(f"{prefix}{name}", "an unknown key", f"one of {', '.join(keys)}", cure)
 
     def _fault(self, path: str, found: str, wanted: str, cure: str = "") -> Any:

@@ -336,12 +336,13 @@ def air(
     from bench.store.air_readings import AirReading, add_reading, newest_reading
     from sim.air import Air
 
-    bench = context.ensure_object(Session).configuration().bench.id
+    configuration = context.ensure_object(Session).configuration()
+    bench = configuration.bench.id
     given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
     if missing := [name for name, value in given.items() if value is None]:
         if len(missing) < len(given):
             raise BenchError("air", f"no {', '.join(missing)}", "all three of them", "Read them, too.")
-    with _store(context.ensure_object(Session).configuration()) as store:
+    with _store(configuration) as store:
         if temperature is not None and pressure is not None and humidity is not None:
             try:
                 read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)

@@ -11,7 +11,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from bench.campaign.plan import Plan, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
 from bench.config import Configuration
-from bench.errors import BenchError
+from bench.errors import BenchError, did_you_mean
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
 from sim.ball import Ball
 from sim.robot import Club
@@ -44,8 +43,7 @@ def find_plan(wanted: Path) -> Path:
         return wanted
     if len(wanted.parts) == 1 and wanted.name in campaign_names():
         return EXAMPLES / f"{wanted.name}.toml"
-    near = get_close_matches(wanted.stem, campaign_names(), n=1)
-    cure = f"Did you mean {near[0]}?" if near else "Correct the path."
+    cure = did_you_mean(wanted.stem, campaign_names(), "Correct the path.")
     known = f"a path, or one of {', '.join(campaign_names())}"
     raise BenchError(f"campaign {wanted}", "no such file", known, cure)
 
@@ -152,8 +150,7 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
     ):
         for name in names:
             if name not in known:
-                near = get_close_matches(name, list(known), n=1)
-                cure = f"Did you mean {near[0]}?" if near else f"Add [{key.split('.')[1]}.{name}]."
+                cure = did_you_mean(name, known, f"Add [{key.split('.')[1]}.{name}].")
                 yield Mistake(key, f"{shown(name)}, unknown", f"one of {', '.join(known)}", cure)
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         if not names or len(set(names)) < len(names):

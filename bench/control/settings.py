@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from math import inf
 from typing import Annotated, Literal
 
@@ -302,6 +302,10 @@ class EnvelopeSettings:
     """Share of the cushions' travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
 
+    def with_model_check(self, check: Literal["off", "simulated", "always"]) -> EnvelopeSettings:
+        """Return these limits with the model-based check as `check` says."""
+        return replace(self, model=replace(self.model, check=check))
+
 
 _FOLLOWED = {
     "homing": Phase.HOMING,
@@ -446,10 +450,10 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
 def _model_record(settings: ModelSettings) -> np.ndarray:
     record = new_record(MODEL_LIMITS)
     record["check"] = settings.check != "off"
-    for kind in ("air", "flow", "velocity", "jump", "effort"):
+    for kind, phases in MODEL_PHASES.items():
         record[kind] = inf
         for name, limits in getattr(settings, kind).items():
-            record[kind][0, MODEL_PHASES[kind][name]] = limits
+            record[kind][0, phases[name]] = limits
     return record
 
 

@@ -564,15 +564,23 @@ def _watch_permission(s: Any, p: Any, time: float) -> None:
 
 
 @compiled
-def _brake_openings(s: Any, p: Any, e: Any) -> None:
-    """Set the openings that brake: air against the motion, eased off as the joint slows down.
+def brake_opening(gain: float, damping: float, fade: float, velocity: float, acceleration: float) -> float:
+    """Return the opening that brakes a joint: air against the motion, eased off as it slows down.
 
     The same law brakes the planned follow-through, with or without a ball, and every stop.
     """
+    # Eased off towards rest, where the air's spring would make a stiff law swing for ever.
+    share = min(abs(velocity) / fade, 1.0)
+    return -share * (gain * velocity + damping * acceleration)
+
+
+@compiled
+def _brake_openings(s: Any, p: Any, e: Any) -> None:
+    """Set the openings that brake."""
     for i in range(3):
-        # Eased off towards rest, where the air's spring would make a stiff law swing for ever.
-        share = min(abs(e.velocity[i]) / p.brake_fade[i], 1.0)
-        s.desired[i] = -share * (p.brake_gain[i] * e.velocity[i] + p.brake_damping[i] * e.acceleration[i])
+        s.desired[i] = brake_opening(
+            p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
+        )
 
 
 @compiled

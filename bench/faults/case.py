@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from math import hypot, pi
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,8 +145,7 @@ class Workbench:
         self.profile, self.configuration = profile, c
         self.envelope = c.envelope
         if model_check is not None:
-            wanted: Literal["always", "off"] = "always" if model_check else "off"
-            self.envelope = replace(c.envelope, model=replace(c.envelope.model, check=wanted))
+            self.envelope = c.envelope.with_model_check("always" if model_check else "off")
         self.plant: Plant = build_plant(c.plant)
         lifecycle = replace(c.lifecycle, warning_time=SIMULATED.warning_time, series=True)
         self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)

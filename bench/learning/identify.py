@@ -152,7 +152,7 @@ def identify(
         residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST),
         diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
     )  # fmt: skip
-    before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, residual(found.x)))
+    before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
     # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.
     samples = 1.0 / weight**2
     left = max(after**2 * samples / max(samples - len(free), 1.0) / _ALIKE, 1.0) / samples

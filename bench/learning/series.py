@@ -59,8 +59,8 @@ class Bench(NamedTuple):
 
         Without the model-based check: what is swung differs from the model by intent.
         """
-        envelope = replace(self.envelope, model=replace(self.envelope.model, check="off"))
-        return build_controller(self.model, self.profile, self.control, envelope, self.estimator)
+        unwatched = self.envelope.with_model_check("off")
+        return build_controller(self.model, self.profile, self.control, unwatched, self.estimator)
 
 
 class Series:

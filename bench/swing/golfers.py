@@ -14,15 +14,20 @@ across its path. Hunt and Wiens (2003, as quoted in the thesis) give 9.6 % witho
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import radians
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError
-from bench.swing.hunt import BACKSWING_DURATION, DOWNSWING_DURATION, right_arm_length, shoulder_turn
+from bench.errors import BenchError, did_you_mean
+from bench.swing.hunt import (
+    BACKSWING_DURATION,
+    DOWNSWING_DURATION,
+    DOWNSWING_TURN,
+    right_arm_length,
+    shoulder_turn,
+)
 from bench.swing.profile import Profile
 from sim.compiled import compiled
 from sim.kane import kane_terms
@@ -90,8 +95,7 @@ def find_golfer(name: str) -> Golfer:
     """
     if name in GOLFERS:
         return GOLFERS[name]
-    near = get_close_matches(name, GOLFERS, n=1)
-    cure = f"Did you mean {near[0]}?" if near else "`golfbench swing golfers` shows them."
+    cure = did_you_mean(name, GOLFERS, "`golfbench swing golfers` shows them.")
     raise BenchError(f"golfer {name}", "no such golfer", f"one of {', '.join(GOLFERS)}", cure)
 
 
@@ -168,10 +172,10 @@ def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> Huma
     past = np.maximum(time * scale - DOWNSWING_DURATION, 0.0)
     extension = _ADDRESS[1] + amplitude * (right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS)
     angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
-    angle[:, 0] = _ADDRESS[0] - amplitude * (shoulder_turn(own) - 11.8028 * past)
+    angle[:, 0] = _ADDRESS[0] - amplitude * (shoulder_turn(own) - DOWNSWING_TURN * past)
     # The linkage ends before the longest amplitude does.
     angle[:, 1] = theta2_from_right_arm(robot, np.clip(robot.l56 + extension, 0.25, 0.85))
-    speed[:, 0] = amplitude * 11.8028 * scale
+    speed[:, 0] = amplitude * DOWNSWING_TURN * scale
     speed[:, 1] = np.gradient(angle[:, 1], _STEP)
     angle[0, 2] = max(2 * np.pi - amplitude * _COCK_AT_TOP, _WRIST[0])
     free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)

@@ -24,6 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 BACKSWING_DURATION = 0.686
 DOWNSWING_DURATION = 0.1667
 SWING_DURATION = BACKSWING_DURATION + DOWNSWING_DURATION
+DOWNSWING_TURN = 11.8028
+"""Speed of the shoulder in the downswing, rad/s."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def shoulder_turn(t: ArrayLike) -> NDArray[np.float64]:
     t = _inside(t)
     back = np.minimum(t, BACKSWING_DURATION)
     down = np.maximum(t - BACKSWING_DURATION, 0.0)
-    return np.asarray(2.639 * back - 11.8028 * down)
+    return np.asarray(2.639 * back - DOWNSWING_TURN * down)
 
 
 def right_arm_length(t: ArrayLike) -> NDArray[np.float64]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from pathlib import Path
 
-from bench.errors import BenchError
+from bench.errors import BenchError, did_you_mean
 
 PROFILES = Path(__file__).with_name("profiles")
 THESIS = "thesis"
@@ -33,6 +32,7 @@ def find_profile(name_or_path: str | Path) -> Path:
     if str(wanted) == THESIS:
         cure = f"It is an experiment, not a profile: golfbench swing simulate {THESIS}"
         raise BenchError(f"profile {THESIS}", "no profile", known, cure)
-    near = get_close_matches(wanted.name.removesuffix(".toml"), names, n=1)
-    cure = f"Did you mean {near[0]}?" if near else "`golfbench swing list` shows the known ones."
+    cure = did_you_mean(
+        wanted.name.removesuffix(".toml"), names, "`golfbench swing list` shows the known ones."
+    )
     raise BenchError(f"profile {wanted}", "no such profile or file", known, cure)

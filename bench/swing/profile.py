@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError
+from bench.errors import BenchError, did_you_mean
 from bench.from_toml import GREATEST, read_toml, shown
 from bench.lifecycle import Phase
 
@@ -120,8 +119,7 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
     known = set(_SCALARS) | set(_TABLES) | set(_GROUPS)
     cure = "Mend the profile or design it anew with `golfbench swing design`."
     for key in sorted(set(raw) - known):
-        near = get_close_matches(key, known, n=1)
-        mend = f"Did you mean {near[0]}?" if near else cure
+        mend = did_you_mean(key, known, cure)
         raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", mend)
     for key in sorted(known - set(raw)):
         raise BenchError(f"{path}: {key}", "nothing", "this key", cure)

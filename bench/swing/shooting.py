@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, PidSettings
+from bench.control.step import brake_opening
 from drivers.base import PASSIVE, pack_command
 from sim.compiled import compiled, new_record
 from sim.impact import in_plane_error
@@ -125,9 +126,8 @@ def brake(
             if k < len(valve):
                 command[0].valve[i] = valve[k, i]
             else:
-                share = min(abs(s.speed[i]) / b.fade[i], 1.0)
                 rate = (s.speed[i] - before[i]) / period
-                opening = -share * (b.gain[i] * s.speed[i] + b.damping[i] * rate)
+                opening = brake_opening(b.gain[i], b.damping[i], b.fade[i], s.speed[i], rate)
                 command[0].valve[i] = min(max(opening, -1.0), 1.0)
             before[i] = s.speed[i]
         advance(robot, plant, impact, state, command)
@@ -189,17 +189,20 @@ class Shooter:
         hit = states[last : last + 1].copy()
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
+        head, error = self._at_ball(hit, states, last)
+        return Arrival(last, contact < len(valve), head, error)
+
+    def _at_ball(self, hit: NDArray[Any], states: NDArray[Any], last: int) -> tuple[Array, float]:
+        """Return the head where it strikes the ball of `hit`, else passes it, and the error there."""
         struck = bool(hit["struck"][0])
         head = (
             np.array(hit["impact_head"][0])
             if struck
             else _passing(states[last], states[last + 1], self.plant)
         )
-        return Arrival(last, contact < len(valve), head, self._error(head))
-
-    def _error(self, head: Any) -> float:
         site = self.plant.parameters.site
-        return float(in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact))
+        error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact)
+        return head, float(error)
 
     def shoot(self, valve: Array) -> Trial:
         """Play openings `valve` (n, 3), one row a tick, and all that may follow."""
@@ -222,13 +225,12 @@ class Shooter:
             hold_command(*records, left, self.passive.copy(), quiet)
             silent[row] = left["stop_energy"][0]
 
-        struck = bool(hit["struck"][0])
-        head = hit["impact_head"][0] if struck else _passing(states[last], states[last + 1], self.plant)
+        head, error = self._at_ball(hit, states, last)
         return Trial(
             contact,
-            struck,
-            np.array(head),
-            self._error(head),
+            bool(hit["struck"][0]),
+            head,
+            error,
             np.array(states["angle"][: last + 1]),
             np.array(states["speed"][: last + 1]),
             float(min(hit["lowest_clearance"][0], missed["lowest_clearance"][0])),
