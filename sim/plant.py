@@ -148,6 +148,8 @@ class PlantParameters:
     wrist_lever: Length = 0.06
     supply: Supply = field(default_factory=Supply)
     encoders: Encoders = field(default_factory=Encoders)
+    pressure_sensors: bool = True
+    """Whether the chambers have sensors; the supply always has one."""
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
@@ -204,6 +206,7 @@ PLANT_PARAMETERS = np.dtype(
         ("latency", "f8"),
         ("jitter", "f8"),
         ("noise", "f8"),
+        ("pressure_sensors", "?"),
         ("flexible", "?"),
         ("head_mass", "f8"),
         ("head_stiffness", "f8"),
@@ -354,6 +357,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
         "latency": encoders.latency,
         "jitter": encoders.jitter,
         "noise": encoders.noise,
+        "pressure_sensors": parameters.pressure_sensors,
         "flexible": shaft.flexible,
         "head_mass": club.head_mass,
         "head_stiffness": club.head_mass * omega**2,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import cos, floor, log, pi, sqrt
 from typing import Any
 
+from drivers.base import ABSENT
 from sim.compiled import compiled
 from sim.random_stream import uniform
 
@@ -51,4 +52,4 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
     out.local_reset = s.local_reset
     out.ball_present = s.ball_present
     for i in range(6):
-        out.chamber_pressure[i] = s.pressure[i]
+        out.chamber_pressure[i] = s.pressure[i] if p.pressure_sensors else ABSENT

@@ -17,12 +17,12 @@ A pressure that is ABSENT, or the supply's, leaves out what would need it. All p
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos
 from typing import Any
 
 import numpy as np
 
-from bench.control.envelope import joint_coordinates
+from bench.control.air import actuator_motion
 from bench.lifecycle import Cause, Phase
 from sim.compiled import compiled
 from sim.kane import kane_terms
@@ -102,7 +102,7 @@ def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, appli
             offset, rate = m.spool[i] - wanted, m.spool_speed[i]
             m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
             m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
-        position, speed = _actuator_motion(robot, p, e, i)
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
         if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
@@ -133,15 +133,6 @@ def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, appli
 
 
 @compiled
-def _actuator_motion(robot: Any, p: Any, e: Any, i: int) -> tuple[float, float]:
-    """Return position and speed of actuator `i` in its own coordinate (rad, rod m, wrist's stroke m)."""
-    if i == 2:
-        lever = p.wrist_lever * cos(e.angle[2])
-        return p.wrist_lever * sin(e.angle[2]), lever * e.velocity[2]
-    return joint_coordinates(robot, e.angle, e.velocity, i)
-
-
-@compiled
 def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
     """Smooth the residual of Kane's equations (N m a joint) on; zero for a joint that presses its cushion."""
     u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
@@ -154,7 +145,7 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
         m13 * a1 + m23 * a2 + m33 * a3 + h3,
     )  # fmt: skip
     for i in range(3):
-        position, speed = _actuator_motion(robot, p, e, i)
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
         force = (m.air[6 + 2 * i] - p.atmosphere) * p.area_a[i] - (
             m.air[7 + 2 * i] - p.atmosphere

@@ -9,9 +9,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from bench.control.demand import demand_for
 from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
+from bench.control.feed_forward import CODES, FeedForward, kane_gains
 from bench.control.model import MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
@@ -72,8 +74,10 @@ class ControlSettings:
     """What is added to the PIDs, the BRAKE law and the times of moves and stops."""
 
     pid: PidSettings = field(default_factory=PidSettings)
-    feed_forward: bool = True
-    """Use the profile's openings beside the PIDs."""
+    feed_forward: FeedForward = "planned"
+    """What opens the valves beside the PIDs in a swing, see `bench.control.feed_forward`."""
+    force_gain: NotNegativeTriple = (10.0, 10.0, 10.0)
+    """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
     downswing_damping: Share = 1.0
@@ -351,8 +355,10 @@ def build_controller(
     control, envelope = control or ControlSettings(), envelope or EnvelopeSettings()
     estimator = estimator or EstimatorSettings()
     robot, counts = plant.robot, plant.encoders.counts_per_revolution
+    machine = build_plant(plant).plant
+    demand = demand_for(control.feed_forward, plant, profile)
     return ControlParameters(
-        control=_control_record(control, lifecycle, homing or HomingSettings(), plant, read_only),
+        control=_control_record(control, lifecycle, homing or HomingSettings(), plant, machine, read_only),
         encoder=design_encoders(
             counts_per_revolution=(counts,) * 3,
             zero_count=plant.encoders.zero_count,
@@ -378,13 +384,15 @@ def build_controller(
         envelope=_envelope_record(envelope, plant, profile),
         model=_model_record(envelope.model),
         robot=robot.record,
-        plant=build_plant(plant).plant,
+        plant=machine,
         profile=_profile_record(profile),
         angle=profile.angle,
         velocity=profile.velocity,
         valve=profile.valve,
         phase=profile.phases,
         blind_brake=profile.blind_brake,
+        force=demand.force,
+        force_rate=demand.rate,
     )
 
 
@@ -403,13 +411,17 @@ def _control_record(
     lifecycle: LifecycleSettings,
     homing: HomingSettings,
     plant: PlantParameters,
+    machine: np.ndarray,
     read_only: bool,
 ) -> np.ndarray:
     record = new_record(CONTROL_PARAMETERS)
+    if control.feed_forward == "kane":
+        record["rate_opening"], record["speed_opening"] = kane_gains(machine)
     for settings in (control, lifecycle):
         for setting in fields(settings):
             if setting.name in (CONTROL_PARAMETERS.names or ()):
-                record[setting.name] = getattr(settings, setting.name)
+                value = getattr(settings, setting.name)
+                record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     for name in ("tolerance", "time", "direction", "travel", "speed", "opening", "longest"):
         record[f"home_{name}"] = getattr(homing, name)

@@ -14,9 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.control.air import AIR_STATE, actuator_motion, observe_air
 from bench.control.encoder import ENCODER_STATE, decode_encoders
 from bench.control.envelope import interlock_cause, limit, motion_cause, readings_cause
 from bench.control.estimator import ESTIMATOR_STATE, estimate
+from bench.control.feed_forward import KANE, NONE, PNEUMATIC, pneumatic_opening
 from bench.control.homing import begin_search, bounded, search, search_cause
 from bench.control.model import MODEL_STATE, model_cause, observe
 from bench.control.pid import PID_STATE, control, reset_integral
@@ -55,7 +57,10 @@ CONTROL_PARAMETERS = np.dtype(
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
         ("brake_fade", "f8", (3,)),
-        ("feed_forward", "?"),
+        ("feed_forward", "u1"),
+        ("force_gain", "f8", (3,)),
+        ("rate_opening", "f8", (3,)),
+        ("speed_opening", "f8", (3,)),
         ("still_speed", "f8", (3,)),
         ("still_time", "f8"),
         ("brake_time", "f8"),
@@ -98,7 +103,8 @@ CONTROL_PARAMETERS = np.dtype(
 """Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's
 spring has hardly any damping of its own, and position and velocity feedback cannot add it.
 `downswing_damping` is the share of it left in the downswing, `dither` swings the spools around what is wanted
-of them up to the top. `move_gain` is the
+of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
+`rate_opening` and `speed_opening` are its `kane_gains`. `move_gain` is the
 opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 CONTROL_STATE = np.dtype(
@@ -224,6 +230,8 @@ class ControlState(NamedTuple):
     pid: Any
     model: Any
     """Of the model-based check."""
+    air: Any
+    """Of the chamber-pressure observer; moved on only where the feed-forward takes it."""
 
 
 class ControlParameters(NamedTuple):
@@ -245,6 +253,10 @@ class ControlParameters(NamedTuple):
     valve: Any
     phase: Any
     """(n,) Phase of each sample."""
+    force: Any
+    """(n, 3) demanded of the actuators, N, shoulder N m; zeros where the feed-forward does not take it."""
+    force_rate: Any
+    """(n, 3) N/s, N m/s"""
     blind_brake: Any
     """(m, 6) openings and durations (s)."""
 
@@ -260,6 +272,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
         new_record(ESTIMATOR_STATE),
         new_record(PID_STATE),
         new_record(MODEL_STATE),
+        new_record(AIR_STATE),
     )
     control, begun = made.control, state != State.STARTING
     control["state"], control["first_cause"] = state, Cause.POWER_UP
@@ -676,8 +689,10 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
     if s.phase == _FOLLOW:
         _brake_openings(s, p, e)
         return
+    if s.swinging and p.feed_forward >= KANE:
+        _feed_model_forward(state, parameters, time)
     for i in range(3):
-        if not p.feed_forward:
+        if p.feed_forward == NONE:
             s.feed_forward[i] = 0.0
         # The impact's jump is no motion to be damped.
         if s.phase != _IMPACT:
@@ -696,6 +711,26 @@ def _follow(state: Any, parameters: Any, time: float, measured_step: float) -> N
         side = _side((time - s.swing_start) / p.dither_period)
     for i in range(3):
         s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]
+
+
+@compiled
+def _feed_model_forward(state: Any, parameters: Any, time: float) -> None:
+    """Set the feed-forward of the swing at `time` from the demanded forces, not the planned openings."""
+    s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
+    machine, force, rate = parameters.plant[0], parameters.force, parameters.force_rate
+    k = min(s.swing_sample, profile.samples - 2)
+    part = min(max((time - s.swing_start) / profile.period - k, 0.0), 1.0)
+    for i in range(3):
+        changing = rate[k, i] + part * (rate[k + 1, i] - rate[k, i])
+        if p.feed_forward == PNEUMATIC:
+            wanted = force[k, i] + part * (force[k + 1, i] - force[k, i])
+            s.feed_forward[i] = pneumatic_opening(
+                machine, parameters.robot, i, state.air[0], s.reference, s.reference_velocity, wanted,
+                changing, p.force_gain[i],
+            )  # fmt: skip
+        else:
+            _, speed = actuator_motion(parameters.robot, machine, s.reference, s.reference_velocity, i)
+            s.feed_forward[i] = p.rate_opening[i] * changing + p.speed_opening[i] * speed
 
 
 @compiled
@@ -740,6 +775,11 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
         observe(
             state.model[0], parameters.robot, parameters.plant, state.estimator, readings, s.applied,
             s.measured_step,
+        )  # fmt: skip
+    if parameters.control[0].feed_forward == PNEUMATIC:
+        observe_air(
+            state.air[0], parameters.robot, parameters.plant, state.estimator, readings, s.applied,
+            s.measured_step, s.phase != _IMPACT,
         )  # fmt: skip
     s.lost = readings_cause(parameters.envelope, state.estimator)
     for i in range(3):
@@ -861,7 +901,8 @@ def limit_tick(
                 s.desired[i] = bounded(p, s.desired[i])
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
-    c.supply_enable = c.exhaust_closed = state.model[0].exhaust_closed = powered
+    c.supply_enable = c.exhaust_closed = powered
+    state.model[0].exhaust_closed = state.air[0].exhaust_closed = powered
     c.beacon = s.phase != _STANDING and s.reaction != _PASSIVE and not p.read_only
     c.guard_lock = s.state != _IN_ACCESS or s.securing
     s.tee = s.tee and powered  # after a stop no ball rises by itself

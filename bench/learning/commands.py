@@ -64,6 +64,7 @@ def learn(
     from bench.progress import progress_bar
     from bench.store.database import database_url, open_database
     from bench.swing.library import find_profile
+    from bench.swing.planned_openings import require_planned_openings
     from bench.swing.profile import load_profile, save_profile
     from bench.swing.validate import require_possible
 
@@ -73,6 +74,7 @@ def learn(
             "Learn with --sim on an identified plant, then run the profile of --output on the bench.",
         )  # fmt: skip
     configuration = context.ensure_object(Session).configuration()
+    require_planned_openings(configuration.control)
     path = find_profile(profile)
     swing, plant = load_profile(path), configuration.plant
     require_possible(swing, plant, configuration.envelope, str(path))

@@ -53,8 +53,11 @@ def compare(
     """
     whole = bench.control
     controllers: tuple[tuple[str, ControlSettings], ...] = (
-        ("PID alone", replace(whole, feed_forward=False, damping=_NONE, dither=_NONE)),
-        ("PID, acceleration damped", replace(whole, feed_forward=False, downswing_damping=1.0, dither=_NONE)),
+        ("PID alone", replace(whole, feed_forward="none", damping=_NONE, dither=_NONE)),
+        (
+            "PID, acceleration damped",
+            replace(whole, feed_forward="none", downswing_damping=1.0, dither=_NONE),
+        ),
         ("PID, planned openings, dither", whole),
     )
     rows = []

@@ -267,9 +267,11 @@ def design(
     from bench.swing.golfers import find_golfer, human_downswing
     from bench.swing.golfers_table import golfer_row, golfers_table
     from bench.swing.library import find_profile
+    from bench.swing.planned_openings import require_planned_openings
     from bench.swing.profile import load_profile, save_profile
 
     configuration = context.ensure_object(Session).configuration()
+    require_planned_openings(configuration.control)
     plant = configuration.plant_with(club=club)
     whose = None if golfer is None else find_golfer(golfer)
     begin = None if start == "nothing" else load_profile(find_profile(start or configuration.swing.profile))

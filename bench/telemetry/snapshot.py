@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.air import AIR_STATE
 from bench.control.encoder import ENCODER_STATE
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import MODEL_STATE
@@ -31,12 +32,13 @@ SNAPSHOT = np.dtype(
         ("estimator", ESTIMATOR_STATE),
         ("pid", PID_STATE),
         ("model", MODEL_STATE),
+        ("air", AIR_STATE),
     ],
     align=True,
 )
 """A ControlState after the step of `tick` at `time` (s, the loop's)."""
 
-_KEPT = ("control", "encoder", "estimator", "pid", "model")
+_KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
 
 
 def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:

@@ -20,7 +20,15 @@ from rich.table import Table
 
 from tests.benchmarks.row import Row
 
-BENCHMARKS = ("model_calls", "dynamics_speed", "equal_error", "lockstep", "shared_memory", "canopen_driver")
+BENCHMARKS = (
+    "model_calls",
+    "dynamics_speed",
+    "equal_error",
+    "lockstep",
+    "shared_memory",
+    "canopen_driver",
+    "feed_forward",
+)
 LONG = (
     "loop_timing",
     "command_fuzz",

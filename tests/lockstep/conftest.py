@@ -11,7 +11,7 @@ import pytest
 
 import bench.swing
 from bench.clock import FreeClock
-from bench.control.settings import build_controller
+from bench.control.settings import ControlSettings, build_controller
 from bench.lockstep import Lockstep
 from bench.loop import Cycle, Loop
 from bench.swing.profile import Profile, load_profile
@@ -58,14 +58,14 @@ def default_profile() -> Profile:
 
 
 @pytest.fixture(scope="session")
-def make_pair() -> Callable[[PlantParameters, Profile], Pair]:
+def make_pair() -> Callable[..., Pair]:
     """Return a function that makes the pair of vented benches, hanging, drivers open."""
 
-    def make(parameters: PlantParameters, profile: Profile) -> Pair:
+    def make(parameters: PlantParameters, profile: Profile, control: ControlSettings | None = None) -> Pair:
         start = hanging_pose(parameters)
         driver = SimDriver(parameters, start)
         driver.open()
-        controllers = [build_controller(parameters, profile) for _ in range(2)]
+        controllers = [build_controller(parameters, profile, control) for _ in range(2)]
         cycle = Cycle(driver, controllers[0], lambda _: None, name="sim", note_truth=driver.note_truth)
         compiled = Lockstep(build_plant(parameters), controllers[1], start)
         return Pair(compiled, Loop(cycle, FreeClock(parameters.tick)), driver)

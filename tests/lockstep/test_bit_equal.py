@@ -12,6 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.control.feed_forward import FeedForward
+from bench.control.settings import ControlSettings
 from bench.control.step import ARM, DISARM, RESET, STOP, SWING
 from bench.lifecycle import Cause, Phase, Reaction
 from bench.swing.profile import Profile
@@ -20,7 +22,7 @@ from sim.plant import Encoders, PlantParameters
 if TYPE_CHECKING:
     from tests.lockstep.conftest import Pair
 
-    MakePair = Callable[[PlantParameters, Profile], Pair]
+    MakePair = Callable[..., Pair]
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
@@ -73,6 +75,18 @@ def test_arming_a_whole_swing_and_disarming(
     pair.tee(False)
     pair.advance(1, DISARM)
     assert not pair.advance(500)["supply_enable"].any()
+
+
+@compiled_only
+@pytest.mark.parametrize("feed_forward", ["kane", "kane+pneumatic"])
+def test_feed_forward_by_the_model(
+    make_pair: MakePair, default_profile: Profile, feed_forward: FeedForward
+) -> None:
+    plant = PlantParameters(encoders=NOISY, pressure_sensors=False)
+    pair = make_pair(plant, default_profile, ControlSettings(feed_forward=feed_forward))
+    armed(pair)
+    swung(pair, default_profile.impact_time + 0.05)
+    finished(pair)
 
 
 @compiled_only

@@ -1,0 +1,153 @@
+"""The chambers' pressures, observed: a bench without pressure sensors has to know them to invert its valves.
+
+The openings that were applied, the motion that was estimated and the supply's pressure move the plant's own
+chamber model on. What would drift is corrected: by the chamber's sensor where one is fitted, otherwise by
+Kane's equations, for the force that the motion needs is the force that the air gives. A joint that rests or
+lies in its cushion tells nothing, as friction or cushion may carry any part of its load.
+
+All pure, time is an argument.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from bench.control.envelope import joint_coordinates
+from sim.compiled import compiled
+from sim.kane import kane_terms
+from sim.motion import chambers
+
+AIR_STATE = np.dtype(
+    [
+        ("started", "?"),
+        ("exhaust_closed", "?"),
+        ("vent_timer", "f8"),
+        ("spool", "f8", (3,)),
+        ("spool_speed", "f8", (3,)),
+        ("pressure", "f8", (13,)),
+        ("rate", "f8", (13,)),
+        ("shown", "f8", (6,)),
+        ("since", "f8", (6,)),
+        ("given", "f8", (3,)),
+    ],
+    align=True,
+)
+"""Spools; pressures and rates as `sim.motion.chambers` takes them (chambers from 6 on, then the supply, Pa);
+what each sensor showed last and for how long (s); the force of each actuator as late as the estimated
+acceleration is (N, shoulder N m)."""
+
+SENSOR_MEMORY = 0.010
+"""s in which the observer takes over what a sensor shows."""
+MOTION_MEMORY = 0.100
+"""s in which it takes over the force that the motion needs: long against the noise of an estimated
+acceleration, short against a swing."""
+_LAG = 0.003
+"""s that the estimated acceleration is late."""
+_MOVING = 0.3
+"""rad/s from which on friction is that of sliding."""
+_CLOSE = 1e-4
+_LONGEST = 0.02
+"""s that are made up for at most after a stall."""
+
+
+@compiled
+def actuator_motion(robot: Any, p: Any, angle: Any, velocity: Any, i: int) -> tuple[float, float]:
+    """Return position and speed of actuator `i` in its own coordinate (rad, rod m, wrist's stroke m)."""
+    if i == 2:
+        return p.wrist_lever * sin(angle[2]), p.wrist_lever * cos(angle[2]) * velocity[2]
+    return joint_coordinates(robot, angle, velocity, i)
+
+
+@compiled
+def actuator_force(p: Any, pressure: Any, i: int) -> float:
+    """Return the force of actuator `i` (N, shoulder N m) from `pressure` (13,) as in AIR_STATE."""
+    in_a, in_b = pressure[6 + 2 * i] - p.atmosphere, pressure[7 + 2 * i] - p.atmosphere
+    force: float = in_a * p.area_a[i] - in_b * p.area_b[i]
+    return force
+
+
+@compiled
+def observe_air(
+    a: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, step: float, free: bool
+) -> None:
+    """Move the observer `a` on by `step` s under the openings `applied` since the last tick.
+
+    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `free` tells that
+    nothing but air, friction and weight acts on the joints.
+    """
+    p, e, r = plant[0], estimator[0], readings[0]
+    if not a.started:
+        for k in range(6):
+            a.pressure[6 + k] = p.atmosphere
+            a.shown[k] = np.nan
+        a.started = True
+    if not (step > 0.0 and np.isfinite(e.angle.sum() + e.velocity.sum())):
+        return
+    a.vent_timer = 0.0 if a.exhaust_closed else a.vent_timer + step
+    vent = p.vent_conductance if a.vent_timer > p.vent_delay else 0.0
+    supply = r.supply_pressure
+    if not np.isfinite(supply):
+        supply = p.regulated if a.exhaust_closed else p.atmosphere
+    a.pressure[12] = supply
+    part = p.tick / p.substeps
+    count = int(min(step, _LONGEST) / part + 0.5)
+    for i in range(3):
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
+        wanted = applied[i] - p.centre[i]
+        x, y = 6 + 2 * i, 7 + 2 * i
+        for n in range(count):
+            for _ in range(2):  # exact for a command held over the tick
+                offset, rate = a.spool[i] - wanted, a.spool_speed[i]
+                a.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+                a.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+            back = position - (count - n - 0.5) * part * speed
+            chambers(p, i, a.pressure, a.rate, a.spool[i], back, speed, vent)
+            a.pressure[x] = max(a.pressure[x] + part * a.rate[x], 0.1 * p.atmosphere)
+            a.pressure[y] = max(a.pressure[y] + part * a.rate[y], 0.1 * p.atmosphere)
+    _take_sensors(a, r, step)
+    _take_motion(a, robot, p, e, r, step, free)
+
+
+@compiled
+def _take_sensors(a: Any, r: Any, step: float) -> None:
+    """Draw chambers to what their sensors show; one that is read less often tells something when it is."""
+    for k in range(6):
+        a.since[k] += step
+        pressure = r.chamber_pressure[k]
+        if np.isfinite(pressure) and pressure != a.shown[k]:
+            a.pressure[6 + k] += a.since[k] / (a.since[k] + SENSOR_MEMORY) * (pressure - a.pressure[6 + k])
+            a.shown[k], a.since[k] = pressure, 0.0
+
+
+@compiled
+def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: bool) -> None:
+    """Draw chambers without a sensor to the force that the estimated motion needs."""
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
+        robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
+    )
+    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
+    needed = (
+        m11 * a1 + m12 * a2 + m13 * a3 + h1, m12 * a1 + m22 * a2 + m23 * a3 + h2,
+        m13 * a1 + m23 * a2 + m33 * a3 + h3,
+    )  # fmt: skip
+    for i in range(3):
+        x, y = 6 + 2 * i, 7 + 2 * i
+        a.given[i] += step / (step + _LAG) * (actuator_force(p, a.pressure, i) - a.given[i])
+        if np.isfinite(r.chamber_pressure[x - 6]) and np.isfinite(r.chamber_pressure[y - 6]):
+            continue
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
+        stop = position if i != 2 else e.angle[2]
+        inside = p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE
+        if not (free and inside and abs(e.velocity[i]) > _MOVING):
+            continue
+        to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
+        friction = p.viscous[i] * speed + (p.coulomb[i] if speed > 0.0 else -p.coulomb[i])
+        missing = needed[i] / to_joint + friction - a.given[i]
+        if np.isfinite(missing):
+            shift = 0.5 * min(step / MOTION_MEMORY, 1.0) * missing
+            a.given[i] += 2.0 * shift
+            a.pressure[x] = max(a.pressure[x] + shift / p.area_a[i], 0.1 * p.atmosphere)
+            a.pressure[y] = max(a.pressure[y] - shift / p.area_b[i], 0.1 * p.atmosphere)
