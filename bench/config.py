@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import entry_points
 from ipaddress import ip_address
-from math import asin, hypot, isnan, pi
+from math import asin, ceil, hypot, isnan, pi
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -49,6 +49,10 @@ LONGEST_SUBSTEP = 0.00025
 
 LONGEST_ANSWER = 0.7
 """Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
+
+COST_OF_A_SYNC = 2.2
+"""Ticks without a sample when a SYNC is lost: its own, the next, whose sample might be the answer to it, and
+what a tick may be late."""
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Of somebody in a certificate."""
@@ -521,6 +525,10 @@ def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if value <= c.plant.tick:
             found, wanted = f"{short(value)} s", f"more than one tick, {short(c.plant.tick)} s"
             yield f"envelope.{name}", found, wanted, "Raise it, or loop.rate."
+    lost, gap = c.envelope.lost_time, c.envelope.greatest_gap
+    if lost > gap:
+        wanted = f"at most envelope.greatest_gap, {short(gap)} s"
+        yield "envelope.lost_time", f"{short(lost)} s", wanted, "Lower it."
 
 
 def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -567,6 +575,13 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"at most {GREATEST_LOAD:.0%}",
             f"Raise it, or set loop.rate to {slower} Hz.",
         )
+    lost = c.envelope.lost_time
+    if lost < COST_OF_A_SYNC * period:
+        found = f"{short(lost)} s at {short(c.loop.rate)} Hz"
+        least, faster = short(COST_OF_A_SYNC * period), ceil(COST_OF_A_SYNC / lost)
+        wanted = f"at least {COST_OF_A_SYNC:g} ticks, {least} s: a lost SYNC costs two samples"
+        cure = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
+        yield "envelope.lost_time", found, wanted, cure
     longest = LONGEST_ANSWER * period
     if bus.answer_time > longest:
         found = f"{short(bus.answer_time)} s"

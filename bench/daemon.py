@@ -27,7 +27,7 @@ from bench.launch.shot_join import ShotJoin
 from bench.launch.shot_message import SHOT_VERSION
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
 from bench.network.command_plane import CommandPlane
-from bench.network.desk import LaunchMonitorStatus, LoopStatus, Reply, Status
+from bench.network.desk import DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply, Status
 from bench.network.zenoh_session import open_daemon
 from bench.processes.child import Child
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
@@ -105,6 +105,7 @@ class Daemon:
         self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
         self._statistics: LoopStatus = NO_STATISTICS
+        self._device = DeviceStatus(trouble="", counters={})
         self._swings = 0
         self._ending = False
         self._started = time.monotonic()
@@ -142,6 +143,7 @@ class Daemon:
             club=self.configuration.swing.club,
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
+            device=self._device,
             loop=self._statistics,
             real_time=self._real_time,
             last_stop=self._marker.last_stop,
@@ -354,6 +356,8 @@ class Daemon:
             if event["event"] == "exception":
                 _log.error("the loop: %s", event.get("text"))
                 self._publish("exception", {"text": str(event.get("text"))})
+            elif event["event"] == "device":
+                self._device = DeviceStatus(trouble=event["trouble"], counters=event["counters"])
         if self._ending:
             return  # unlocking its memory it stands still for longer than it may otherwise
         if not loop.alive:

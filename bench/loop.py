@@ -95,7 +95,7 @@ class Cycle:
         try:
             marks[0] = now()
             trusted = self._read(time)
-            before = 0 if trusted else int(state.control["cause"][0])
+            before = int(state.control["cause"][0])
             marks[1] = now()
             estimate_tick(state, parameters, readings, time)
             marks[2] = now()
@@ -104,8 +104,8 @@ class Cycle:
             limit_tick(state, parameters, readings, self._command, self.record)
             marks[4] = now()
             decided = True
-            if not trusted and before == 0:
-                self._blame_exception()
+            if not trusted:
+                self._blame_exception(before)
             wanted = unpack_command(self._command)
             applied = self.driver.write(wanted)
             if applied != wanted:
@@ -140,11 +140,12 @@ class Cycle:
         self.state.estimator["without_sample"] = np.inf
         return False
 
-    def _blame_exception(self) -> None:
-        """Name the exception, not the encoder, as the cause of a stop that began in this tick."""
+    def _blame_exception(self, before: int) -> None:
+        """Name the cause `before` this tick, else the exception: not what failed readings seem to say."""
         control = self.state.control
-        if control["cause"][0] != 0:
-            control["cause"] = control["latest_cause"] = self.record["trip"] = Cause.EXCEPTION
+        if control["cause"][0] != before:
+            control["cause"] = self.record["trip"] = before or Cause.EXCEPTION
+            control["latest_cause"] = Cause.EXCEPTION
 
     def _give_up(self, decided: bool, time: float) -> None:
         """Make the driver passive, latch the exception, and publish the tick if it was decided."""

@@ -115,6 +115,15 @@ class LaunchMonitorStatus(TypedDict):
     """None: shots are not passed on."""
 
 
+class DeviceStatus(TypedDict):
+    """The robot's side of the driver."""
+
+    trouble: str
+    """Why it obeys no command; empty while it does."""
+    counters: dict[str, int]
+    """What its driver has counted since its start, of frames and of what went wrong; empty: nothing."""
+
+
 class Status(TypedDict):
     """A snapshot of the bench, JSON-able: no NaN, None where a value is not there."""
 
@@ -153,6 +162,7 @@ class Status(TypedDict):
     launch_monitor: LaunchMonitorStatus | None
     """None: the bench has none."""
     processes: dict[str, ProcessStatus]
+    device: DeviceStatus
     loop: LoopStatus
     real_time: dict[str, Any]
     """What was asked of the machine and what it granted."""

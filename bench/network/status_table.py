@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.network.client import BenchClient
-from bench.network.desk import LaunchMonitorStatus, Status
+from bench.network.desk import DeviceStatus, LaunchMonitorStatus, Status
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
@@ -109,6 +109,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
             f"woken p50 {_microseconds(loop['wake_p50_s'])}, p99 {_microseconds(loop['wake_p99_s'])}; "
             f"tick p99 {_microseconds(loop['tick_p99_s'])}",
         ),
+        ("device", _device(status["device"])),
         ("real time", _real_time(status["real_time"])),
         ("processes", _processes(status)),
         ("launch monitor", _launch_monitor(status["launch_monitor"])),
@@ -138,6 +139,14 @@ def _processes(status: Status) -> Text:
     told = Text(", ").join(words)
     if not status["support_ready"]:
         told.append("\nnothing is armed without recorder and publisher", "yellow")
+    return told
+
+
+def _device(device: DeviceStatus) -> Text:
+    """Return what ails it, and what was counted at all."""
+    told = Text(device["trouble"], "red") if device["trouble"] else Text("no trouble told")
+    if counted := {name: count for name, count in device["counters"].items() if count}:
+        told.append(f"\n{_pairs(counted)}", "default")
     return told
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
+from bench.processes.child_process import FOR_PARENT
 
 _READ = 65536
 
@@ -41,17 +42,22 @@ class Child:
         """Start `python -m module` with `plan` pickled on its stdin; never waits for it.
 
         The plan lies in memory: into a pipe a large one would go only as the child, still importing, reads.
+        Signals that are not meant for the child are blocked in it from its first instruction on.
         """
         # What this process can import, its child can; more BLAS threads only disturb.
         path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))
             stdin.seek(0)
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", module],
-                bufsize=0, stdin=stdin, stdout=subprocess.PIPE, pass_fds=pass_fds,
-                env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
-            )  # fmt: skip
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, FOR_PARENT)
+            try:
+                process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", module],
+                    bufsize=0, stdin=stdin, stdout=subprocess.PIPE, pass_fds=pass_fds,
+                    env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
+                )  # fmt: skip
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return cls(name, process)
 
     @property

@@ -22,6 +22,10 @@ from bench.errors import BenchError, ExitCode
 from drivers.base import DriverError
 from sim.shared_record import SharedMemoryError, SharedRecord
 
+FOR_PARENT = (signal.SIGINT, signal.SIGABRT)
+"""Signals that come to all processes at once and are the parent's: SIGINT from a shared terminal or as
+systemd's stop, SIGABRT from systemd's watchdog. A child is started with them blocked."""
+
 
 class Condition(IntEnum):
     """How a child says it is."""
@@ -97,13 +101,11 @@ class Parent:
         """SIGTERM has come."""
 
     def listen(self) -> None:
-        """Take SIGTERM as a wish, from now on; what comes to all processes at once is the parent's.
-
-        That is SIGINT, from a shared terminal or as systemd's stop, and SIGABRT from systemd's watchdog.
-        """
+        """Take SIGTERM as a wish, from now on, and ignore FOR_PARENT; before, SIGTERM ends it at once."""
         signal.signal(signal.SIGTERM, self._note)
-        for number in (signal.SIGINT, signal.SIGABRT):
+        for number in FOR_PARENT:
             signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, FOR_PARENT)
 
     @property
     def gone(self) -> bool:

@@ -5,6 +5,7 @@
 `ready`      `real_time` (what was asked and granted), `tick_ns` (median of the warm-up)
 `failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work
 `exception`  `text`: a tick failed, the passive command was sent in it
+`device`     `trouble`, `counters`: why the device obeys nothing, what its driver counted; once a second
 `ended`      `reason`
 
 It ends by SIGTERM, by order of its supervisor, or when that is gone; but never before the robot stands.
@@ -97,6 +98,7 @@ class LoopProcess:
         self._snapshot = new_record(SNAPSHOT)
         self._failures = 0
         self._trouble = ""
+        self._told_device: tuple[str, dict[str, int]] = "", {}
 
     def run(self) -> str:
         """Warm up, tell that the loop is ready, run it until it is to end; return why it ended.
@@ -160,10 +162,12 @@ class LoopProcess:
     def _live(self, clock: GridClock | PacedClock) -> str:
         """Run ticks until the loop is to end and the robot stands; return why it ends."""
         control, reason, last = self.cycle.state.control, "", np.inf
-        tick = 0
+        tick, ticks_a_second = 0, round(1.0 / self.period)
         while True:
             time = self._tick(clock)
             tick += 1
+            if tick % ticks_a_second == 0:
+                self._tell_device()
             if tick % _BETWEEN_LOOKS and not reason:
                 continue
             if not reason and (reason := self._reason_to_end()):
@@ -197,6 +201,7 @@ class LoopProcess:
             try:
                 self._revive()  # a passive device is set to work before the reset is judged
             except DriverError as error:
+                self._trouble = str(error)
                 tell("exception", text=f"reset: {error}")
         try:
             cycle.run_tick(time)
@@ -222,6 +227,14 @@ class LoopProcess:
         if trouble and trouble != self._trouble:
             tell("exception", text=f"device went passive: {trouble}")
         self._trouble = trouble
+
+    def _tell_device(self) -> None:
+        """Tell how the device is, if that is news."""
+        counters = getattr(self.driver, "counters", None)
+        told = self._trouble, {} if counters is None else counters.counts()
+        if told != self._told_device:
+            self._told_device = told
+            tell("device", trouble=told[0], counters=told[1])
 
     def _note_request(self, request: Request) -> None:
         """Keep the controller's memory where a motion begins."""

@@ -50,3 +50,9 @@ class BusCounters:
     send_failures: int = 0
     """Frames that could not be sent because the interface was away, or otherwise."""
     receive_failures: int = 0
+    recoveries: int = 0
+    """Times that opening ended trouble."""
+
+    def counts(self) -> dict[str, int]:
+        """Return all by name."""
+        return {name: getattr(self, name) for name in self.__slots__}

@@ -105,6 +105,8 @@ class CanopenDriver:
         self.counters = BusCounters()
         self.trouble = ""
         """Why it is not operational; empty while it is."""
+        self._has_failed = False
+        """There was trouble that no opening has ended yet."""
         self.load = bus_load(self.settings, period, watchdog)
         """Share of the bus that is taken at most."""
         self.applied = PASSIVE
@@ -188,6 +190,7 @@ class CanopenDriver:
         if self._link is not None:
             raise DriverError("canopen driver: open() found it open already; call close() first")
         self._check_load()
+        self._has_failed |= bool(self.trouble)
         self._forget()
         self.trouble, self.applied = "", PASSIVE
         self._link = self._open_bus(self.settings, sorted(self._takers))
@@ -201,6 +204,8 @@ class CanopenDriver:
         except BaseException:
             self._detach()
             raise
+        self.counters.recoveries += self._has_failed
+        self._has_failed = False
 
     def _check_load(self) -> None:
         if self.load > GREATEST_LOAD:

@@ -14,7 +14,15 @@ import zenoh
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
 from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
 from bench.network.command_plane import CommandPlane
-from bench.network.desk import CauseStatus, CountStatus, LoopStatus, ProcessStatus, Reply, Status
+from bench.network.desk import (
+    CauseStatus,
+    CountStatus,
+    DeviceStatus,
+    LoopStatus,
+    ProcessStatus,
+    Reply,
+    Status,
+)
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
 
@@ -98,6 +106,10 @@ class FakeDesk:
                 "loop": ProcessStatus(pid=4711, alive=True, note=""),
                 "recorder": ProcessStatus(pid=4712, alive=False, note="killed by signal 9"),
             },
+            device=DeviceStatus(
+                trouble="node 10 (valves and interlocks) has restarted",
+                counters={"frames": 123456, "missing": 7, "bus_off": 0},
+            ),
             loop=LoopStatus(
                 rate_hz=999.98, skipped=3, late=5, wake_p50_s=8e-6, wake_p99_s=41e-6, tick_p99_s=93e-6
             ),

@@ -5,22 +5,33 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bench.lifecycle import State
-from bench.network.client import CommandRefused
+from bench.lifecycle import Cause, State
+from bench.network.client import BenchClient, CommandRefused
+from bench.network.desk import DeviceStatus
 from drivers.base import PASSIVE, Command, unpack_command
 from drivers.can_bus import switch
+from drivers.canopen.counters import CLASSES
 from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
 from sim.shared_record import SharedRecord
 from tests.running_bench import running_bench, write_configuration
 
 pytestmark = pytest.mark.timeout(400)  # the first start compiles
+
+
+def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> DeviceStatus:
+    """Return what the bench tells of its device, which is news once a second, as soon as something holds."""
+    deadline = time.monotonic() + 20.0
+    while not holds(device := client.status()["device"]):
+        assert time.monotonic() < deadline, device
+        time.sleep(0.1)
+    return device
 
 
 @contextmanager
@@ -64,8 +75,15 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
             time.sleep(0.01)
         with pytest.raises(CommandRefused):
             bench.client.reset()
+        bench.wait_until(lambda record: record["state"] == State.ESTOP)  # nobody knows of the circuit
+        assert bench.now()["trip"] == Cause.DEVICE_PASSIVE  # and that is not why it stands
+        told = device_when(bench.client, lambda device: "canopen: channel" in device["trouble"])
+        assert told["counters"]["recoveries"] == 0
         switch(channel, on=True)
         time.sleep(1.0)
         assert bench.now()["state"] in (State.FAULT, State.ESTOP)  # back, it changes nothing
         bench.recover()
+        counters = device_when(bench.client, lambda device: not device["trouble"])["counters"]
+        assert counters["recoveries"] == 1
+        assert counters["frames"] == sum(counters[name] for name in CLASSES) > 0
         plant.close()

@@ -352,6 +352,12 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "plant.encoders.latency", "0.002 s", "at most 0.00096875 s",
         ),
         ("[envelope]\nlost_time = 0.0005", "envelope.lost_time", "0.0005 s", "more than one tick"),
+        ("[envelope]\nlost_time = 0.011", "envelope.lost_time", "0.011 s", "at most envelope.greatest_gap"),
+        (
+            '[loop]\nrate_hz = 333\n[driver]\nname = "canopen"\n[plant]\nsubsteps = 13\n'
+            "[envelope]\nlost_time = 0.006",
+            "envelope.lost_time", "0.006 s at 333 Hz", "2.2 ticks, 0.00660661 s",
+        ),
         ("[envelope]\ngreatest_supply = 8e5", "envelope.greatest_supply", "800000 Pa", "more than 800000"),
         ("[envelope]\nleast_supply = 9e5", "envelope.least_supply", "900000 Pa", "less than 800000 Pa"),
         ("[envelope]\nminimum_stop_margin = 1.5", "envelope.minimum_stop_margin", "1.5", "0 to 1"),

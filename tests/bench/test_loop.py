@@ -52,6 +52,11 @@ class Faulty(MockDriver):
         self.readings: object = None
         self.strongest = 1.0
         self.passive = 0
+        self.obeys = True
+
+    @property
+    def operational(self) -> bool:
+        return self.obeys
 
     def read(self, time: float) -> Readings:
         if self.fail_read:
@@ -175,6 +180,18 @@ def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty
     loop.advance(1, RESET)
     loop.advance(1, ARM)
     assert control(loop)["answer"] == ACCEPTED
+
+
+def test_readings_that_fail_do_not_hide_why_the_robot_stands(holding: Loop, driver: Faulty) -> None:
+    driver.obeys = False
+    for _ in range(40):
+        holding.advance(100)
+    assert (phase(holding), control(holding)["state"]) == (Phase.STANDING, State.FAULT)
+    driver.fail_read = DriverError("closed: it could not be opened again")
+    shown = holding.advance(3)
+    assert set(shown["trip"]) == {Cause.DEVICE_PASSIVE}
+    assert control(holding)["latest_cause"] == Cause.EXCEPTION
+    assert control(holding)["state"] == State.ESTOP  # nothing says that the circuit is closed
 
 
 @pytest.mark.parametrize("wrong", [type(None), (), "readings"])

@@ -21,6 +21,8 @@ NODES = "golfbench-nodes"
 NODES_FOLDER = Path("/run/golfbench-nodes")
 CARDS = ("can0", "can1", "can2")
 """Interfaces of the bench, of the nodes, and of whoever watches or babbles: one wire."""
+DRIVER_OF_CARDS, PLACE = Path("/sys/bus/pci/drivers/kvaser_pci"), "0000:00:10.0"
+"""The kernel's driver, and where the bench's card sits (`machine.CARDS`)."""
 GREATEST_SHARE = 70.0
 """% of the processor."""
 SYNC, COMMAND, POSITIONS, EMERGENCY = 0x80, 0x20A, (0x281, 0x282, 0x283), 0x08A
@@ -41,6 +43,8 @@ name = "canopen"
 channel = "{channel}"
 service_time = 1.0
 answer_time = {answer_time!r}
+[envelope]
+lost_time = {lost_time!r}
 [plant]
 substeps = {substeps}
 """
@@ -93,7 +97,11 @@ def keep_journal() -> None:
 def configuration(rate: float, channel: str) -> str:
     """Return the configuration of a bench of `rate` Hz on `channel`."""
     return _CONFIG.format(
-        rate=rate, channel=channel, answer_time=0.5 / rate, substeps=ceil(_PLANT_RATE / rate - 1e-9)
+        rate=rate,
+        channel=channel,
+        answer_time=0.5 / rate,
+        lost_time=max(0.0045, 2.5 / rate),
+        substeps=ceil(_PLANT_RATE / rate - 1e-9),
     )
 
 

@@ -27,9 +27,11 @@ from tests.benchmarks.driver_loop import DriverLoop, in_real_time, times
 from tests.benchmarks.row import Row
 from tests.vm.guest import (
     COMMAND,
+    DRIVER_OF_CARDS,
     EMERGENCY,
     GREATEST_SHARE,
     OTHERS,
+    PLACE,
     POSITIONS,
     SUPPLY,
     SYNC,
@@ -214,6 +216,11 @@ def _plug() -> None:
     _link_back()
 
 
+def _bind() -> None:
+    (DRIVER_OF_CARDS / "bind").write_text(PLACE)
+    _link_back()
+
+
 def _put() -> None:
     Path("/dev/ttyS1").write_text("put card0\n")
     _link_back()
@@ -245,6 +252,9 @@ FAULTS: dict[str, Fault] = {
     "no room any more (ENOBUFS)": Fault(None, _netem("rate", "8kbit", "limit", "1"), _calm, 2 * LOST),
     "all frames of the bench lost": Fault(None, _netem("loss", "100%"), _calm, LOST),
     "every frame 30 ms later": Fault(None, _netem("delay", "30ms"), _calm, 2 * LOST),
+    "driver unbound from the card, then bound again": Fault(
+        None, Prepared("echo", PLACE, f">{DRIVER_OF_CARDS / 'unbind'}"), _bind, LOST
+    ),
     "card taken out by the kernel, then found again": Fault(
         None, Prepared("echo", "1", ">/sys/class/net/can0/device/remove"), _plug, LOST
     ),
@@ -252,7 +262,7 @@ FAULTS: dict[str, Fault] = {
         None, Prepared("echo", "pull", "card0", ">/dev/ttyS1"), _put, LOST
     ),
 }
-_TAKEN = (_plug, _put)
+_TAKEN = (_bind, _plug, _put)
 """Mends of a card that goes some time after that is asked for: counted from the last command on the wire."""
 BEFORE, AFTER = 0.1, 0.4
 """s of ticks before a fault and after it."""

@@ -210,10 +210,12 @@ def test_the_table_shows_everything_within_80_columns() -> None:
         "vented", "e-stop clear", "guard closed", "guard not locked", "shoulder 32.7°", "wrist –", "8.01 bar",
         "shoulder vane 1.01/1.01", "1000.0 Hz", "tick 123456", "skipped 3", "late 5", "p50 8 µs", "p99 41 µs",
         "tick p99 93 µs", "loop 4711", "recorder DEAD: killed by signal 9",
+        "node 10 (valves and interlocks) has restarted", "frames 123456, missing 7",
         "prefer: memory lock none instead of all", "sim", "default",
     ):  # fmt: skip
         assert part in text, part
     assert "SILENT" not in text
+    assert "bus off" not in text  # none was counted
 
 
 def test_a_silent_bench_is_shown_as_one() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import select
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +12,7 @@ import pytest
 
 from bench.errors import ExitCode
 from bench.processes.child import Child, NotStarted
+from bench.processes.child_process import FOR_PARENT
 
 TOLD = """
 import sys, time
@@ -105,3 +108,29 @@ def test_a_stopped_child_counts_as_alive(start: Start) -> None:
     assert child.alive
     child.kill()
     assert not child.alive
+
+
+def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(start: Start) -> None:
+    slow = "import os, time\nos.write(1, b'importing\\n')\ntime.sleep(0.5)\n"
+    listen = "from bench.processes.child_process import Parent\nParent().listen()\ntell('ready')\n"
+    child = start(listen + "time.sleep(60)", before=slow)
+    select.select([child.process.stdout], [], [], 10.0)
+    for number in FOR_PARENT:
+        os.kill(child.pid, number)
+    child.wait_until_ready(30.0)
+    os.kill(child.pid, signal.SIGINT)
+    time.sleep(0.1)
+    assert child.alive
+
+
+def test_a_child_that_still_imports_ends_at_once_by_sigterm(start: Start) -> None:
+    child = start("", before="import os, time\nos.write(1, b'importing\\n')\ntime.sleep(60)\n")
+    select.select([child.process.stdout], [], [], 10.0)
+    child.end(10.0)
+    assert child.ending == "was killed by SIGTERM"
+
+
+def test_the_starting_process_keeps_its_own_signals(start: Start) -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    start("")
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
