@@ -110,11 +110,16 @@ def test_a_stopped_child_counts_as_alive(start: Start) -> None:
     assert not child.alive
 
 
+def await_import(child: Child) -> None:
+    assert child.process.stdout is not None
+    assert select.select([child.process.stdout], [], [], 10.0)[0]
+
+
 def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(start: Start) -> None:
     slow = "import os, time\nos.write(1, b'importing\\n')\ntime.sleep(0.5)\n"
     listen = "from bench.processes.child_process import Parent\nParent().listen()\ntell('ready')\n"
     child = start(listen + "time.sleep(60)", before=slow)
-    select.select([child.process.stdout], [], [], 10.0)
+    await_import(child)
     for number in FOR_PARENT:
         os.kill(child.pid, number)
     child.wait_until_ready(30.0)
@@ -125,7 +130,7 @@ def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(star
 
 def test_a_child_that_still_imports_ends_at_once_by_sigterm(start: Start) -> None:
     child = start("", before="import os, time\nos.write(1, b'importing\\n')\ntime.sleep(60)\n")
-    select.select([child.process.stdout], [], [], 10.0)
+    await_import(child)
     child.end(10.0)
     assert child.ending == "was killed by SIGTERM"
 
