@@ -21,7 +21,8 @@ from bench.errors import BenchError, ExitCode
 from bench.export.commands import export
 from bench.faults.commands import app as faults_app
 from bench.launch.command import launch_monitor
-from bench.learning.commands import compare, learn
+from bench.learning.commands import learn
+from bench.learning.compare_command import compare
 from bench.learning.identify_command import identify
 from bench.network.certificates_command import certificates
 from bench.network.control_commands import app as control_app

@@ -76,7 +76,7 @@ class ControlSettings:
     pid: PidSettings = field(default_factory=PidSettings)
     feed_forward: FeedForward = "planned"
     """What opens the valves beside the PIDs in a swing, see `bench.control.feed_forward`."""
-    force_gain: NotNegativeTriple = (10.0, 10.0, 10.0)
+    force_gain: NotNegativeTriple = (20.0, 10.0, 20.0)
     """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""

@@ -1,26 +1,51 @@
-"""Controllers compared on one swing and one robot: what each adds to tracking and delivery, and its cost."""
+"""Controllers compared on one swing and one robot: what each adds to tracking and delivery, and its cost.
+
+All begin alike: armed, held and brought back by the bench's own controller, so that the robot, its air and
+its random numbers are the same; only the swing itself is the compared controller's. Following errors do not
+stop it, or most rows would be empty; where the envelope would have stopped it is told. All else that the
+envelope watches still stops.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from math import asin, radians, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings
-from bench.errors import Refused
+from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
+from bench.control.step import ControlParameters
+from bench.errors import BenchError, Refused
 from bench.learning.figures import UNKNOWN, Figures, figures_of
-from bench.learning.learn import by_encoders, learn, prepare
-from bench.learning.series import Bench, Series
-from bench.lifecycle import Cause
+from bench.learning.learn import Lecture, by_encoders, learn, prepare
+from bench.learning.series import Bench, Series, Swing
+from bench.lifecycle import Cause, Phase
 from bench.swing.profile import Profile
+from bench.swing.thesis_experiment import ThesisParameters
+from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
+from sim.pneumatics import REFERENCE_DENSITY
 
 Array = NDArray[np.float64]
 
 _NONE = (0.0, 0.0, 0.0)
+LITRES = 1000.0 / REFERENCE_DENSITY
+"""Litres of free air (ANR: 20 °C, 1 bar, ISO 8778) in a kilogram."""
+_FOLLOWED = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED)
+
+
+class Controller(NamedTuple):
+    """One of those that are compared."""
+
+    name: str
+    control: ControlSettings
+    sensors: bool = False
+    """Whether the chambers have pressure sensors."""
+    velocity_weight: float = 1.0
+    """Of the reference's velocity in the derivative; 0: the derivative of the measurement alone."""
 
 
 class Compared(NamedTuple):
@@ -28,73 +53,219 @@ class Compared(NamedTuple):
 
     controller: str
     figures: Figures
-    """Unknown when no swing struck the ball."""
+    """Unknown when no swing struck the ball unstopped."""
+    error: Figures
+    """Less what the profile plans; of the speed a share of it."""
     tracking: Array
-    """Root mean square of reference less true angle in the downswing, up to a stop, rad."""
+    """Root mean square of reference less true angle in the downswing, up to a stop, (3,) rad."""
+    path: float
+    """The same of the head's way from its reference, m."""
     saturated: float
-    """Share of the downswing in which a valve stood at its limit."""
+    """Share of the downswing's ticks in which a valve stood at its limit."""
     air: float
     """kg a swing."""
     cause: Cause
-    """Of the last stop; ADDRESS_TIMEOUT when it does not come to rest at the address; else NONE."""
+    """Of the last stop; ADDRESS_TIMEOUT when the robot does not come to rest at the address; else NONE."""
+    strayed: tuple[int, Phase] | None
+    """Joint and phase in which the envelope's following error is first exceeded; None when it is not."""
 
 
-def compare(
-    bench: Bench, plant: PlantParameters, swings: int = 3, told: Callable[[str], None] = lambda name: None
-) -> list[Compared]:
-    """Return PIDs alone as in the thesis, and what damping, planned openings and learning add, on `plant`.
+def planned_figures(bench: Bench) -> Figures:
+    """Return what the profile plans to deliver.
 
-    Each controller arms anew and swings once before its swings count. Learning starts from the whole
-    controller.
+    Raises:
+        BenchError: its file does not say.
+    """
+    delivery, lie = bench.profile.delivery, bench.model.robot.lie
+    wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
+    missing = [key for key in wanted if key not in delivery]
+    if missing:
+        raise BenchError(
+            f"{bench.profile.name}: delivery",
+            f"no {missing[0]}",
+            "the planned delivery, to compare with",
+            "Take a profile of `golfbench swing design`.",
+        )
+    strike, speed, lean, slope = (delivery[key] for key in wanted)
+    return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))
+
+
+def thesis_gains(plant: PlantParameters) -> PidSettings:
+    """Return the thesis' P = 1000, I = 0.92, D = 1 as openings.
+
+    Its controllers put out N m, N and N m; opening 1 is the force at full supply pressure.
+    """
+    gauge, thesis = plant.supply.pressure - plant.supply.atmosphere, ThesisParameters()
+    levers = (1.0, 1.0, plant.wrist_lever)
+    greatest = [
+        gauge * actuator.area_a * lever for actuator, lever in zip(plant.actuators, levers, strict=True)
+    ]
+
+    def openings(gains: tuple[float, float, float]) -> tuple[float, float, float]:
+        a, b, c = (gain / most for gain, most in zip(gains, greatest, strict=True))
+        return a, b, c
+
+    return PidSettings(openings(thesis.proportional), openings(thesis.integral), openings(thesis.derivative))
+
+
+def controllers(bench: Bench) -> list[Controller]:
+    """Return the controllers in the order in which they are compared, each with one thing more."""
+    whole = bench.control
+    alone = replace(whole, pid=thesis_gains(bench.model), feed_forward="none", damping=_NONE, dither=_NONE)
+    inverted = replace(whole, feed_forward="kane+pneumatic")
+    return [
+        Controller("PID, thesis' gains", alone, velocity_weight=0.0),
+        Controller("PID", replace(whole, feed_forward="none")),
+        Controller("+ Kane", replace(whole, feed_forward="kane")),
+        Controller("+ valves inverted", inverted),
+        Controller("+ pressure sensors", inverted, sensors=True),
+        Controller("PID, planned", replace(whole, feed_forward="planned")),
+    ]
+
+
+def lecture_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> Lecture:
+    """Return what is to be learned: the profile's plan, by the model's response.
 
     Raises:
         BenchError: the modelled swing is stopped or misses the ball.
-        Refused: the whole controller does not reach its address.
+        Refused: the model does not reach its address.
     """
-    whole = bench.control
-    controllers: tuple[tuple[str, ControlSettings], ...] = (
-        ("PID alone", replace(whole, feed_forward="none", damping=_NONE, dither=_NONE)),
-        (
-            "PID, acceleration damped",
-            replace(whole, feed_forward="none", downswing_damping=1.0, dither=_NONE),
-        ),
-        ("PID, planned openings, dither", whole),
-    )
-    rows = []
-    for name, control in controllers:
+    bench = bench._replace(control=replace(bench.control, feed_forward="planned"))
+    return prepare(bench, progress)._replace(target=planned_figures(bench))
+
+
+def compare(
+    bench: Bench,
+    plant: PlantParameters,
+    swings: int = 3,
+    lecture: Lecture | None = None,
+    told: Callable[[str], None] = lambda name: None,
+) -> list[Compared]:
+    """Return a row for each of `controllers`, and with a `lecture` one for learning, on the robot `plant`.
+
+    Each arms anew and swings once before its swings count. `told` gets the name of what swings next.
+
+    Raises:
+        BenchError: the profile does not say what it plans to deliver.
+    """
+    planned, rows = planned_figures(bench), []
+    loose = bench._replace(envelope=replace(bench.envelope, following={}))
+    for controller in controllers(bench):
+        told(controller.name)
+        truth = replace(plant, pressure_sensors=controller.sensors)
+        try:
+            rows.append(_compared(controller, loose, truth, bench.envelope, planned, swings))
+        except Refused:
+            rows.append(_no_address(controller.name))
+    if lecture is not None:
+        name = "+ learning"
         told(name)
         try:
-            series = Series(bench._replace(control=control), plant)
-            rows.append(_row(name, bench.profile, bench, series, swings))
+            rows.append(_learned(name, lecture, replace(plant, pressure_sensors=False), planned, swings))
         except Refused:
-            rows.append(Compared(name, UNKNOWN, np.full(3, np.nan), np.nan, np.nan, Cause.ADDRESS_TIMEOUT))
-    told("learning")
-    lecture, series = prepare(bench), Series(bench, plant)
-    lesson = learn(lecture, series, by_encoders(lecture))
-    learned = lesson.correction.applied_to(bench.profile)
-    rows.append(_row(f"and {lesson.chosen} learning swings", learned, bench, series, swings))
+            rows.append(_no_address(name))
     return rows
 
 
-def _row(name: str, profile: Profile, bench: Bench, series: Series, swings: int) -> Compared:
-    series.swing(profile)
-    made = [series.swing(profile) for _ in range(swings)]
+def _no_address(name: str) -> Compared:
+    nothing = float("nan")
+    return Compared(
+        name, UNKNOWN, UNKNOWN, np.full(3, nothing), nothing, nothing, nothing, Cause.ADDRESS_TIMEOUT, None
+    )
+
+
+def _compared(
+    controller: Controller, bench: Bench, plant: PlantParameters, envelope: EnvelopeSettings,
+    planned: Figures, swings: int,
+) -> Compared:  # fmt: skip
+    # Held by the bench's own gains; the observer of the pressures has to know what was before the swing.
+    holding = replace(bench.control, feed_forward=controller.control.feed_forward)
+    series = Series(bench._replace(control=holding), plant)
+    swung = _parameters(bench, controller)
+    series.swing(bench.profile, swung)
+    made = [series.swing(bench.profile, swung) for _ in range(swings)]
+    return _row(controller.name, made, bench, envelope, planned)
+
+
+def _learned(name: str, lecture: Lecture, plant: PlantParameters, planned: Figures, swings: int) -> Compared:
+    bench = lecture.bench
+    series = Series(bench, plant)
+    lesson = learn(lecture, series, by_encoders(lecture))
+    learned = lesson.correction.applied_to(bench.profile)
+    series.swing(learned)
+    made = [series.swing(learned) for _ in range(swings)]
+    return _row(f"{name}, {lesson.chosen}", made, bench, bench.envelope, planned)
+
+
+def _parameters(bench: Bench, controller: Controller) -> ControlParameters:
+    envelope = replace(bench.envelope, model=replace(bench.envelope.model, check="off"))
+    made = build_controller(bench.model, bench.profile, controller.control, envelope, bench.estimator)
+    made.pid["reference_velocity_weight"] = controller.velocity_weight
+    return made
+
+
+def _row(
+    name: str, made: list[Swing], bench: Bench, envelope: EnvelopeSettings, planned: Figures
+) -> Compared:
+    profile, robot = bench.profile, bench.model.robot
     figures = np.array([figures_of(swing.delivery).array for swing in made])
-    errors, limit = [], bench.envelope.greatest_opening
-    saturated = []
+    errors, away, saturated = [], [], []
     for swing in made:
         down = swing.cycles[profile.begins[3] : profile.begins[5]]
         down = down[down["trip"] == 0]
         errors.append(down["reference_angle"] - down["plant_angle"])
-        saturated.append(np.abs(down["applied_valve"]).max(axis=1) >= limit)
-    struck = np.isfinite(figures).all(axis=1)
-    mean = Figures(*map(float, figures[struck].mean(axis=0))) if struck.any() else figures_of(None)
+        reference = forward_kinematics(robot, down["reference_angle"])[:, :2]
+        away.append(np.hypot(*(reference - down["plant_head_position"]).T))
+        saturated.append(np.abs(down["applied_valve"]).max(axis=1) >= envelope.greatest_opening)
+    struck = np.isfinite(figures).all(axis=1) & [_delivered(swing, profile) for swing in made]
+    mean = figures[struck].mean(axis=0) if struck.any() else UNKNOWN.array
+    error = mean - planned.array
+    error[1] /= planned.speed
     stops = [swing.cause for swing in made if swing.cause]
     return Compared(
         name,
-        mean,
-        np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)),
-        float(np.mean(np.concatenate(saturated))),
+        _figures(mean),
+        _figures(error),
+        _root_mean_square(np.concatenate(errors)),
+        float(_root_mean_square(np.concatenate(away)[:, None])[0]),
+        float(np.mean(np.concatenate(saturated))) if len(np.concatenate(saturated)) else float("nan"),
         float(np.mean([swing.air_used for swing in made])),
         stops[-1] if stops else Cause.NONE,
+        next((found for swing in made if (found := strayed(swing.cycles, profile, envelope))), None),
     )
+
+
+def _delivered(swing: Swing, profile: Profile) -> bool:
+    """Tell whether the contact is the swing's: in its downswing or later, and before any stop."""
+    stops = np.flatnonzero(swing.cycles["trip"] != 0)
+    end = stops[0] if len(stops) else len(swing.cycles)
+    return profile.begins[3] <= swing.contact_time / profile.period <= end
+
+
+def _figures(values: Array) -> Figures:
+    return Figures(*map(float, values))
+
+
+def _root_mean_square(values: Array) -> Array:
+    """Return the root mean square of each column of `values` (n, k); NaN of none."""
+    return (
+        np.asarray(np.sqrt(np.mean(values**2, axis=0))) if len(values) else np.full(values.shape[1], np.nan)
+    )
+
+
+def strayed(
+    cycles: np.ndarray[Any, Any], profile: Profile, envelope: EnvelopeSettings
+) -> tuple[int, Phase] | None:
+    """Return joint and phase in which a following error is first greater than `envelope` allows, or None."""
+    found: list[tuple[int, int, Phase]] = []
+    error = np.abs(cycles["reference_angle"] - cycles["angle"])
+    running = cycles["reaction"] == 0
+    for phase in (*_FOLLOWED, Phase.FOLLOW_THROUGH):
+        limits = envelope.following.get(phase.name.lower())
+        if limits is None:
+            continue
+        beyond = (error > np.array(limits)) & (running & (cycles["phase"] == phase))[:, None]
+        if beyond.any():
+            tick, joint = (int(i) for i in np.argwhere(beyond)[0])
+            found.append((tick, joint, phase))
+    return min(found)[1:] if found else None

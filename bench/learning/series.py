@@ -116,16 +116,21 @@ class Series:
         self._stepper.tick = mark.tick
         return self._swing(profile, ticks or len(profile.angle), ball=ball)
 
-    def swing(self, profile: Profile) -> Swing:
+    def swing(self, profile: Profile, parameters: ControlParameters | None = None) -> Swing:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
-        After a stop the robot is reset and armed again, as a person would.
+        With `parameters` the swing itself, not what is before and after it, is another controller's. After a
+        stop the robot is reset and armed again, as a person would.
 
         Raises:
             Refused: the robot does not come back to its address.
         """
         self.rest()
+        own = self._stepper.parameters
+        self._stepper.parameters = parameters or own
         swing = self._swing(profile, len(profile.angle))
+        if parameters is not None:
+            self._stepper.parameters = own
         if self._returned(profile.period):
             return swing
         cause = self._cause

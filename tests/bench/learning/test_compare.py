@@ -2,33 +2,94 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.learning.compare import compare
+from bench.errors import BenchError
+from bench.learning.compare import (
+    compare,
+    controllers,
+    lecture_of,
+    planned_figures,
+    strayed,
+    thesis_gains,
+)
 from bench.learning.series import Bench
-from bench.lifecycle import Cause
+from bench.lifecycle import Cause, Phase
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from bench.telemetry.cycle_record import CYCLE
 
-pytestmark = pytest.mark.skipif(
+compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
 
-def test_planned_openings_track_where_pids_alone_do_not() -> None:
+@pytest.fixture(scope="module")
+def bench() -> Bench:
     steady = load_configuration(Path("steady"))
-    bench = Bench(steady.plant, load_profile(find_profile("steady")), steady.control)
+    return Bench(steady.plant, load_profile(find_profile("average-male")), steady.control, steady.envelope)
+
+
+def test_the_plan_is_in_the_profile(bench: Bench) -> None:
+    planned = planned_figures(bench).shown
+    assert planned["head_speed_mps"] == pytest.approx(41.577, abs=0.001)
+    assert planned["attack_angle_deg"] == pytest.approx(-0.0001, abs=0.001)
+    assert planned["strike_mm"] == pytest.approx(-0.013, abs=0.001)
+    without = replace(bench.profile, delivery={})
+    with pytest.raises(BenchError, match="in_plane_error_mm"):
+        planned_figures(bench._replace(profile=without))
+
+
+def test_the_thesis_gains_are_shares_of_the_greatest_force(bench: Bench) -> None:
+    gains, gauge = thesis_gains(bench.model), 8.0e5 - 1.013e5
+    assert gains.proportional == pytest.approx(
+        (1000 / (4e-4 * gauge), 1000 / (19.63e-4 * gauge), 1000 / (0.06 * 19.63e-4 * gauge))
+    )
+    assert gains.derivative[0] == pytest.approx(gains.proportional[0] / 1000)
+
+
+def test_each_controller_differs_from_the_one_before_in_one_thing(bench: Bench) -> None:
+    thesis, alone, kane, inverted, fitted, planned = controllers(bench)
+    assert (thesis.velocity_weight, alone.velocity_weight) == (0.0, 1.0)
+    assert replace(alone.control, feed_forward="kane") == kane.control
+    assert replace(alone.control, feed_forward="kane+pneumatic") == inverted.control == fitted.control
+    assert (inverted.sensors, fitted.sensors) == (False, True)
+    assert planned.control == bench.control
+
+
+def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
+    cycles = np.zeros(5, CYCLE)
+    cycles["phase"] = [Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.DOWNSWING, Phase.IMPACT]
+    assert strayed(cycles, bench.profile, bench.envelope) is None
+    cycles["reference_angle"][4] = 2.0  # not watched in the impact window
+    assert strayed(cycles, bench.profile, bench.envelope) is None
+    cycles["reference_angle"][2:, 2] = 0.5
+    cycles["reference_angle"][3, 0] = 0.5
+    assert strayed(cycles, bench.profile, bench.envelope) == (2, Phase.DOWNSWING)
+    cycles["reaction"][2] = 1
+    assert strayed(cycles, bench.profile, bench.envelope) == (0, Phase.DOWNSWING)
+
+
+@compiled_only
+def test_the_model_tracks_where_pids_alone_do_not(bench: Bench) -> None:
     told: list[str] = []
-    alone, damped, planned, learned = compare(bench, steady.plant, swings=1, told=told.append)
-    assert told == [alone.controller, damped.controller, planned.controller, "learning"]
-    assert planned.cause is learned.cause is Cause.NONE
-    assert planned.figures.speed == pytest.approx(42.4, abs=1.0)
-    assert learned.figures.speed == pytest.approx(42.4, abs=0.3)
-    for row in (alone, damped):
-        assert row.cause is not Cause.NONE or row.tracking.max() > 2 * planned.tracking.max()
-    assert 0.0 < planned.air < 0.5
-    assert 0.0 < planned.saturated < 1.0
+    rows = compare(bench, bench.model, swings=1, lecture=lecture_of(bench), told=told.append)
+    thesis, alone, kane, inverted, fitted, planned, learned = rows
+    assert [row.controller.split(",")[0] for row in rows] == [name.split(",")[0] for name in told]
+    assert thesis.cause is not Cause.NONE
+    assert np.isnan(thesis.figures.array).all()  # it only brushes the ball in the backswing
+    assert min(alone.path, kane.path) > 3 * inverted.path
+    for row in (inverted, fitted, planned, learned):
+        assert row.cause is Cause.NONE
+        assert row.strayed is None
+        assert abs(row.error.speed) < 0.06
+        assert 10 < row.air * 1000 < 100
+    assert fitted.figures != inverted.figures
+    assert abs(learned.error.speed) < 0.01
+    assert abs(learned.error.strike) < 0.003
