@@ -1,13 +1,13 @@
 """Small mistakes put into a source file, one at a time: what a careless edit might do.
 
-Not mutated: docstrings and texts for people, annotations, decorators, `if TYPE_CHECKING`.
+Not mutated: docstrings and texts for people, annotations, decorators, imports.
 """
 
 from __future__ import annotations
 
 import ast
-import copy
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 _COMPARE: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
@@ -19,105 +19,116 @@ _BINARY: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
 }  # fmt: skip
 _CALLS = {"min": "max", "max": "min", "cos": "sin", "sin": "cos"}
-_MEMBERS = {
-    "Reaction": ("COMPLETE", "BRAKE", "BLIND_BRAKE", "PASSIVE", "VENT"),
-    "_S": ("ESTOP", "SAFE", "HOMING", "READY", "ARMED", "SWINGING", "RECOVERING", "ACCESS", "FAULT"),
-    "Request": ("ARM", "SWING", "DISARM", "RESET", "HOME", "ACCESS", "SECURE", "TEE", "STOP"),
-}
-"""Entries of the tables; each becomes the next one."""
+_UNTOUCHED = ("annotation", "returns", "decorator_list", "type_params")
+"""Fields of nodes that do nothing when the code runs."""
+_REMOVED = (ast.AugAssign, ast.Continue, ast.Break)
+"""Statements that one mutant does without; also assignments to what outlives the function, and calls."""
+
+Members = Mapping[str, tuple[str, ...]]
+"""Enumerations by the name they have in the source; a member becomes the next one."""
 
 
 class Mutant(NamedTuple):
-    """One changed source."""
+    """One changed source: the line's number and text, what became of what, the how manieth such change there."""
 
     line: int
-    what: str
+    text: str
+    change: str
+    nth: int
     source: str
 
+    @property
+    def name(self) -> str:
+        """What tells it from the module's other mutants, also when lines have moved."""
+        again = f" ({self.nth})" if self.nth > 1 else ""
+        return f"{self.text}: {self.change}{again}"
 
-def mutants(source: str) -> Iterator[Mutant]:
+
+class _Place(NamedTuple):
+    """Where a node hangs, and in what."""
+
+    node: ast.AST
+    parent: ast.AST
+    field: str
+    index: int | None
+
+
+def mutants(source: str, members: Members | None = None) -> Iterator[Mutant]:
     """Yield every mutant of `source`."""
-    tree = ast.parse(source)
-    count = sum(1 for _ in _places(tree))
-    for number in range(count):
-        changed = copy.deepcopy(tree)
-        node, parent, field, index = list(_places(changed))[number]
-        for what, new in _changes(node):
-            before = ast.unparse(node)
-            _put(parent, field, index, new)
-            text = f"{before} -> {ast.unparse(new) if new is not None else what}"
-            yield Mutant(getattr(node, "lineno", 0), text, ast.unparse(ast.fix_missing_locations(changed)))
-            _put(parent, field, index, node)
+    tree, lines = ast.parse(source), source.splitlines()
+    original = ast.unparse(tree)
+    seen: Counter[tuple[str, str]] = Counter()
+    for place in list(_places(tree)):
+        for new in _changes(place.node, members or {}):
+            change = f"{_head(place.node)} -> {_head(new)}"
+            _put(place, new)
+            mutated = ast.unparse(ast.fix_missing_locations(tree))
+            _put(place, place.node)
+            if mutated != original:
+                line = getattr(place.node, "lineno", 0)
+                text = lines[line - 1].strip()
+                seen[text, change] += 1
+                yield Mutant(line, text, change, seen[text, change], mutated)
 
 
-def _places(tree: ast.AST) -> Iterator[tuple[ast.AST, ast.AST, str, int | None]]:
-    """Yield the nodes that may be changed, with where they hang."""
-    for parent in ast.walk(tree):
-        for field, value in ast.iter_fields(parent):
-            if field in ("annotation", "returns", "decorator_list", "keywords") and field != "keywords":
-                continue
-            children = value if isinstance(value, list) else [value]
-            for index, child in enumerate(children):
-                if isinstance(child, ast.AST) and not _is_text(parent, child) and _changes_exist(child):
-                    yield child, parent, field, index if isinstance(value, list) else None
+def _places(parent: ast.AST) -> Iterator[_Place]:
+    """Yield the nodes below `parent` that may be changed."""
+    for field, value in ast.iter_fields(parent):
+        if field in _UNTOUCHED:
+            continue
+        for index, child in enumerate(value if isinstance(value, list) else [value]):
+            if isinstance(child, ast.AST) and not isinstance(child, ast.Import | ast.ImportFrom):
+                yield _Place(child, parent, field, index if isinstance(value, list) else None)
+                yield from _places(child)
 
 
-def _is_text(parent: ast.AST, child: ast.AST) -> bool:
-    """Tell whether `child` is prose, or a name of a field."""
-    return isinstance(child, ast.Expr | ast.Constant) and isinstance(
-        getattr(child, "value", None), str | ast.Constant
-    ) and not isinstance(getattr(child, "value", None), bool)  # fmt: skip
+def _head(node: ast.AST) -> str:
+    """Return `node` as source, of a compound statement its first line."""
+    return ast.unparse(node).split("\n")[0]
 
 
-def _changes_exist(node: ast.AST) -> bool:
-    return next(_changes(node), None) is not None
-
-
-def _changes(node: ast.AST) -> Iterator[tuple[str, ast.AST | None]]:
-    """Yield what may be made of `node`; None takes a statement away."""
+def _changes(node: ast.AST, members: Members) -> Iterator[ast.AST]:
+    """Yield what may be made of `node`."""
     match node:
-        case ast.Compare(left=left, ops=[op], comparators=right):
-            for other in _COMPARE.get(type(op), ()):
-                yield "", ast.Compare(left, [other()], right)
         case ast.Compare(left=left, ops=ops, comparators=right):
             for k, op in enumerate(ops):
                 for other in _COMPARE.get(type(op), ()):
-                    yield "", ast.Compare(left, [*ops[:k], other(), *ops[k + 1 :]], right)
+                    yield ast.Compare(left, [*ops[:k], other(), *ops[k + 1 :]], right)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            yield "", ast.BinOp(left, _BINARY[type(op)](), right)
+            yield ast.BinOp(left, _BINARY[type(op)](), right)
         case ast.BoolOp(op=op, values=values):
-            yield "", ast.BoolOp(ast.Or() if isinstance(op, ast.And) else ast.And(), values)
+            yield ast.BoolOp(ast.Or() if isinstance(op, ast.And) else ast.And(), values)
             for k in range(len(values)):
                 rest = [*values[:k], *values[k + 1 :]]
-                yield "", ast.BoolOp(op, rest) if len(rest) > 1 else rest[0]
+                yield ast.BoolOp(op, rest) if len(rest) > 1 else rest[0]
         case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
-            yield "", operand
+            yield operand
         case ast.If(test=test, body=body, orelse=orelse):
-            yield "", ast.If(ast.UnaryOp(ast.Not(), test), body, orelse)
+            yield ast.If(ast.UnaryOp(ast.Not(), test), body, orelse)
         case ast.IfExp(test=test, body=body, orelse=orelse):
-            yield "", ast.IfExp(test, orelse, body)
+            yield ast.IfExp(test, orelse, body)
         case ast.Call(func=ast.Name(id=name), args=args, keywords=keywords) if name in _CALLS:
-            yield "", ast.Call(ast.Name(_CALLS[name], ast.Load()), args, keywords)
+            yield ast.Call(ast.Name(_CALLS[name], ast.Load()), args, keywords)
         case ast.Call(func=ast.Name(id="abs"), args=[argument]):
-            yield "", argument
-        case ast.Attribute(value=ast.Name(id=enumeration) as owner, attr=member) if others := _MEMBERS.get(
-            enumeration
-        ):
-            if member in others:
-                following = others[(others.index(member) + 1) % len(others)]
-                yield "", ast.Attribute(owner, following, ast.Load())
+            yield argument
+        case ast.Attribute(value=ast.Name(id=owner) as enumeration, attr=member) if owner in members:
+            names = members[owner]
+            if member in names:
+                yield ast.Attribute(enumeration, names[(names.index(member) + 1) % len(names)], ast.Load())
         case ast.Return(value=ast.expr() as value) if not isinstance(value, ast.Constant):
-            yield "", ast.Return(ast.Constant(0))
+            yield ast.Return(ast.Constant(0))
         case ast.Constant(value=bool() as value):
-            yield "", ast.Constant(not value)
+            yield ast.Constant(not value)
         case ast.Constant(value=int() | float() as value):
-            yield "", ast.Constant(value + 1)
-        case ast.AugAssign() | ast.Continue() | ast.Break():
-            yield "pass", ast.Pass()
+            yield ast.Constant(value + 1)
+        case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]) | ast.Expr(value=ast.Call()):
+            yield ast.Pass()
+        case _ if isinstance(node, _REMOVED):
+            yield ast.Pass()
 
 
-def _put(parent: ast.AST, field: str, index: int | None, new: ast.AST | None) -> None:
-    if index is None:
-        setattr(parent, field, new)
+def _put(place: _Place, node: ast.AST) -> None:
+    if place.index is None:
+        setattr(place.parent, place.field, node)
     else:
-        getattr(parent, field)[index] = new
+        getattr(place.parent, place.field)[place.index] = node
