@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bench.control.envelope import interlock_cause
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request
 from sim.compiled import compiled
 
 _ACCEPTED, _REFUSED = int(Answer.ACCEPTED), int(Answer.REFUSED)
@@ -15,7 +15,6 @@ _ARM, _SECURE = int(Request.ARM), int(Request.SECURE)
 _HOLD, _STANDING = int(Phase.HOLD), int(Phase.STANDING)
 _COMPLETE = int(Reaction.COMPLETE)
 _EMERGENCY_CAUSE = int(Cause.EMERGENCY_STOP)
-_ACCESS_STATE = int(State.ACCESS)
 
 _BY_STATE, _STOPPING, _E_STOP = int(Refusal.STATE), int(Refusal.STOPPING), int(Refusal.EMERGENCY_STOP)
 _GUARD, _READINGS, _NOT_AT_ADDRESS = int(Refusal.GUARD), int(Refusal.READINGS), int(Refusal.NOT_AT_ADDRESS)

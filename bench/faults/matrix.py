@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
 from bench.swing.profile import Profile
 from sim.compiled import source_digest
 
+_PR_SET_PDEATHSIG = 1
 _AT_ONCE = 12
 """Cases of one instant that a process runs before it tells of them."""
 
@@ -166,7 +169,7 @@ def run_matrix(
     else:
         count = min(processes or os.cpu_count() or 1, len(tasks))
         with ProcessPoolExecutor(
-            count, get_context("spawn"), _begin, (configuration, profile, model_check)
+            count, get_context("spawn"), _begin, (os.getpid(), configuration, profile, model_check)
         ) as pool:
             waiting: set[Future[list[Outcome]]] = set()
             queue = iter(tasks)
@@ -197,7 +200,11 @@ _bench: Workbench | None = None
 """Of a worker process."""
 
 
-def _begin(configuration: Configuration, profile: Profile, model_check: bool) -> None:
+def _begin(parent: int, configuration: Configuration, profile: Profile, model_check: bool) -> None:
+    # A pool's workers wait for work for ever when their parent is ended by a signal.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
     global _bench  # noqa: PLW0603 - the one place where a pool's worker can keep what it was started with
     _bench = Workbench(configuration, profile, model_check=model_check)
 

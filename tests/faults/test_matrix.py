@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numba
+import psutil
 import pytest
 from typer.testing import CliRunner
 
@@ -203,6 +209,30 @@ def test_the_command_ends_with_1_when_a_case_ends_unsafe(
     assert result.exit_code == 1
     assert json.loads((tmp_path / "matrix.json").read_text())["cases"] == 10
     assert (tmp_path / "matrix.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("number", "at_work"), [(signal.SIGKILL, False), pytest.param(signal.SIGTERM, True, marks=needs_speed)]
+)
+def test_a_run_that_is_ended_leaves_no_worker(tmp_path: Path, number: signal.Signals, at_work: bool) -> None:
+    command = [sys.executable, "-m", "bench", "faults", "run", "--output", str(tmp_path), "--processes", "2"]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    workers: list[psutil.Process] = []
+    try:
+        while len(workers) < 2 or (at_work and (tmp_path / "cases.jsonl").read_text().count("\n") < 2):
+            workers = [child for child in psutil.Process(run.pid).children() if _is_worker(child)]
+            time.sleep(0.05)  # the test's own time-out ends this
+    finally:
+        run.send_signal(number)
+        assert run.wait(10.0) == -number
+    _, alive = psutil.wait_procs(workers, 20.0)
+    assert not alive
+
+
+def _is_worker(process: psutil.Process) -> bool:
+    with suppress(psutil.Error):
+        return "spawn_main" in " ".join(process.cmdline())
+    return False
 
 
 def test_rules_say_why() -> None:

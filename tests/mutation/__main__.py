@@ -26,9 +26,12 @@ from tests.mutation.trial import ROOT, Trials
 _CONTROL = "tests/bench/control"
 TARGETS = {
     "bench.control.envelope": (f"{_CONTROL}/test_envelope.py",),
-    "bench.control.requests": (f"{_CONTROL}/test_requests.py", f"{_CONTROL}/test_edges.py"),
+    "bench.control.requests": (
+        f"{_CONTROL}/test_answers.py", f"{_CONTROL}/test_requests.py", f"{_CONTROL}/test_edges.py",
+    ),
     "bench.lifecycle": (
-        "tests/bench/test_lifecycle.py", f"{_CONTROL}/test_requests.py", f"{_CONTROL}/test_edges.py",
+        "tests/bench/test_lifecycle.py", f"{_CONTROL}/test_answers.py", f"{_CONTROL}/test_requests.py",
+        f"{_CONTROL}/test_edges.py",
     ),
 }  # fmt: skip
 """Modules and the tests that must notice."""

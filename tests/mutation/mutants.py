@@ -29,7 +29,7 @@ Members = Mapping[str, tuple[str, ...]]
 
 
 class Mutant(NamedTuple):
-    """One changed source: the line's number and text, what became of what, the how manieth such change there."""
+    """One changed source: the line's number and text, what became of what, and its number among such."""
 
     line: int
     text: str
@@ -50,7 +50,7 @@ class _Place(NamedTuple):
     node: ast.AST
     parent: ast.AST
     field: str
-    index: int | None
+    position: int | None
 
 
 def mutants(source: str, members: Members | None = None) -> Iterator[Mutant]:
@@ -128,7 +128,7 @@ def _changes(node: ast.AST, members: Members) -> Iterator[ast.AST]:
 
 
 def _put(place: _Place, node: ast.AST) -> None:
-    if place.index is None:
+    if place.position is None:
         setattr(place.parent, place.field, node)
     else:
-        getattr(place.parent, place.field)[place.index] = node
+        getattr(place.parent, place.field)[place.position] = node

@@ -1,4 +1,4 @@
-"""One mutant put before the tests, in a fork of a process that has the libraries imported, but nothing of ours.
+"""A mutant put before the tests: in a fork of a process that has the libraries imported, but nothing of ours.
 
 The child imports `bench` and the tests anew, the mutated module from the changed source: whoever takes a
 value or a function from it at import time has the mutant's, and none is left with the original.
@@ -65,7 +65,7 @@ class Trials:
         Raises:
             NoVerdictError: a test fails on it.
         """
-        warm(self._forked(source).loaded)
+        warm(self._forked(source, "--collect-only").loaded)
         outcome = self._forked(source)
         if outcome.killer:
             raise NoVerdictError(f"{self.module}: {outcome.killer} fails without a mutant")
@@ -81,7 +81,7 @@ class Trials:
             self.order.insert(0, killer)
         return killer
 
-    def _forked(self, source: str) -> Outcome:
+    def _forked(self, source: str, *options: str) -> Outcome:
         ours = [name for name in sys.modules if is_ours(name) and not name.startswith("tests.mutation")]
         if ours and ours != ["tests"]:
             raise NoVerdictError(f"imported before the mutant: {', '.join(ours)}")
@@ -90,7 +90,7 @@ class Trials:
         if child == 0:
             os.close(reading)
             with open(writing, "w") as report:
-                code = self._run(source, report)
+                code = self._run(source, options, report)
             os._exit(code)
         os.close(writing)
         with open(reading) as report:
@@ -98,7 +98,7 @@ class Trials:
         _, status = os.waitpid(child, 0)
         return _outcome(os.waitstatus_to_exitcode(status), lines)
 
-    def _run(self, source: str, report: Any) -> int:
+    def _run(self, source: str, further: Sequence[str], report: Any) -> int:
         """Run the tests on `source`; return pytest's exit code; in a fork only."""
         null = os.open(os.devnull, os.O_RDWR)
         for stream in (0, 1, 2):
@@ -106,7 +106,7 @@ class Trials:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         sys.meta_path.insert(0, Swap(self.module, source))
         options = ["-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--assert=plain"]
-        options += ["--timeout=300", "--rootdir", str(ROOT)]
+        options += ["--timeout=300", "--rootdir", str(ROOT), *further]
         code = int(pytest.main([*options, *self.tests], plugins=[Watch(self.order, self.longest, report)]))
         swapped = isinstance(getattr(sys.modules.get(self.module), "__loader__", None), _Source)
         _tell(report, swapped=swapped, loaded=sorted(sys.modules))
@@ -115,7 +115,7 @@ class Trials:
 
 def is_ours(name: str) -> bool:
     """Tell whether the module `name` must not outlive a mutant."""
-    return name.split(".")[0] in OURS
+    return name.split(".", maxsplit=1)[0] in OURS
 
 
 def warm(names: Iterable[str]) -> None:

@@ -108,6 +108,18 @@ def nth(first: Cause, joint: int) -> Cause:
     return Cause(first + joint)
 
 
+STRETCHED = (0.0, 0.0, 0.0)
+"""All along x: what is computed of it is exact."""
+
+
+def test_limits_are_one_a_joint() -> None:
+    shapes = {name: ENVELOPE_PARAMETERS[name].shape for name in ENVELOPE_PARAMETERS.names or ()}
+    several = {name: shape for name, shape in shapes.items() if shape}
+    assert several == {"following": (len(Phase), 3)} | dict.fromkeys(
+        ("lower", "upper", "greatest_speed", "stop_deceleration", "stop_speed"), (3,)
+    )
+
+
 # Interlocks and readings ------------------------------------------------------------------------------
 
 
@@ -272,6 +284,24 @@ def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> 
 
 
 @each_phase
+@pytest.mark.parametrize("joint", [0, 2])
+@pytest.mark.parametrize("speed", [0.25, -0.25])
+def test_the_way_counts_ahead_of_a_slow_joint_and_not_behind_it(
+    phase: Phase, joint: int, speed: float
+) -> None:
+    motion = Motion(phase=phase)
+    p, e = motion.parameters[0], motion.estimator[0]
+    e["velocity"][joint] = speed
+    p["stop_speed"][joint], p["stop_deceleration"][joint] = 0.0, 1.0
+    ahead, behind = ("upper", "lower") if speed > 0.0 else ("lower", "upper")
+    p[behind][joint] = POSE[joint]
+    assert motion.cause() is Cause.NONE
+    p[ahead][joint] = POSE[joint]
+    broken = nth(Cause.SHOULDER_STOP_DISTANCE, joint) if phase in STOPPABLE else Cause.NONE
+    assert motion.cause() is broken
+
+
+@each_phase
 @pytest.mark.parametrize("velocity", [3.0, -3.0])
 def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
     motion = Motion(phase=phase)
@@ -315,6 +345,29 @@ def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
     motion.parameters["following"][0, phase] = 1.0
     motion.reference += 0.5
     assert motion.cause() is Cause.NONE
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause"),
+    [
+        ({"ground": -0.5, "sole_depth": 0.25, "clearance": 0.25}, Cause.NONE),
+        ({"ground": -0.5, "sole_depth": 0.25, "clearance": above(0.25)}, Cause.GROUND),
+        ({"ground": -0.5, "clearance": 1.0, "ball_window": 1.0}, Cause.NONE),
+        ({"ground": -0.5, "clearance": 1.0, "ball_window": below(1.0)}, Cause.GROUND),
+        ({"frame_radius": 1.0}, Cause.NONE),
+        ({"frame_radius": above(1.0)}, Cause.FRAME),
+        ({"least_lever": 1.0}, Cause.NONE),
+        ({"least_lever": above(1.0)}, Cause.WRIST_LEVER),
+    ],
+)
+def test_what_is_just_clear_is_clear(changes: dict[str, float], cause: Cause) -> None:
+    robot = ROBOT.record[0]
+    wrist = float(robot["l12"]) + float(robot["l23"])
+    motion = Motion(estimator=moving(STRETCHED), reference=np.array(STRETCHED))
+    lengths = {"ball_window": wrist + CLUB_REACH, "frame_radius": wrist}
+    for name, value in changes.items():
+        motion.parameters[name] = value * lengths.get(name, 1.0)
+    assert motion.cause() is cause
 
 
 @each_phase

@@ -1,0 +1,313 @@
+"""Why a request is refused: one condition at a time, two at once, and at each bound; on records alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+from math import inf, nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.control.requests import near_address, note_local_reset, refusal_of, take_request
+from bench.control.step import ControlParameters, ControlState
+from bench.lifecycle import NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
+from tests.bench.control.puppet import Puppet
+
+FROM = {
+    Request.RESET: State.FAULT, Request.HOME: State.SAFE, Request.ARM: State.READY,
+    Request.SWING: State.ARMED, Request.ACCESS: State.READY, Request.SECURE: State.ACCESS,
+    Request.TEE: State.ARMED, Request.DISARM: State.ARMED,
+}  # fmt: skip
+STOPS = (Request.STOP, Request.EMERGENCY_STOP)
+NOW = 64.0
+"""s; exact in binary, as all bounds here."""
+VENT_TIME, RESET_TIME = 2.0, 0.5
+TOLERANCE, STILL = np.array([0.5, 0.25, 0.125]), np.array([1.0, 2.0, 4.0])
+
+
+@dataclass
+class Situation:
+    """A bench as the answer finds it."""
+
+    state: ControlState
+    parameters: ControlParameters
+    readings: Any
+
+    def refusal(self, request: int) -> Refusal:
+        return Refusal(refusal_of(self.state, self.parameters, self.readings, request, NOW))
+
+
+@pytest.fixture(scope="module")
+def template() -> Situation:
+    puppet = Puppet()
+    return Situation(puppet.state, puppet.parameters, puppet.readings)
+
+
+@pytest.fixture
+def good(template: Situation) -> Callable[[Request], Situation]:
+    """Return a maker of situations in which a request's guard holds."""
+
+    def make(request: Request) -> Situation:
+        state = ControlState(*(record.copy() for record in template.state))
+        parameters = ControlParameters(*(record.copy() for record in template.parameters))
+        s, p, e = state.control, parameters.control, state.estimator
+        s["state"] = FROM.get(request, State.SWINGING)
+        s["phase"] = Phase.HOLD if s["state"][0] == State.ARMED else Phase.STANDING
+        for name in ("lease_held", "support_ready", "supervisor_alive", "device_operational", "vented"):
+            s[name] = True
+        s["vent_start"] = 0.0
+        p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
+        p["address_tolerance"], p["still_speed"] = TOLERANCE, STILL
+        parameters.angle[0] = 0.0
+        e["angle"] = e["velocity"] = 0.0
+        return Situation(state, parameters, template.readings.copy())
+
+    return make
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Something that forbids some requests."""
+
+    name: str
+    refusal: Refusal
+    forbids: frozenset[Request]
+    where: str
+    values: dict[str, Any]
+
+    def apply(self, situation: Situation) -> None:
+        record = {
+            "control": situation.state.control, "parameters": situation.parameters.control,
+            "readings": situation.readings, "estimator": situation.state.estimator,
+        }[self.where]  # fmt: skip
+        for name, value in self.values.items():
+            record[name] = value
+
+
+def only(*requests: Request) -> frozenset[Request]:
+    return frozenset(requests)
+
+
+MOVES_OR_RESETS = only(Request.ARM, Request.SWING, Request.RESET, Request.HOME)
+CONDITIONS = (
+    Condition("read only", Refusal.READ_ONLY, frozenset(FROM), "parameters", {"read_only": True}),
+    Condition("wrong state", Refusal.STATE, frozenset(FROM), "control", {"state": State.SWINGING}),
+    Condition(
+        "stopping", Refusal.STOPPING, frozenset(FROM), "control",
+        {"reaction": Reaction.BRAKE, "phase": Phase.HOLD},
+    ),
+    Condition("no lease", Refusal.NO_LEASE, NEEDS_LEASE, "control", {"lease_held": False}),
+    Condition(
+        "passive device", Refusal.DEVICE, only(Request.ARM, Request.SWING, Request.HOME, Request.ACCESS),
+        "control", {"device_operational": False},
+    ),
+    Condition(
+        "emergency stop", Refusal.EMERGENCY_STOP, MOVES_OR_RESETS | only(Request.ACCESS), "readings",
+        {"emergency_stop_clear": False},
+    ),
+    Condition("guard unlocked", Refusal.GUARD, MOVES_OR_RESETS, "readings", {"guard_locked": False}),
+    Condition(
+        "guard open", Refusal.GUARD, MOVES_OR_RESETS | only(Request.SECURE), "readings",
+        {"guard_closed": False},
+    ),
+    Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
+    Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
+    Condition(
+        "support", Refusal.SUPPORT, only(Request.ARM, Request.SWING), "control", {"support_ready": False}
+    ),
+    Condition(
+        "on the way", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"phase": Phase.RETURN}
+    ),
+    Condition("swinging", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"swinging": True}),
+    Condition(
+        "off the address", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "estimator", {"angle": (0, 0, 1.0)}
+    ),
+    Condition(
+        "pressure", Refusal.NOT_VENTED, only(Request.ACCESS, Request.HOME, Request.RESET), "control",
+        {"vented": False},
+    ),
+    Condition(
+        "button", Refusal.LOCAL_RESET, only(Request.RESET), "parameters", {"local_reset": True}
+    ),
+)  # fmt: skip
+"""What forbids requests, in the order in which the operator is told of it."""
+
+Make = Callable[[Request], Situation]
+each_request = pytest.mark.parametrize("request_", FROM, ids=lambda request: request.name)
+
+
+@each_request
+def test_nothing_forbids(good: Make, request_: Request) -> None:
+    assert good(request_).refusal(request_) is Refusal.NONE
+
+
+@each_request
+def test_each_condition_forbids_what_it_must_and_nothing_else(good: Make, request_: Request) -> None:
+    for condition in CONDITIONS:
+        situation = good(request_)
+        condition.apply(situation)
+        expected = condition.refusal if request_ in condition.forbids else Refusal.NONE
+        assert situation.refusal(request_) is expected, condition.name
+
+
+@each_request
+def test_of_two_conditions_the_first_is_told(good: Make, request_: Request) -> None:
+    forbidding = [condition for condition in CONDITIONS if request_ in condition.forbids]
+    for first, second in combinations(forbidding, 2):
+        situation = good(request_)
+        second.apply(situation)
+        first.apply(situation)
+        assert situation.refusal(request_) is first.refusal, (first.name, second.name)
+
+
+@pytest.mark.parametrize("request_", STOPS, ids=lambda request: request.name)
+def test_nothing_forbids_a_stop(good: Make, request_: Request) -> None:
+    situation = good(request_)
+    for condition in CONDITIONS:
+        condition.apply(situation)
+    assert situation.refusal(request_) is Refusal.NONE
+
+
+@pytest.mark.parametrize("request_", [len(Request), 255])
+def test_what_is_no_request_is_refused(good: Make, request_: int) -> None:
+    assert good(Request.ARM).refusal(request_) is Refusal.STATE
+
+
+@pytest.mark.parametrize(
+    ("values", "stopping"),
+    [
+        ({"reaction": Reaction.COMPLETE, "phase": Phase.HOLD}, False),
+        ({"reaction": Reaction.VENT, "phase": Phase.STANDING}, False),
+        ({"reaction": Reaction.BRAKE, "phase": Phase.HOMING}, True),
+    ],
+)
+def test_a_stop_is_under_way_while_it_moves(good: Make, values: dict[str, int], stopping: bool) -> None:
+    situation = good(Request.TEE)
+    for name, value in values.items():
+        situation.state.control[name] = value
+    assert situation.refusal(Request.TEE) is (Refusal.STOPPING if stopping else Refusal.NONE)
+
+
+def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
+    situation = good(Request.ACCESS)
+    situation.readings["guard_closed"] = situation.readings["guard_locked"] = False
+    assert situation.refusal(Request.ACCESS) is Refusal.NONE
+
+
+def test_a_search_of_the_index_begins_with_air(good: Make) -> None:
+    situation = good(Request.HOME)
+    situation.parameters.control["home_by_index"] = True
+    situation.state.control["vented"] = False
+    assert situation.refusal(Request.HOME) is Refusal.NONE
+
+
+@pytest.mark.parametrize(
+    ("since", "refusal"),
+    [(VENT_TIME, Refusal.NOT_VENTED), (VENT_TIME - 2.0**-40, Refusal.NONE), (0.0, Refusal.NONE)],
+)
+def test_a_reset_waits_for_the_air_from_the_time_on_in_which_it_should_be_out(
+    good: Make, since: float, refusal: Refusal
+) -> None:
+    situation = good(Request.RESET)
+    situation.state.control["vented"], situation.state.control["vent_start"] = False, NOW - since
+    assert situation.refusal(Request.RESET) is refusal
+
+
+@pytest.mark.parametrize(
+    ("since", "counts"), [(0.0, True), (RESET_TIME, True), (RESET_TIME + 2.0**-40, False), (nan, False)]
+)
+def test_the_button_counts_up_to_its_time(good: Make, since: float, counts: bool) -> None:
+    situation = good(Request.RESET)
+    situation.parameters.control["local_reset"] = True
+    situation.state.control["reset_pressed"] = NOW - since
+    assert situation.refusal(Request.RESET) is (Refusal.NONE if counts else Refusal.LOCAL_RESET)
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_address_up_to_its_tolerance_and_at_rest(good: Make, joint: int, sign: float) -> None:
+    for name, bound in (("angle", TOLERANCE[joint]), ("velocity", 2.0 * STILL[joint])):
+        for value, near in ((bound, True), (np.nextafter(bound, inf), False), (nan, False), (inf, False)):
+            situation = good(Request.SWING)
+            situation.state.estimator[name][0, joint] = sign * value
+            assert near_address(situation.parameters, situation.state.estimator) == near
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_the_address_is_the_first_row_of_the_swing(good: Make, joint: int) -> None:
+    situation = good(Request.SWING)
+    situation.parameters.angle[0, joint] = situation.state.estimator["angle"][0, joint] = 1.0
+    assert near_address(situation.parameters, situation.state.estimator)
+
+
+# What is remembered -----------------------------------------------------------------------------------
+
+
+def taken(situation: Situation, request: int, number: int) -> int:
+    """Put `request` with its number to a tick; return what is to be carried out."""
+    control = situation.state.control
+    control["request"], control["request_number"] = request, number
+    return take_request(situation.state, situation.parameters, situation.readings, NOW)
+
+
+def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:
+    """Return answered number, answer, refusal, what was asked, and what is still asked."""
+    s = situation.state.control[0]
+    return (
+        int(s["answered_number"]), Answer(int(s["answer"])), Refusal(int(s["refusal"])), int(s["asked"]),
+        int(s["request"]),
+    )  # fmt: skip
+
+
+def test_an_accepted_request_is_answered_once(good: Make) -> None:
+    situation = good(Request.ARM)
+    assert taken(situation, Request.ARM, 5) == Request.ARM
+    answer = (5, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
+    assert told(situation) == answer
+    assert taken(situation, Request.NONE, 6) == Request.NONE
+    assert told(situation) == (5, Answer.ACCEPTED, Refusal.NONE, Request.NONE, Request.NONE)
+
+
+def test_a_refused_request_is_answered_with_its_reason(good: Make) -> None:
+    situation = good(Request.ARM)
+    assert taken(situation, Request.SWING, 5) == Request.NONE
+    assert told(situation) == (5, Answer.REFUSED, Refusal.STATE, Request.SWING, Request.NONE)
+    assert taken(situation, Request.ARM, 6) == Request.ARM
+    assert told(situation) == (6, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda request: request.name)
+def test_a_stop_past_the_numbers_leaves_the_last_answer(good: Make, stop: Request) -> None:
+    situation = good(Request.ARM)
+    taken(situation, Request.SWING, 5)
+    assert taken(situation, stop, 5) == stop
+    assert told(situation) == (5, Answer.REFUSED, Refusal.STATE, stop, Request.NONE)
+    assert taken(situation, stop, 6) == stop
+    assert told(situation) == (6, Answer.ACCEPTED, Refusal.NONE, stop, Request.NONE)
+
+
+def test_a_stop_before_any_number_is_answered(good: Make) -> None:
+    situation = good(Request.ARM)
+    assert taken(situation, Request.STOP, 0) == Request.STOP
+    assert told(situation) == (0, Answer.ACCEPTED, Refusal.NONE, Request.STOP, Request.NONE)
+
+
+def test_the_same_number_again_is_answered_again(good: Make) -> None:
+    situation = good(Request.ARM)
+    assert taken(situation, Request.SWING, 5) == Request.NONE
+    assert taken(situation, Request.ARM, 5) == Request.ARM
+    assert told(situation) == (5, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
+
+
+def test_a_press_is_an_edge(good: Make) -> None:
+    s = good(Request.RESET).state.control[0]
+    s["reset_was_low"], s["reset_pressed"] = False, -1.0
+    for time, level, pressed in (
+        (1.0, True, -1.0), (2.0, False, -1.0), (3.0, True, 3.0), (4.0, True, 3.0), (5.0, False, 3.0),
+        (6.0, False, 3.0), (7.0, True, 7.0),
+    ):  # fmt: skip
+        note_local_reset(s, level, time)
+        assert s["reset_pressed"] == pressed, time

@@ -1,0 +1,104 @@
+"""The runner itself: a mutant that must die dies, wherever its value was taken to, and nothing else does."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.mutation.mutants import mutants
+
+ROOT = Path(__file__).parents[2]
+
+TRIALS = """
+import json, os, sys
+os.environ["NUMBA_DISABLE_JIT"] = "1"
+from pathlib import Path
+from tests.mutation.trial import NoVerdictError, Trials
+trials = Trials("bench.lifecycle", [sys.argv[1]])
+source = Path("bench/lifecycle.py").read_text()
+trials.begin(source)
+def mutated(old, new):
+    assert source.count(old) == 1
+    return trials.killer(source.replace(old, new)).rpartition("::")[2]
+told = [
+    trials.killer(source),
+    mutated("HOLD = 2", "HOLD = 12"),
+    mutated("return np.array([STOPPING[phase] for phase in Phase], dtype=np.uint8)", "return np.array([0])"),
+    mutated("NEEDS_LEASE = frozenset(Request) -", "NEEDS_LEASE = frozenset(Request) +"),
+    mutated("return np.array([[state in", "while True: pass\\n    return np.array([[state in"),
+    trials.killer(source),
+]
+print(json.dumps(told))
+"""
+WATCHING = """
+    import bench.control.envelope, bench.control.step
+    from bench.control.settings import build_controller
+    from bench.lifecycle import accepted_table
+
+    def test_a_constant_in_an_importer():
+        assert bench.control.envelope._IMPACT == 7 and bench.control.step._HOLD == 2
+
+    def test_a_function_in_an_importer():
+        assert bench.control.settings.reaction_table().shape == (10, 6)
+
+    def test_that_ends():
+        accepted_table()
+"""
+
+
+def tried(file: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", TRIALS, str(file)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100.0, check=False)
+
+
+def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
+    file = tmp_path / "test_watching.py"
+    file.write_text(textwrap.dedent(WATCHING))
+    run = tried(file)
+    assert run.returncode == 0, run.stderr
+    assert ast.literal_eval(run.stdout) == [
+        "", "test_a_constant_in_an_importer", "test_a_function_in_an_importer", "import", "test_that_ends", ""
+    ]  # fmt: skip
+
+
+def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "test_failing.py"
+    file.write_text("import bench.lifecycle\n\ndef test_it():\n    assert False\n")
+    run = tried(file)
+    assert "NoVerdictError: bench.lifecycle: " in run.stderr
+    assert "test_it fails without a mutant" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("source", "changes"),
+    [
+        ("a < b", ["a < b -> a <= b", "a < b -> a >= b"]),
+        ("x = a + 1", ["a + 1 -> a - 1", "1 -> 2"]),
+        ("if not a and b:\n    c()", [
+            "if not a and b: -> if not (not a and b):", "not a and b -> not a or b", "not a and b -> b",
+            "not a and b -> not a", "not a -> a", "c() -> pass",
+        ]),
+        ("s.x = max(y, -z)", [
+            "s.x = max(y, -z) -> pass", "max(y, -z) -> min(y, -z)", "-z -> z",
+        ]),
+        ('"""Text 1."""\nx: tuple[int] = True', ["True -> False"]),
+        ("x = Colour.RED\ny = Colour.BLUE", ["Colour.RED -> Colour.BLUE", "Colour.BLUE -> Colour.RED"]),
+    ],
+)  # fmt: skip
+def test_what_becomes_of_a_source(source: str, changes: list[str]) -> None:
+    found = list(mutants(source, {"Colour": ("RED", "BLUE")}))
+    assert [mutant.change for mutant in found] == changes
+    assert len({mutant.source for mutant in found}) == len(found)
+    for mutant in found:
+        ast.parse(mutant.source)
+
+
+def test_mutants_of_one_line_have_names_of_their_own() -> None:
+    first, *others = [mutant.name for mutant in mutants("x = a[0] + b[0]")]
+    assert first == "x = a[0] + b[0]: a[0] + b[0] -> a[0] - b[0]"
+    assert others == ["x = a[0] + b[0]: 0 -> 1", "x = a[0] + b[0]: 0 -> 1 (2)"]
