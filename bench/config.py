@@ -588,6 +588,22 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield "canopen.answer_time", found, f"at most {short(longest)} s, part of the period", "Lower it."
 
 
+def unheard_phases(configuration: Configuration) -> list[BenchError]:
+    """Return the faults that would never begin on a bench that runs: only a plant in step hears the phase."""
+    if configuration.driver.paced:
+        return []
+    place = ", ".join(map(str, configuration.files))
+    return [
+        BenchError(
+            f"{place}: faults.{name}.phase", shown(fault.phase),
+            '"any": a plant on its own clock knows no phase',
+            "Give time, or joint and angle, or run with --time paced.",
+        )
+        for name, fault in configuration.faults.items()
+        if fault.phase != "any"
+    ]  # fmt: skip
+
+
 _LOOPS_OWN = frozenset({"clock", "loop", "supervisor", "recorder", "lease", "launch monitor"})
 
 
@@ -604,9 +620,6 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if fault.signal in _LOOPS_OWN:
             cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
             yield f"{key}.signal", shown(fault.signal), "a signal or part of the simulated robot", cure
-        if fault.phase != "any" and not c.driver.paced:
-            cure = 'Give time, or joint and angle, or run with driver.time = "paced".'
-            yield f"{key}.phase", shown(fault.phase), '"any": a plant on its own clock knows no phase', cure
         if fault.kind == "delayed" and fault.value > (longest := LONGEST_DELAY * c.plant.tick):
             yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
 

@@ -22,9 +22,16 @@ class NoBus(BenchError):
 
 
 def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
-    """Return what the simulated nodes of `configuration` are started with; their files go to `folder`."""
+    """Return what the simulated nodes of `configuration` are started with; their files go to `folder`.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each fault that would never begin.
+    """
+    from bench.config import unheard_phases
     from sim.node_plan import NodesPlan
 
+    if mistakes := unheard_phases(configuration):
+        raise ExceptionGroup("the configuration does not hold", mistakes)
     c, bus = configuration, configuration.canopen
     return NodesPlan(
         interface=bus.interface,

@@ -32,7 +32,7 @@ def run(
     """
     import logging
 
-    from bench.config import contradictions
+    from bench.config import contradictions, unheard_phases
     from bench.daemon import Daemon
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
@@ -46,8 +46,9 @@ def run(
     if profile is not None:
         swing = replace(swing, profile=profile)
     configuration = replace(configuration, swing=swing).with_driver(settings)
-    if configuration.faults and (mistakes := contradictions(configuration)):
-        raise ExceptionGroup("the configuration does not hold", mistakes)
+    if configuration.faults:
+        if mistakes := contradictions(configuration) + unheard_phases(configuration):
+            raise ExceptionGroup("the configuration does not hold", mistakes)
     daemon = Daemon(configuration, read_only=read_only)
     daemon.run(
         lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)

@@ -30,6 +30,8 @@ START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128,
 """NMT commands."""
 
 RPDO_TIMEOUT, HEARTBEAT_LOST, PDO_TOO_SHORT, NO_ERROR = 0x8250, 0x8130, 0x8210, 0x0000
+_COMMUNICATION = 0x8000
+"""Emergency error codes from here on are of monitoring and communication."""
 """Emergency error codes."""
 
 _ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
@@ -198,8 +200,10 @@ class CanopenDevice:
 
     def tell_error(self, code: int, register: int) -> None:
         """Send an emergency message; code 0 tells that the errors are over."""
-        self._trouble = code != NO_ERROR
-        self.errors += self._trouble
+        self._trouble = (
+            code >= _COMMUNICATION
+        )  # over with the next start, unlike an error of the device itself
+        self.errors += code != NO_ERROR
         self.put(_ERROR_REGISTER, 0, register)
         if self.state != STOPPED:
             self._send(self.number_at(_EMERGENCY_COB_ID) & 0x7FF, struct.pack("<HB5x", code, register))

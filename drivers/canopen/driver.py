@@ -228,6 +228,8 @@ class CanopenDriver:
         set_up_valve_node(valve_node, self.settings, self.watchdog)
         for joint in range(3):
             self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
+            # Of an error that it has had since before, it tells nobody any more.
+            self._faulty[joint] = nodes[joint].read(0x1001, 0, "error register") != 0
         self._inputs = valve_node.read(0x6000, 1, "inputs")
         for channel in self.settings.valve_node.analogue_inputs:
             count = valve_node.read(0x6401, channel, "pressure")

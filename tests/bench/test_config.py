@@ -20,6 +20,7 @@ from bench.config import (
     find_configuration,
     load_configuration,
     shipped_configuration,
+    unheard_phases,
 )
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.errors import BenchError
@@ -450,7 +451,6 @@ def test_any_value_is_taken_or_refused_in_words(
         ('[faults.a]\nsignal = "no such"\nkind = "off"', "faults.a"),
         ('[faults.a]\nsignal = "club head"\nkind = "stuck"', "faults.a"),
         ('[faults.a]\nsignal = "clock"\nkind = "stuck"', "faults.a.signal"),
-        ('[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"', "faults.a.phase"),
         ('[faults.a]\nsignal = "arm valve"\nkind = "delayed"\nvalue = 0.2', "faults.a.value"),
         ('[faults.a]\nsignal = "tee"\nkind = "off"\n[driver]\nname = "mock"', "faults.a"),
         ('[faults.a]\nsignal = "tee"\nkind = "off"\n[driver]\nname = "canopen"', "faults.a"),
@@ -461,9 +461,23 @@ def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, place: s
     assert any(place in fault.place for fault in faults(overlay(text)))
 
 
+@pytest.mark.parametrize("driver", ['name = "canopen"', 'time = "wall"'])
+def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay, driver: str) -> None:
+    text = f'[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\n{driver}\n'
+    configuration = load_configuration(overlay(text + '[canopen]\ninterface = "local_socket"'))
+    (fault,) = unheard_phases(configuration)
+    assert fault.place.endswith("faults.a.phase")
+    assert "--time paced" in fault.cure
+    assert not unheard_phases(
+        configuration.with_driver(replace(configuration.driver, name="sim", time="paced"))
+    )
+
+
 def test_a_fault_gives_only_what_it_needs(overlay: Overlay) -> None:
     text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\ntime = "paced"'
-    (fault,) = load_configuration(overlay(text)).faults.values()
+    configuration = load_configuration(overlay(text))
+    assert not unheard_phases(configuration)
+    (fault,) = configuration.faults.values()
     assert (fault.name, fault.signal, fault.phase, fault.duration) == ("a", "tee", "top", 0.0)
 
 

@@ -272,6 +272,16 @@ def test_an_encoders_error_makes_its_channel_invalid_until_it_is_over(bench: Ben
     assert bench.driver.counters.emergencies == 2
 
 
+def test_an_error_from_before_the_start_makes_the_channel_invalid_until_it_is_over(bench: Bench) -> None:
+    bench.driver.close()
+    bench.wire.nodes.encoders[1].set_health(False)
+    bench.driver.open()
+    bench.wire.nodes.plant.state["encoder_valid"] = (1, 0, 1)
+    assert bench.run(3).encoder_valid == (True, False, True)
+    bench.wire.nodes.plant.state["encoder_valid"] = (1, 1, 1)
+    assert bench.run(3).encoder_valid == (True, True, True)
+
+
 # What ends in the latched safe state -----------------------------------------------------------------
 
 

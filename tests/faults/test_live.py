@@ -1,0 +1,119 @@
+"""Faults of a bench that runs: the whole of it, as a user starts it, and what its operator reads.
+
+Patient where the plant has a clock of its own: the machine of the tests may be busy.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+import pytest
+
+from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.network.client import CommandRefused
+from bench.telemetry.recorder import read_swing
+from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+pytestmark = [
+    pytest.mark.timeout(400),  # the first start compiles
+    pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a tick takes longer than a period"),
+]
+
+PATIENT = """
+[driver]
+name = "{driver}"
+watchdog = 0.3
+[envelope]
+lost_time = 0.2
+greatest_gap = 0.3
+[faults.sticking]
+signal = "shoulder valve"
+kind = "stuck"
+value = -1.0
+joint = "shoulder"
+angle = 0.0                       # passed on the way from hanging, -0.29, to the address
+duration = 3.0
+"""
+
+
+def stopped(bench: BenchProcess) -> tuple[Cause, Reaction]:
+    """Arm, and swing if it comes to that; return what stopped it, and what was done about it."""
+    with bench.client.lease("test"):
+        bench.recover()
+        bench.client.arm()
+        bench.wait_until(lambda record: record["trip"] != 0 or record["phase"] == Phase.HOLD)
+        if bench.now()["trip"] == 0:
+            bench.swing()
+        record = bench.wait_until(lambda record: record["trip"] != 0)
+        bench.wait_until(lambda record: record["state"] == State.FAULT)
+    cause = Cause(int(record["trip"]))
+    assert bench.cause == cause.name
+    return cause, Reaction(int(record["reaction"]))
+
+
+def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_path: Path) -> None:
+    file = write_configuration(
+        tmp_path, "phase",
+        '[faults.cable]\nsignal = "wrist encoder"\nkind = "off"\nphase = "backswing"\nduration = 0.5\n'
+        '[faults.sticking]\nsignal = "shoulder valve"\nkind = "stuck"\nvalue = 1.0\n'
+        'phase = "follow_through"\nduration = 1.0\n',
+    )  # fmt: skip
+    with running_bench(file, clock="paced") as bench:
+        assert stopped(bench) == (Cause.WRIST_ENCODER, Reaction.BLIND_BRAKE)
+        assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
+        bench.end()
+        cycles, about = read_swing(bench.records[-1])
+        assert about["outcome"] != "complete"
+        assert about["configuration"]["faults"]["sticking"]["signal"] == "shoulder valve"
+        assert Cause.SHOULDER_FOLLOWING in cycles["trip"]
+
+
+def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) -> None:
+    door = '[faults.door]\nsignal = "guard closed"\nkind = "off"\njoint = "shoulder"\nangle = -0.15\n'
+    file = write_configuration(tmp_path, "angle", PATIENT.format(driver="sim") + door + "duration = 1.0\n")
+    with running_bench(file, clock="wall") as bench:
+        assert stopped(bench) == (Cause.GUARD, Reaction.BRAKE)
+        assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
+
+
+@contextmanager
+def played_nodes(file: Path) -> Iterator[None]:
+    """Play the devices of the configuration `file`."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "bench", "--config", str(file), "nodes"], stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
+            yield
+        finally:
+            process.terminate()
+
+
+def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
+    file = write_configuration(
+        tmp_path, "nodes",
+        f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )  # fmt: skip
+    with played_nodes(file), running_bench(file, clock="wall") as bench:
+        assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
+
+
+def test_a_node_without_readings_lets_nobody_reset(tmp_path: Path) -> None:
+    file = write_configuration(
+        tmp_path, "cable",
+        f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n'
+        '[faults.cable]\nsignal = "wrist encoder"\nkind = "off"\n',
+    )  # fmt: skip
+    with played_nodes(file), running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+        record = bench.wait_until(lambda record: not record["encoder_valid"].all())
+        assert record["encoder_valid"].tolist() == [1, 1, 0]
+        with pytest.raises(CommandRefused, match="an encoder gives no valid readings"):
+            bench.client.reset()
