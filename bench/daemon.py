@@ -11,7 +11,7 @@ import logging
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Any
@@ -25,11 +25,13 @@ from bench.errors import BenchError, ExitCode
 from bench.interrupt import Wish, wish_to_end
 from bench.launch.shot_join import ShotJoin
 from bench.launch.shot_message import SHOT_VERSION
+from bench.learning.correction import basis_of, digest_of
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
 from bench.network.command_plane import CommandPlane
 from bench.network.desk import DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply, Status
 from bench.network.zenoh_session import open_daemon
 from bench.processes.child import Child
+from bench.processes.correction import CORRECTED_FILE
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import Ownership, take_bench
@@ -43,6 +45,7 @@ from bench.processes.support import Supporter
 from bench.processes.tick_timing import TimingReader, summary
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from bench.swing.validate import beyond_range
 from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
 from sim.plant_exchange import PlantPlan
@@ -94,6 +97,7 @@ class Daemon:
         self.calibration = calibration_of(configuration, now())
         self.configuration = apply(self.calibration, configuration).running()
         self.profile = load_profile(find_profile(self.configuration.swing.profile))
+        self._basis, self._profile_digest = basis_of(self.profile), digest_of(self.profile)
         self.wall = not configuration.driver.paced
         """The loop's clock is the wall's."""
         self.children: dict[str, Child] = {}
@@ -119,6 +123,23 @@ class Daemon:
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
+    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+        """Swing with a correction learned for this profile from now on; without weights as designed."""
+        if profile != self._profile_digest:
+            return self._not_corrected("learned for another profile, or another version of it: learn it anew")
+        if len(weights) not in (0, self._basis.size):
+            return self._not_corrected(
+                f"{len(weights)} weights, {self._basis.size} are needed: learn it anew"
+            )
+        if weights:
+            corrected = self._basis.correction(np.array(weights)).applied_to(self.profile)
+            if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
+                return self._not_corrected(f"corrected, {beyond}: learn it anew on a better model")
+        return self._link.correct(weights)
+
+    def _not_corrected(self, reason: str) -> Reply:
+        return Reply(False, self._link.state, reason)
+
     def stop(self) -> Reply:
         """Stop as the stopping table says."""
         return self._link.stop(Request.STOP)
@@ -140,6 +161,7 @@ class Daemon:
             read_only=self.read_only,
             driver=self.configuration.driver.name,
             profile=self.profile.name,
+            correction=self._link.correction,
             club=self.configuration.swing.club,
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
@@ -256,6 +278,7 @@ class Daemon:
             snapshot=folder / SNAPSHOT_FILE,
             heartbeat=folder / "recorder-heart",
             snapshot_dtype=SNAPSHOT,
+            corrected=folder / CORRECTED_FILE,
             profile=self.profile,
             run=self._run,
             configuration=c.effective(),

@@ -15,16 +15,17 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
 from bench.bench_folder import bench_folder
+from bench.campaign.corrections import Swung
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind, Wish
 from bench.campaign.plan import Plan
+from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, NotNow, Suspended
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
@@ -32,12 +33,15 @@ from bench.errors import BenchError, Refused
 from bench.from_toml import shown
 from bench.launch.book import told_figures
 from bench.launch.shot_message import ShotMessage, launch_to_json
+from bench.learning.correction import digest_of
+from bench.learning.learn import Lecture
+from bench.learning.live import LiveSwinger
+from bench.live_swing import HOLD, LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.desk import Status as BenchStatus
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, Status
-from bench.telemetry.recorder import read_swing
-from drivers.launch_monitor.matching import Outcome
+from bench.swing.profile import Profile
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
@@ -50,30 +54,16 @@ HOLDER = "campaign "
 """Begin of the name with which a campaign holds the bench."""
 LEASE = 15.0
 """s; a runner that died holds the bench no longer."""
-_LOOK = 0.05
-"""s between two looks at the bench."""
 _READY = 60.0
 """s that it may take to rest at its address, or until the lease of a runner that died is over."""
-_HOLD = 1.0
-"""s at the address before a swing: the air in the chambers comes to rest later than the robot."""
 _SWING = 60.0
 """s that a swing may take, until the robot is back or stands."""
-_FEED = 2.0
-"""s that a ball may take to the tee."""
-_STORED = 30.0
-"""s that its record may take."""
 NO_WORD = "the launch monitor's process told nothing of the swing"
 _RESETS = 3
 """Before one shot, after which even a simulated bench is left to a person."""
 
 
 Events = tuple[tuple[str, str], ...]
-
-
-class _Record(NamedTuple):
-    path: Path
-    cycles: np.ndarray[Any, Any]
-    metadata: dict[str, Any]
 
 
 def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus) -> None:
@@ -90,7 +80,7 @@ def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], stat
             "a free bench",
             "Ask for it, or wait: golfbench status.",
         )
-    if not any(_fits(plan, swing, club, profiles, clubs, status) for swing, club in profiles):
+    if not any(_fits(plan, club, profile, clubs, status) for (_, club), profile in profiles.items()):
         wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
         raise Refused(
             f"{place}: design.swings and design.clubs",
@@ -118,12 +108,10 @@ def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], stat
         )
 
 
-def _fits(
-    plan: Plan, swing: str, club: str, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus
-) -> bool:
-    """Tell whether the bench as it was started swings `club` as the plan's `swing`."""
+def _fits(plan: Plan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus) -> bool:
+    """Tell whether the bench as it was started swings `club` with `profile`."""
     alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
-    return alike and profiles[swing, club].name == status["profile"]
+    return alike and profile.name == status["profile"]
 
 
 class LiveShots:
@@ -132,7 +120,7 @@ class LiveShots:
     def __init__(
         self,
         plan: Plan,
-        profiles: Profiles,
+        swings: Swung,
         clubs: Mapping[str, Club],
         client: BenchClient,
         holder: str,
@@ -149,19 +137,19 @@ class LiveShots:
 
         `clubs` are those of the bench's configuration; `air` tells what was read of a real bench's.
         """
-        self._plan, self._profiles, self._clubs = plan, profiles, clubs
+        self._plan, self._swings, self._clubs = plan, swings, clubs
         self._client, self._holder, self.simulated = client, holder, simulated
         self._interrupted, self._aborted, self._air = interrupted, aborted, air
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held = False
+        self._ordered: tuple[tuple[float, ...], int] = (), 0
+        """Weights that the bench was told to swing with, and its number of them."""
         self._monitored = monitored
-        self._outcomes: dict[str, ShotMessage] = {}
-        """What became of swings at the launch monitor, by their shots' ids."""
         self._ball_chosen = False
         self._freshly_armed, self._stays_armed = False, True
 
     def __enter__(self) -> Self:
-        self._next_message = self._stack.enter_context(self._client.shots())
+        self._news = ShotNews(self._stack.enter_context(self._client.shots()))
         self._stack.enter_context(self._lease)
         return self
 
@@ -195,7 +183,7 @@ class LiveShots:
         supply, pressure = self._plan.supply, status["supply_pressure_pa"]
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
             return None
-        profile = self._profiles[step.trial.arm.swing, step.trial.arm.club]
+        profile = self._swings.designed((step.trial.arm.swing, step.trial.arm.club))
         least = supply.least * profile.limits.get("supply_pressure_pa", 0.0)
         if pressure >= least:
             return None
@@ -210,7 +198,7 @@ class LiveShots:
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
         events: list[tuple[str, str]] = []
-        self._outcomes.clear()
+        self._news.forget()
         ball = self._ball_as_hit(step, number, sample)
         with _suspending():
             self._take_lease()
@@ -219,8 +207,10 @@ class LiveShots:
             if tick is None:
                 return self._untaken(step, number, sample, tuple(events))
             self._wait_until_over()
-            record = self._record_since(tick)
-            told = self._told_of(record) if self._monitored and record is not None else None
+            record = self._news.record_since(tick)
+            told = None
+            if self._monitored and record is not None:
+                told = self._news.told_of(record, self._client.status())
         return self._taken(step, number, sample, record, told, tuple(events))
 
     # A person at the robot -------------------------------------------------------------------------
@@ -230,9 +220,10 @@ class LiveShots:
         with _suspending():
             status = self._client.status()
         arm = step.trial.arm
-        if _fits(self._plan, arm.swing, arm.club, self._profiles, self._clubs, status):
+        profile = self._swings.designed((arm.swing, arm.club))
+        if _fits(self._plan, arm.club, profile, self._clubs, status):
             return None
-        wanted = self._profiles[arm.swing, arm.club].name
+        wanted = profile.name
         text = (
             f"Start the bench anew with profile {wanted} and [swing] club = {shown(arm.club)}: it runs with "
             f"profile {status['profile']} and club {status['club']}."
@@ -300,32 +291,51 @@ class LiveShots:
             try:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
-                    if status["time"] - held_since >= _HOLD:
+                    if status["time"] - held_since >= HOLD:
                         if self._short_of_air(step, status):
                             raise NotNow(*events)
                         if self._must_practise and not status["ball_present"]:
                             self._practise(events)
                             deadline, held_since = time.monotonic() + _READY, np.inf
                             continue
-                        if not self._tee_up():
+                        self._correct(step, status)
+                        if not tee_up(self._client, self._pause):
                             return None
                         self._client.swing()
                         return status["tick"]
                 else:
                     held_since = np.inf
                 if status["state"] in LATCHED and resets >= _RESETS:
-                    raise Suspended(f"{_words(status)}: it came back {resets} times")
+                    raise Suspended(f"{in_words(status)}: it came back {resets} times")
                 if self._bring_nearer(status):
                     resets += 1
                     events.append(
-                        ("reset", f"{_words(status)}; a simulated bench resets, homes and arms itself")
+                        ("reset", f"{in_words(status)}; a simulated bench resets, homes and arms itself")
                     )
             except CommandRefused:  # not at rest, not vented, guard still open: all pass, or the time does
                 if time.monotonic() > deadline:
                     raise
             if time.monotonic() > deadline:
-                raise Suspended(f"{_words(status)}, not at rest at its address after {_READY:g} s")
+                raise Suspended(f"{in_words(status)}, not at rest at its address after {_READY:g} s")
             self._pause()
+
+    def _correct(self, step: Step, status: BenchStatus) -> None:
+        """Let the bench swing with what was learned for `step`, also one that was started anew."""
+        arm = step.trial.arm.swing, step.trial.arm.club
+        weights, number = self._swings.weights(arm), status["correction"]
+        if (weights, number) != self._ordered and (weights or number):
+            self._client.correct(digest_of(self._swings.designed(arm)), weights)
+            self._ordered = weights, self._client.status()["correction"]
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        """Learn a swing anew on the bench, without a ball: the lease goes to the learner meanwhile."""
+        self._lease.close()
+        self._held = False
+        with _suspending():
+            return self._swings.refresh(drift, number, self._learner)
+
+    def _learner(self, lecture: Lecture) -> LiveSwinger:
+        return LiveSwinger(self._client, lecture, "encoders+model", lambda text: None, with_ball=False)
 
     @property
     def _must_practise(self) -> bool:
@@ -339,16 +349,6 @@ class LiveShots:
         self._stays_armed = self._client.status()["state"] == "ARMED"
         events.append(("practice", "a swing without a ball, as the bench was armed anew"))
 
-    def _tee_up(self) -> bool:
-        """Raise the next ball; tell whether one came."""
-        self._client.tee()
-        deadline = time.monotonic() + _FEED
-        while not self._client.status()["ball_present"]:
-            if time.monotonic() > deadline:
-                return False
-            self._pause()
-        return True
-
     def _bring_nearer(self, status: BenchStatus) -> bool:
         """Ask for the next step on the way to the address; tell whether it was a reset."""
         match status["state"]:
@@ -356,7 +356,7 @@ class LiveShots:
                 self._client.arm()
                 self._freshly_armed = True
             case "ESTOP" | "FAULT" | "SAFE" if not self.simulated:
-                raise Suspended(f"{_words(status)}: reset and home it, then resume")
+                raise Suspended(f"{in_words(status)}: reset and home it, then resume")
             case "ESTOP" | "FAULT":
                 self._client.reset()
                 return True
@@ -373,7 +373,7 @@ class LiveShots:
             raise Suspended("aborted by request")
         if self._interrupted():
             raise KeyboardInterrupt
-        time.sleep(_LOOK)
+        time.sleep(LOOK)
 
     def _wait_until_over(self) -> None:
         """Wait until the robot is back at its address or stands; an abort stops it at once."""
@@ -384,37 +384,7 @@ class LiveShots:
                 stopped = True
             if time.monotonic() > deadline:
                 raise Suspended(f"a swing was not over after {_SWING:g} s")
-            time.sleep(_LOOK)
-
-    def _hear(self) -> ShotMessage | None:
-        """Return the next message about a shot, None for none yet; outcomes of swings are kept."""
-        message = self._next_message()
-        if message is None:
-            time.sleep(_LOOK)
-        elif message.shot_id and message.outcome in (Outcome.MATCHED, Outcome.NO_LAUNCH):
-            self._outcomes[message.shot_id] = message
-        return message
-
-    def _record_since(self, tick: int) -> _Record | None:
-        """Return the record of the swing begun after `tick`; None when it does not come."""
-        deadline = time.monotonic() + _STORED
-        while time.monotonic() < deadline:
-            message = self._hear()
-            if message is None or message.record is None or message.outcome is not None:
-                continue
-            cycles, metadata = read_swing(message.record)
-            states = metadata.get("outcome", {}).get("states", [])
-            if any(name == "SWINGING" and at >= tick for at, name in states):
-                return _Record(message.record, cycles, metadata)
-        return None
-
-    def _told_of(self, record: _Record) -> ShotMessage | None:
-        """Return what the launch monitor's side says of the swing of `record`; None when it says nothing."""
-        shot, link = record.metadata.get("shot_id"), self._client.status()["launch_monitor"]
-        deadline = time.monotonic() + _STORED + (0.0 if link is None else link["settled_s"])
-        while shot not in self._outcomes and time.monotonic() < deadline:
-            self._hear()
-        return self._outcomes.get(shot or "")
+            time.sleep(LOOK)
 
     def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
         """Return the ball of the shot as the simulation has it."""
@@ -452,13 +422,13 @@ class LiveShots:
         step: Step,
         number: int,
         sample: int,
-        record: _Record | None,
+        record: SwingRecord | None,
         told: ShotMessage | None,
         events: Events,
     ) -> Taken:
         arm, row = step.trial.arm, _row(step, number, sample)
         if record is None:
-            taken = self._untaken(step, number, sample, events, f"no record of it within {_STORED:g} s")
+            taken = self._untaken(step, number, sample, events, f"no record of it within {STORED:g} s")
             return taken._replace(struck=True)
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
@@ -541,9 +511,3 @@ def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) 
     if delivery is None:
         return "no swing through the ball's place"
     return "" if struck else "no ball struck"
-
-
-def _words(status: BenchStatus) -> str:
-    """Return the state with its cause."""
-    cause = status["cause"]
-    return status["state"] if cause is None else f"{status['state']}, {cause['text']}"

@@ -13,6 +13,7 @@ from typing import Any
 
 from bench.campaign.analysis import decide
 from bench.campaign.broadcast import Broadcast, Together
+from bench.campaign.corrections import Corrections
 from bench.campaign.course import Course, course
 from bench.campaign.gate import planned_delivery
 from bench.campaign.live import HOLDER, LiveShots, require_live
@@ -21,7 +22,7 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Outcome, Runner, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
-from bench.campaign.swings import Profiles, require_swings, with_learned
+from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.file_lock import try_lock
@@ -87,7 +88,7 @@ def run_simulated(
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     profiles = require_swings(plan, configuration)
-    profiles = with_learned(profiles, plan, configuration, store.database, entry.date)
+    corrections = Corrections(entry, plan, configuration, store.database, profiles, simulated=True)
     data_dir = configuration.bench.data_dir
     with runner_lock(data_dir, entry.id):
         runner = Runner(
@@ -95,7 +96,7 @@ def run_simulated(
             plan,
             store,
             data_dir,
-            SimulatedShots(plan, configuration, profiles, interrupted),
+            SimulatedShots(plan, configuration, corrections, interrupted),
             watcher,
             operator=operator,
         )
@@ -141,9 +142,12 @@ def run_live(
         client.campaign_told(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
+        corrections = Corrections(
+            entry, plan, configuration, store.database, profiles, simulated=entry.simulated
+        )
         shots = LiveShots(
             plan,
-            profiles,
+            corrections,
             configuration.clubs,
             client,
             f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],

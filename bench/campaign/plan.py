@@ -95,6 +95,16 @@ class BallHandling:
 
 
 @dataclass(frozen=True)
+class Learning:
+    """Corrections of the swings, see `golfbench learn`."""
+
+    refresh: bool
+    """Learn a swing anew between blocks when its delivery has drifted."""
+    swings: Annotated[int, Range(1, 100, "")]
+    """For that, at most."""
+
+
+@dataclass(frozen=True)
 class Supply:
     """The air that a running bench must have before each swing."""
 
@@ -188,6 +198,7 @@ class Simulation:
     direction: Annotated[float, Range(0.0, 0.2, "rad")]
     spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
     drift: Annotated[float, Range(-0.1, 0.1, "")]
+    wear: Annotated[float, Range(0.0, 10.0, "")]
     launch_missing: Annotated[float, Range(0.0, 1.0, "")]
     launch_misread: Annotated[float, Range(0.0, 1.0, "")]
     launch_double: Annotated[float, Range(0.0, 1.0, "")]
@@ -210,6 +221,7 @@ class Plan:
     control: Control
     warm_up: WarmUp
     ball_handling: BallHandling
+    learning: Learning
     supply: Supply
     air: AirSettings
     gate: Gate

@@ -17,6 +17,7 @@ from bench.campaign.course import Course, Ending, Step
 from bench.campaign.fitting import Fitting, Kind, Wish, fitting_after, missing, sample_for
 from bench.campaign.gate import outside
 from bench.campaign.plan import Plan
+from bench.campaign.refreshing import Drift, Drifts
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
 from bench.shot.shot import Shot, Status
@@ -67,6 +68,14 @@ class ShotSource(Protocol):
             Suspended: it was not taken, and none can be for now.
             NotNow: it was not taken; `hindrance` tells why.
             KeyboardInterrupt: somebody asked to stop before the swing.
+        """
+        ...
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        """Learn a swing that has drifted anew before shot `number`; return what is to be told of it.
+
+        Raises:
+            Suspended: it cannot.
         """
         ...
 
@@ -163,6 +172,7 @@ class Runner:
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
         self._operator = operator
+        self._drifts = Drifts(plan)
         self._fitting = Fitting("")
         self._asked_so_far = 0
         self._open: Prompt | None = None
@@ -203,6 +213,8 @@ class Runner:
             step = next(course)
             for stored in shots:
                 self._require_same(step, stored.shot)
+                if drift := self._drifts.before(step):
+                    self._source.relearn(drift, stored.shot.shot)  # and was told of then
                 self._note(stored.shot)
                 step = course.send(stored.shot)
         except StopIteration as stop:
@@ -268,20 +280,23 @@ class Runner:
                 )
             if asked := self._fit(step, number, sample, interrupted):
                 return asked
+            if drift := self._drifts.before(step):
+                self._say("learned", self._source.relearn(drift, number))
             try:
                 taken = self._source.take(step, number, sample)
             except NotNow as trouble:
-                self._noted += trouble.args
+                for kind, text in trouble.args:
+                    self._say(kind, text)
                 continue
             if taken.stopped:  # by Ctrl-C: as if it had not been begun
                 return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
             shot = self._gated(step, taken)
-            noted, self._noted = (*self._noted, *taken.events), []
+            for kind, text in taken.events:
+                self._say(kind, text)
+            noted, self._noted = self._noted, []
             events = tuple(Event(shot.time_utc, number, *event) for event in noted)
             hits = _used(step, taken, sample)
             self._hits.update(hits)
-            for event in events:
-                self._watcher.say(event.text)
             prompts, self._done_by_itself = tuple(self._done_by_itself), []
             written = writer.submit(self._written, shot, taken)
             self._pending.append(_Pending(written, hits, events, prompts, taken.original))
@@ -403,8 +418,12 @@ class Runner:
             time.sleep(_LOOK)
         self._stand(CampaignState.RUNNING, "")
         text = f"{first.text}; it went on by itself after {now - began:.0f} s"
+        self._say("suspended", text)
+
+    def _say(self, kind: str, text: str) -> None:
+        """Tell of something now, and of the next shot."""
         self._watcher.say(text)
-        self._noted.append(("suspended", text))
+        self._noted.append((kind, text))
 
     def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
         """Yield where to go when somebody asks to end; waits while paused."""
@@ -455,6 +474,7 @@ class Runner:
     def _note(self, shot: Shot) -> None:
         self.taken += 1
         self.valid += shot.status is Status.VALID
+        self._drifts.note(shot)
         self._watcher.shot(shot)
 
     def _commit(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from math import pi
@@ -12,19 +13,24 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.campaign.corrections import Swung
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.plan import Plan, Simulation
+from bench.campaign.refreshing import Drift
 from bench.campaign.simulated_monitor import Heard, hear
-from bench.campaign.swings import Profiles
 from bench.config import Configuration
 from bench.launch.book import told_figures
+from bench.learning.learn import Lecture, Swinger, on_series
+from bench.learning.series import Series
+from bench.learning.variation import Variation
 from bench.shot.shot import Shot, Status
 from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import Flight, fly
 from sim.launch_monitor import MonitorParameters
+from sim.plant import PlantParameters
 
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 """A simulated campaign's first shot: its clock is as virtual as its robot, so that it repeats."""
@@ -83,10 +89,11 @@ class SimulatedShots:
         self,
         plan: Plan,
         configuration: Configuration,
-        profiles: Profiles,
+        swings: Swung,
         stop: Callable[[], bool],
     ) -> None:
-        self._plan, self._configuration, self._profiles, self._stop = plan, configuration, profiles, stop
+        self._plan, self._configuration, self._stop = plan, configuration, stop
+        self._swings = swings
         s = plan.simulation
         self._monitor = MonitorParameters(
             speed_noise=0.0,
@@ -104,6 +111,17 @@ class SimulatedShots:
     def time_of(self, number: int) -> datetime:
         """Return when shot `number` is."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        """Learn a swing anew on the robot as it is at shot `number`."""
+        truth = self._worn(drift.arm[1], number)
+
+        def robot(lecture: Lecture) -> AbstractContextManager[Swinger]:
+            return nullcontext(on_series(lecture, Series(lecture.bench, truth)))
+
+        text = self._swings.refresh(drift, number, robot, truth)
+        self._armed.pop(drift.arm, None)
+        return text
 
     def hindrance(self, step: Step) -> None:
         """Return nothing: what passes by itself has passed."""
@@ -151,7 +169,9 @@ class SimulatedShots:
         ball = ball_as_hit(self._plan, arm.ball, came, number, float(draws[0]))
         c = self._configuration
         supply = replace(c.plant.supply, pressure=c.plant.supply.pressure * (1 + s.supply * float(draws[1])))
-        plant = replace(self._nominal(arm.club), ball=ball, supply=supply, seed=int(random.integers(2**31)))
+        plant = replace(
+            self._worn(arm.club, number), ball=ball, supply=supply, seed=int(random.integers(2**31))
+        )
         result = armed.swing(plant, None if number in s.missed_ball else ball)
         shot = self._judged(step, number, sample, result, ball, draws[2:])
         varied = {
@@ -240,7 +260,12 @@ class SimulatedShots:
             c = self._configuration
             around = Surroundings(c.air, c.wind, c.turf)
             bench = SimulatedBench(
-                self._profiles[swing, club], self._nominal(club), c.control, c.envelope, c.estimator, around
+                self._swings.profile((swing, club)),
+                self._nominal(club),
+                c.control,
+                c.envelope,
+                c.estimator,
+                around,
             )
             series = {
                 "campaign": self._plan.campaign.name,
@@ -250,7 +275,14 @@ class SimulatedShots:
             self._armed[swing, club] = ArmedBench(bench, self._stop), bench.metadata({"series": series})
         return self._armed[swing, club]
 
-    def _nominal(self, club: str) -> Any:
+    def _worn(self, club: str, number: int) -> PlantParameters:
+        """Return the plant with `club` as it is at shot `number`, without what varies from shot to shot."""
+        friction = 1.0 + self._plan.simulation.wear * number / 1000
+        if friction == 1.0:
+            return self._nominal(club)
+        return Variation(friction=(friction,) * 3).applied_to(self._nominal(club))
+
+    def _nominal(self, club: str) -> PlantParameters:
         """Return the plant with `club` and the encoders' noise, without what varies from shot to shot."""
         plant = self._configuration.plant
         noise = float(np.hypot(plant.encoders.noise, self._plan.simulation.encoders))

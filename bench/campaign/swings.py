@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from datetime import datetime
 from itertools import product
-
-from sqlalchemy import Engine
 
 from bench.campaign.plan import Plan
 from bench.config import Configuration
 from bench.errors import BenchError
-from bench.learning.store import Conditions, corrected
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from bench.swing.validate import require_possible
@@ -58,20 +54,6 @@ def require_swings(plan: Plan, configuration: Configuration) -> Profiles:
             faults.extend(group.exceptions)
     if faults:
         raise ExceptionGroup("the plan's swings do not fit", faults)
-    return found
-
-
-def with_learned(
-    profiles: Profiles, plan: Plan, configuration: Configuration, database: Engine, begun: datetime
-) -> Profiles:
-    """Return `profiles` with what was learned in simulation before `begun` for the robot as configured."""
-    c, found = configuration, dict(profiles)
-    for (swing, name), profile in profiles.items():
-        plant = replace(c.plant, robot=replace(c.plant.robot, club=plan.clubs[name]))
-        conditions = Conditions.of(profile, plant, c.air.temperature, plant)
-        found[swing, name] = corrected(
-            database, c.bench.id, profile, conditions, simulated=True, until=begun
-        )[0]
     return found
 
 

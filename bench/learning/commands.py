@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.learning.source import Source
 from bench.session import Session
 
 if TYPE_CHECKING:
@@ -16,10 +18,16 @@ if TYPE_CHECKING:
     from bench.learning.store import Learned
 
 
+_FACE = 60.0
+"""mm from its centre, beyond which no mark is read."""
+
+
 def learn(
     context: typer.Context,
     profile: Annotated[str, typer.Argument(metavar="SWING", help="Name or path of a profile.")],
-    sim: Annotated[bool, typer.Option("--sim", help="On the simulated robot, in lock-step.")] = False,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="On the simulated robot, in lock-step, without a running bench.")
+    ] = False,
     robot: Annotated[
         Path | None,
         typer.Option(
@@ -38,13 +46,17 @@ def learn(
             help="What golfbench identify has written: learning begins where that robot ends in simulation.",
         ),
     ] = None,
+    source: Annotated[
+        Source | None,
+        typer.Option(help="What tells of the delivery on a running bench: encoders+model unless said."),
+    ] = None,
     swings: Annotated[int, typer.Option(min=1, max=100, help="At most.")] = 12,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write the corrected profile, .toml.")
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
-    """Learn a swing from its own repetitions, by encoders and model, and store the correction.
+    """Learn a swing from its own repetitions on the running bench, or with --sim, and store the correction.
 
     The target is what the profile delivers on the configured plant. Ends with 1 when it is not reached.
     """
@@ -55,12 +67,14 @@ def learn(
 
     from bench.config import load_configuration
     from bench.errors import BenchError, ExitCode
-    from bench.learning.learn import by_encoders, prepare
     from bench.learning.learn import learn as learned
+    from bench.learning.learn import on_series, prepare
     from bench.learning.learner import LearningSettings
+    from bench.learning.live import LiveSwinger, require_bench
     from bench.learning.series import Bench, Series
     from bench.learning.store import Conditions, keep, stored
     from bench.learning.variation import drawn
+    from bench.network.client import BenchClient
     from bench.progress import progress_bar
     from bench.store.database import database_url, open_database
     from bench.swing.library import find_profile
@@ -68,11 +82,23 @@ def learn(
     from bench.swing.profile import load_profile, save_profile
     from bench.swing.validate import require_possible
 
-    if not sim:
+    only = {"--robot": robot, "--draw": draw} if not sim else {"--source": source}
+    for option in (name for name, value in only.items() if value is not None):
         raise BenchError(
-            "learn", "no --sim", "--sim: a running bench does not take another profile while it runs",
-            "Learn with --sim on an identified plant, then run the profile of --output on the bench.",
+            "learn", option, f"{'with' if not sim else 'without'} --sim only",
+            "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here."),
         )  # fmt: skip
+
+    def say(text: str) -> None:
+        bar.console.print(text, highlight=False)
+
+    def ask_mark() -> tuple[float, float] | None:
+        bar.stop()
+        try:
+            return _mark_from_person()
+        finally:
+            bar.start()
+
     configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
     path = find_profile(profile)
@@ -81,7 +107,11 @@ def learn(
     truth = plant if robot is None else load_configuration(robot).plant
     truth = truth if draw is None else drawn(draw, truth).applied_to(truth)
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
-    with progress_bar() as bar:
+    measured = source or "encoders+model"
+    with ExitStack() as stack, progress_bar() as bar:
+        client = None if sim else stack.enter_context(BenchClient.connect(configuration))
+        if client is not None:
+            require_bench(client.status(), swing, measured)
         task = bar.add_task("the model's response", total=1.0)
         lecture = prepare(bench, lambda part: bar.update(task, completed=part))
         bar.update(task, completed=1.0)
@@ -89,16 +119,24 @@ def learn(
         if identified is not None:
             task = bar.add_task("the identified robot learns", total=None)
             twin = Series(bench, load_configuration(identified).plant)
-            begin = learned(lecture, twin, by_encoders(lecture)).weights
+            begin = learned(lecture, on_series(lecture, twin)).weights
             bar.update(task, total=1.0, completed=1.0)
         task = bar.add_task("learning swings", total=swings + 1)
+        live = None
+        if client is not None:
+            live = stack.enter_context(LiveSwinger(client, lecture, measured, say, ask_mark))
+        swinger = live or on_series(lecture, Series(bench, truth))
         lesson = learned(
-            lecture, Series(bench, truth), by_encoders(lecture), LearningSettings(swings=swings),
+            lecture, swinger, LearningSettings(swings=swings),
             told=lambda attempt: bar.update(task, advance=1), start=begin,
         )  # fmt: skip
+        if live is not None:
+            live.correct(lesson.weights)
     settings, now = configuration.bench, datetime.now(UTC)
-    conditions = Conditions.of(swing, plant, configuration.air.temperature, truth)
-    entry = stored(lesson, settings.id, swing.name, conditions, "encoders+model", now, simulated=True)
+    simulated = live is None or live.simulated
+    temperature = configuration.air.temperature
+    conditions = Conditions.of(swing, plant, temperature, truth if simulated else None)
+    entry = stored(lesson, settings.id, swing.name, conditions, measured, now, simulated=simulated)
     with open_database(database_url(settings.database, settings.data_dir), now) as database:
         version = keep(database, entry)
     if output is not None:
@@ -113,6 +151,23 @@ def learn(
         raise typer.Exit(ExitCode.REFUSED)
 
 
+def _mark_from_person() -> tuple[float, float] | None:
+    """Ask for the mark that the ball left on the face; None when there is none to be read."""
+    while True:
+        text = typer.prompt(
+            "mark on the face, mm towards the toe and mm up (empty: none)", default="", err=True
+        )
+        if not text.strip():
+            return None
+        try:
+            toe, high = map(float, text.replace(",", " ").split())
+        except ValueError:
+            toe = high = float("nan")
+        if abs(toe) <= _FACE and abs(high) <= _FACE:
+            return toe, high
+        typer.echo(f"{text!r}: two numbers are wanted, each within {_FACE:g} mm, such as: 3.5 -2", err=True)
+
+
 def _table(lesson: Lesson, name: str) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -120,11 +175,12 @@ def _table(lesson: Lesson, name: str) -> Table:
     from bench.lifecycle import CAUSE_TEXT
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{name}: what each swing delivered")
-    for column in ("swing", "strike", "head speed", "shaft lean", "attack angle", "path", "saturated", ""):
+    units = ("strike mm", "head m/s", "lean °", "attack °", "path mrad", "at limit %")
+    for column in ("swing", *units, ""):
         table.add_column(column, justify="right" if column != "" else "left", no_wrap=True)
 
     def row(first: str, figures: dict[str, float | None], *rest: str) -> None:
-        forms = ("{:+.2f} mm", "{:.2f} m/s", "{:+.2f}°", "{:+.2f}°")
+        forms = ("{:+.2f}", "{:.2f}", "{:+.2f}", "{:+.2f}")
         values = [
             "" if value is None else form.format(value)
             for form, value in zip(forms, figures.values(), strict=True)
@@ -134,8 +190,8 @@ def _table(lesson: Lesson, name: str) -> Table:
     row("target", lesson.target.shown, "", "", "")
     for number, attempt in enumerate(lesson.attempts):
         note = CAUSE_TEXT[attempt.cause] if attempt.cause else "kept" if number == lesson.chosen else ""
-        path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f} mrad"
-        row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f} %", note)
+        path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f}"
+        row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f}", note)
     return table
 
 

@@ -20,7 +20,7 @@ from bench.control.settings import ControlSettings, EnvelopeSettings, PidSetting
 from bench.control.step import ControlParameters
 from bench.errors import BenchError, Refused
 from bench.learning.figures import UNKNOWN, Figures, figures_of
-from bench.learning.learn import Lecture, by_encoders, learn, prepare
+from bench.learning.learn import Lecture, learn, on_series, prepare
 from bench.learning.series import Bench, Series, Swing
 from bench.lifecycle import Cause, Phase
 from bench.swing.profile import Profile
@@ -190,7 +190,7 @@ def _compared(
 def _learned(name: str, lecture: Lecture, plant: PlantParameters, planned: Figures, swings: int) -> Compared:
     bench = lecture.bench
     series = Series(bench, plant)
-    lesson = learn(lecture, series, by_encoders(lecture))
+    lesson = learn(lecture, on_series(lecture, series))
     learned = lesson.correction.applied_to(bench.profile)
     series.swing(learned)
     made = [series.swing(learned) for _ in range(swings)]

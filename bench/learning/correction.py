@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,11 @@ from bench.errors import BenchError
 from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]
+
+GREATEST_WEIGHT = 1.5
+"""Of any function of a correction, in units of its opening or shift."""
+MOST_WEIGHTS = 128
+"""Of a correction: a downswing of half a second."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +46,17 @@ class Correction:
             )
         return replace(
             profile,
-            angle=profile.angle + self.angle,
-            velocity=profile.velocity + self.velocity,
-            valve=np.clip(profile.valve + self.valve, -1.0, 1.0),
+            # In C order as a profile's own: the controller is compiled for that.
+            angle=np.ascontiguousarray(profile.angle + self.angle),
+            velocity=np.ascontiguousarray(profile.velocity + self.velocity),
+            valve=np.ascontiguousarray(np.clip(profile.valve + self.valve, -1.0, 1.0)),
         )
+
+
+def digest_of(profile: Profile) -> str:
+    """Return a digest of the tables that a correction of `profile` is added to."""
+    tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
+    return sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables)).hexdigest()[:16]
 
 
 @dataclass(frozen=True)

@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.learning.correction import Basis, Correction, basis_of
-from bench.learning.figures import UNKNOWN, Figures, Tolerance, figures_of
+from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learner import Learner, LearningSettings, Trial
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
-from bench.learning.series import Bench, Swing
+from bench.learning.series import Bench, Series
 from bench.lifecycle import Cause
-from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]
 
-Measure = Callable[[Swing], Figures]
-"""Says what a swing delivered."""
+
+class Swung(NamedTuple):
+    """A swing as the learner sees it."""
+
+    cycles: np.ndarray[Any, Any]
+    """CYCLE records of the profile's duration, from the swing's first tick."""
+    figures: Figures
+    """What it delivered, by the declared source; unknown when it was stopped or missed the ball."""
+    cause: Cause
 
 
-class Swinger(Protocol):
-    """A bench that can swing a profile whose tables were corrected."""
-
-    def swing(self, profile: Profile) -> Swing:
-        """Swing and come back to the address; after a stop be ready again."""
+Swinger = Callable[[Array], Swung]
+"""Swings with the weights (m,) of a correction and comes back to the address, also after a stop."""
 
 
 class Attempt(NamedTuple):
@@ -94,16 +97,21 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
     return Lecture(bench, basis, response, Figures(*map(float, response.figures)))
 
 
-def by_encoders(lecture: Lecture) -> Measure:
-    """Return the measure that encoders and model give."""
-    model, free = lecture.bench.model, lecture.response.free
-    return lambda swing: figures_of(delivery_from_encoders(swing.cycles, model, free))
+def on_series(lecture: Lecture, series: Series) -> Swinger:
+    """Return the swinger that a simulated bench is; the source of the delivery is encoders and model."""
+    bench, free = lecture.bench, lecture.response.free
+
+    def swing(weights: Array) -> Swung:
+        made = series.swing(lecture.basis.correction(weights).applied_to(bench.profile))
+        delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.model, free)
+        return Swung(made.cycles, figures_of(delivery), made.cause)
+
+    return swing
 
 
 def learn(
     lecture: Lecture,
-    swinger: Swinger,
-    measure: Measure,
+    swing: Swinger,
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
     told: Callable[[Attempt], None] = lambda attempt: None,
@@ -124,7 +132,7 @@ def learn(
         learner.point = start
     attempts: list[Attempt] = []
     for _ in range(settings.swings + 1):
-        trial, attempt = _attempt(lecture, swinger, measure, learner)
+        trial, attempt = _attempt(lecture, swing, learner)
         attempts.append(attempt)
         told(attempt)
         learner.note(trial)
@@ -143,13 +151,11 @@ def learn(
     )
 
 
-def _attempt(lecture: Lecture, swinger: Swinger, measure: Measure, learner: Learner) -> tuple[Trial, Attempt]:
+def _attempt(lecture: Lecture, swing: Swinger, learner: Learner) -> tuple[Trial, Attempt]:
     bench, response, point = lecture.bench, lecture.response, learner.point
-    swing = swinger.swing(lecture.basis.correction(point).applied_to(bench.profile))
-    cycles = swing.cycles
+    cycles, figures, cause = swing(point)
     path = cycles["angle"][response.rows].copy()
     path[cycles["trip"][response.rows] != 0] = np.nan
-    figures = UNKNOWN if swing.cause else measure(swing)
     trial = Trial(point, figures.array, path)
     down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
     off = path - response.path
@@ -157,7 +163,7 @@ def _attempt(lecture: Lecture, swinger: Swinger, measure: Measure, learner: Lear
         figures,
         learner.error(trial.figures),
         float(np.sqrt(np.nanmean(off**2))) if np.isfinite(off).any() else float("nan"),
-        swing.cause,
+        cause,
         float(np.mean(np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.greatest_opening)),
         float(np.linalg.norm(point)),
     )

@@ -24,6 +24,7 @@ from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from bench.learning.correction import GREATEST_WEIGHT
 from bench.learning.figures import Figures, Tolerance
 from bench.learning.response import Response
 
@@ -53,7 +54,7 @@ class LearningSettings:
     """Longest first step, norm of the weights."""
     greatest_radius: Annotated[float, Gt(0)] = 3.0
     least_radius: Annotated[float, Gt(0)] = 0.1
-    bound: Annotated[float, Gt(0)] = 1.5
+    bound: Annotated[float, Gt(0)] = GREATEST_WEIGHT
     """Of each weight."""
     scatter: Four = (0.3, 0.4, 0.2, 0.2)
     """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""

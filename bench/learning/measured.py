@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import cos, radians, sin
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from bench.learning.figures import UNKNOWN, Figures, figures_of
+from bench.learning.source import Source
 from bench.lifecycle import Phase
 from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
 from sim.kinematics import forward_kinematics
@@ -19,8 +20,6 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
 
-Source = Literal["encoders+model", "launch monitor", "impact marks"]
-SOURCES: tuple[Source, ...] = ("encoders+model", "launch monitor", "impact marks")
 
 _BEFORE = 0.004
 """Distance (m) of face and ball at which the last reading before the contact is looked for: an off-centre
@@ -116,7 +115,7 @@ def figures_from(
     figures = figures_of(delivery_from_encoders(cycles, plant, plan))
     if figures is UNKNOWN or source == "encoders+model":
         return figures
-    if source == "impact marks":
+    if source == "impact-marks":
         return figures if mark is None else figures._replace(strike=strike_from_mark(*mark, plant))
     return figures._replace(
         strike=figures.strike if mark is None else strike_from_mark(*mark, plant),

@@ -12,7 +12,7 @@ import numpy as np
 from sqlalchemy import Engine, func, insert, select
 
 from bench.errors import BenchError
-from bench.learning.correction import Correction, basis_of
+from bench.learning.correction import Correction, basis_of, digest_of
 from bench.learning.learn import Lesson
 from bench.store.tables import LearnedSwingRow
 from bench.swing.profile import Profile
@@ -44,13 +44,12 @@ class Conditions:
         simulated: PlantParameters | None = None,
     ) -> Conditions:
         """Return the conditions of a swing of `profile` on `plant`; `simulated`: the robot in simulation."""
-        tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
-        told = sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables))
+        digest = digest_of(profile)
         if simulated is not None:
             # Supply and ball differ from shot to shot; the rest is another robot.
             alike = replace(simulated, supply=plant.supply, ball=plant.ball, seed=0)
-            told.update(repr(alike).encode())
-        return Conditions(told.hexdigest()[:16], plant.robot.club.name, plant.supply.pressure, temperature)
+            digest = sha256(f"{digest} {alike!r}".encode()).hexdigest()[:16]
+        return Conditions(digest, plant.robot.club.name, plant.supply.pressure, temperature)
 
     def hold_for(self, other: Conditions) -> bool:
         """Tell whether what was learned under these may be used under `other`."""
@@ -105,9 +104,11 @@ def stored(
     date: datetime,
     *,
     simulated: bool,
+    beside: Mapping[str, Any] | None = None,
 ) -> Learned:
-    """Return `lesson` as it is kept."""
+    """Return `lesson` as it is kept, with `beside` in its content."""
     content = {
+        **(beside or {}),
         "target": lesson.target.shown,
         "chosen": lesson.chosen,
         "swings": [attempt.figures.shown | {"cause": attempt.cause.name} for attempt in lesson.attempts],
@@ -162,27 +163,26 @@ def _entry(row: Any) -> Learned:
     )  # fmt: skip
 
 
-def corrected(
+def newest_that_holds(
     database: Engine,
     bench: str,
-    profile: Profile,
+    profile: str,
     conditions: Conditions,
     *,
     simulated: bool,
     until: datetime | None = None,
-) -> tuple[Profile, int]:
-    """Return `profile` with the newest correction that holds for `conditions`, and its version.
+) -> Learned | None:
+    """Return the newest correction of `profile` that holds for `conditions`; None: none does.
 
-    Version 0 and the profile itself when none holds. What was learned in simulation is not used on a machine,
-    nor what was learned after `until`: a campaign goes on with what it began with.
+    What was learned in simulation is not used on a machine, nor what was learned after `until`: a campaign
+    goes on with what it began with.
     """
-    for entry in reversed(learned_swings(database, bench, profile.name)):
+    for entry in reversed(learned_swings(database, bench, profile)):
         if until is not None and entry.date > until:
             continue
         if entry.within and entry.simulated == simulated and entry.conditions.hold_for(conditions):
-            swing = entry.correction(profile).applied_to(profile)
-            return replace(swing, text=f"{swing.text}; learned, version {entry.version}"), entry.version
-    return profile, 0
+            return entry
+    return None
 
 
 def drifted(scatter: Sequence[float], errors: Sequence[Sequence[float]]) -> bool:

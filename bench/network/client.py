@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from threading import Event, Lock, Thread
@@ -284,6 +284,13 @@ class BenchClient:
     def reset(self) -> Answer:
         """Leave ESTOP or FAULT once the cause is gone; enables, never moves."""
         return self._ask_keyed(Verb.RESET)
+
+    def correct(self, profile: str, weights: Sequence[float]) -> Answer:
+        """Let the swings to come be made with the correction `weights` of the profile of digest `profile`.
+
+        Without weights they are made as designed. It holds until another is given, or the bench starts anew.
+        """
+        return self._ask_keyed(Verb.CORRECT, profile=profile, weights=list(weights))
 
     def stop(self) -> Answer:
         """Stop as the stopping table says; needs no lease."""

@@ -15,6 +15,7 @@ from math import isfinite
 from typing import Any, NamedTuple, NoReturn
 
 from bench.errors import BenchError
+from bench.learning.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 from bench.lifecycle import Request
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_duration, is_holder
 
@@ -48,6 +49,7 @@ class Verb(StrEnum):
     STOP = "stop"
     ESTOP = "estop"
     RESET = "reset"
+    CORRECT = "correct"
 
 
 class Plain(NamedTuple):
@@ -62,6 +64,16 @@ class Keyed(NamedTuple):
     verb: Verb
     key: str
     sequence: int
+
+
+class Correct(NamedTuple):
+    """Let the swings to come be made with a learned correction, or without; only the lease's holder may."""
+
+    key: str
+    sequence: int
+    profile: str
+    """Digest of the profile that it was learned for."""
+    weights: tuple[float, ...]
 
 
 class TakeLease(NamedTuple):
@@ -86,7 +98,7 @@ class ReleaseLease(NamedTuple):
     sequence: int
 
 
-Command = Plain | Keyed | TakeLease | RenewLease | ReleaseLease
+Command = Plain | Keyed | Correct | TakeLease | RenewLease | ReleaseLease
 
 REQUESTS: Mapping[Verb, Request] = {
     Verb.HOME: Request.HOME,
@@ -139,13 +151,27 @@ _VALUES: Mapping[str, _Value] = {
         f"a name of 1 to {LONGEST_HOLDER} printable characters, no space at its ends",
         lambda v: isinstance(v, str) and is_holder(v),
     ),
+    "profile": _Value(
+        "the digest of a profile, 16 hexadecimal characters",
+        lambda v: isinstance(v, str) and re.fullmatch(r"[0-9a-f]{16}", v) is not None,
+    ),
+    "weights": _Value(
+        f"at most {MOST_WEIGHTS} numbers from -{GREATEST_WEIGHT:g} to {GREATEST_WEIGHT:g}",
+        lambda v: (
+            isinstance(v, list)
+            and len(v) <= MOST_WEIGHTS
+            and all(_is_number(w) and abs(w) <= GREATEST_WEIGHT for w in v)
+        ),
+    ),
     "seconds": _Value(f"{SHORTEST:g} to {LONGEST:g} s, a number", lambda v: _is_number(v) and is_duration(v)),
 }
 
 _PLAIN_FORM = (("version",), ())
 _KEYED_FORM = (("version", "key", "sequence"), ())
 FORMS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    **{verb.value: _PLAIN_FORM if verb in PLAIN else _KEYED_FORM for verb in Verb if verb is not Verb.LEASE},
+    **{verb.value: _PLAIN_FORM for verb in Verb if verb in PLAIN},
+    **{verb.value: _KEYED_FORM for verb in REQUESTS if verb not in PLAIN},
+    "correct": (("version", "key", "sequence", "profile", "weights"), ()),
     "lease take": (("version", "action", "holder"), ("seconds",)),
     "lease renew": (("version", "action", "key", "sequence"), ("seconds",)),
     "lease release": (("version", "action", "key", "sequence"), ()),
@@ -180,6 +206,8 @@ def parse_command(verb: str, payload: bytes) -> Command:
             return RenewLease(**values)
         case "lease release":
             return ReleaseLease(**values)
+        case "correct":
+            return Correct(**{**values, "weights": tuple(map(float, values["weights"]))})
         case _ if verb in PLAIN:
             return Plain(Verb(verb))
         case _:

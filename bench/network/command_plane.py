@@ -28,6 +28,7 @@ from bench.network.command import (
     VERSION,
     Answer,
     Command,
+    Correct,
     Keyed,
     Plain,
     ReleaseLease,
@@ -65,7 +66,7 @@ _BUSY = "too many messages wait, this one was not done: ask again"
 _TOO_LATE = "it waited too long behind others and was not done: ask again"
 _GOING_DOWN = "the bench is going down: ask again when it has started anew"
 _STOPS_ANYWAY = "The bench stops all the same."
-_REQUESTED = frozenset({Verb.LEASE, *REQUESTS})
+_REQUESTED = frozenset({Verb.LEASE, Verb.CORRECT, *REQUESTS})
 
 
 class Message(NamedTuple):
@@ -322,6 +323,10 @@ class CommandPlane:
                 with self._book_lock:
                     self._book.use(key, sequence, self._clock())
                 return self._asked(lambda: self._desk.request(REQUESTS[verb]))
+            case Correct(key, sequence, profile, weights):
+                with self._book_lock:
+                    self._book.use(key, sequence, self._clock())
+                return self._asked(lambda: self._desk.correct(profile, weights))
             case Plain(Verb.STATUS):
                 status = self._completed(self._desk.status())
                 return Answer(True, status["state"], content=dict(status))

@@ -6,6 +6,7 @@ and what `golfbench/<id>/state` carries.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypedDict
 
 from bench.lifecycle import Request
@@ -145,6 +146,8 @@ class Status(TypedDict):
     read_only: bool
     driver: str
     profile: str
+    correction: int
+    """Number of the learned correction that swings are made with, counted from the start; 0: none."""
     club: str
     """That the bench was started with."""
     joints_deg: list[float | None]
@@ -186,6 +189,12 @@ class Desk(Protocol):
 
     def request(self, request: Request) -> Reply:
         """Put `request` to the loop and wait, 0.2 s at most, for its answer."""
+
+    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+        """Swing with the correction `weights` of the profile with the digest `profile` from now on.
+
+        Without weights: as designed. Refused while the robot does not rest.
+        """
 
     def stop(self) -> Reply:
         """Stop as the stopping table says; never waits behind a request."""

@@ -113,7 +113,11 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ("real time", _real_time(status["real_time"])),
         ("processes", _processes(status)),
         ("launch monitor", _launch_monitor(status["launch_monitor"])),
-        ("swings", f"{status['swings']} of {status['profile']}, driver {status['driver']}"),
+        (
+            "swings",
+            f"{status['swings']} of {status['profile']}"
+            f"{', corrected' if status['correction'] else ''}, driver {status['driver']}",
+        ),
         ("commands", _pairs(dict(status["counts"]))),
     ]
     if status["last_stop"]:

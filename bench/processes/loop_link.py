@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,13 @@ import numpy as np
 
 from bench.lifecycle import REFUSAL_TEXT, Answer, Refusal, Request, State
 from bench.network.desk import Reply
+from bench.processes.correction import (
+    CORRECTED,
+    CORRECTED_FILE,
+    CORRECTION,
+    CORRECTION_FILE,
+    pack_correction,
+)
 from bench.processes.plan import RING_FILE
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE
 from bench.telemetry.ring import RingReader
@@ -40,6 +48,9 @@ class LoopLink:
         self._folder = folder
         self._shared = SharedRecord.create(folder / SUPERVISION_FILE, SUPERVISION)
         self._orders = np.zeros(1, SUPERVISION)
+        self._corrections = SharedRecord.create(folder / CORRECTION_FILE, CORRECTION)
+        self._corrections_ordered = 0
+        self._corrected: SharedRecord | None = None
         self._order_lock, self._request_lock, self._look_lock = (threading.Lock() for _ in range(3))
         self._looks: RingReader | None = None
         self._stops_seen = dict.fromkeys(_COUNTERS, 0)
@@ -53,12 +64,14 @@ class LoopLink:
         """
         self._looks = RingReader(self._folder / RING_FILE)
         self._news = RingReader(self._folder / RING_FILE, from_oldest=True)
+        self._corrected = SharedRecord.open(self._folder / CORRECTED_FILE, CORRECTED)
 
     def close(self) -> None:
         """Unmap all files."""
-        for reader in (self._looks, self._news):
-            if reader is not None:
-                reader.close()
+        for shared in (self._looks, self._news, self._corrected):
+            if shared is not None:
+                shared.close()
+        self._corrections.close()
         self._shared.close()
 
     def beat(self, *, lease_held: bool, support_ready: bool) -> None:
@@ -105,6 +118,33 @@ class LoopLink:
                     return _reply(newest)
                 time.sleep(_BETWEEN_LOOKS)
         return Reply(False, self.state, "the loop does not answer: it may stand still; look at its timing")
+
+    def correct(self, weights: Sequence[float]) -> Reply:
+        """Order a correction of the swings to come, and wait for the loop's answer; one at a time."""
+        with self._request_lock:
+            self._corrections_ordered += 1
+            self._corrections.write(pack_correction(self._corrections_ordered, weights))
+            deadline = time.monotonic() + _ANSWER
+            while time.monotonic() < deadline:
+                told = self._told_correction()
+                if told["asked"] == self._corrections_ordered:
+                    if told["order"]["number"] == self._corrections_ordered:
+                        return Reply(True, self.state, "")
+                    return Reply(False, self.state, "the robot moves: correct it standing or at its address")
+                time.sleep(_BETWEEN_LOOKS)
+        return Reply(False, self.state, "the loop does not answer: it may stand still; look at its timing")
+
+    @property
+    def correction(self) -> int:
+        """Number of the correction that swings are made with; 0: as designed."""
+        order = self._told_correction()["order"]
+        return int(order["number"]) if order["size"] else 0
+
+    def _told_correction(self) -> Any:
+        told = np.zeros(1, CORRECTED)
+        if self._corrected is not None:
+            self._corrected.read(told)
+        return told[0]
 
     def stop(self, request: Request) -> Reply:
         """Put `request`, STOP or EMERGENCY_STOP, to the loop, past any other; wait until it was seen."""

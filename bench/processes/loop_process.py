@@ -28,6 +28,7 @@ from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
 from bench.processes.child_process import Parent, read_plan, tell, tell_failure
+from bench.processes.correction import Corrections
 from bench.processes.ownership import adopt
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
 from bench.processes.real_time import real_time
@@ -46,6 +47,7 @@ WARM_UP = 200
 """Ticks before READY can be reached: everything is compiled, paged in and measured in them."""
 
 _MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
+_RESTING = frozenset({Phase.STANDING, Phase.HOLD})
 _GIVE_UP = 20
 """Ticks in a row that may fail for another reason than the device's."""
 _BETWEEN_REPORTS = 1000
@@ -117,6 +119,8 @@ class LoopProcess:
             stack.callback(self.orders.close)
             self.snapshots = SharedRecord.create(folder / SNAPSHOT_FILE, SNAPSHOT)
             stack.callback(self.snapshots.close)
+            self.corrections = Corrections(folder, self.plan.profile)
+            stack.callback(self.corrections.close)
             self.timing = stack.enter_context(create_timing(folder / TIMING_FILE, self._period_ns))
             name, note_truth = c.driver.name, getattr(self.driver, "note_truth", None)
             self.cycle = Cycle(
@@ -216,10 +220,25 @@ class LoopProcess:
             return time
         self._failures = 0
         self._watch_device()
+        self._correct()
         self.timing.note(marks, clock.due, clock.woke)
         if record["answer"][0] == Answer.ACCEPTED and record["request"][0]:
             self._note_request(Request(int(record["request"][0])))
         return time
+
+    def _correct(self) -> None:
+        """Take a correction that was ordered, where no swing is under way.
+
+        The address is no part of a correction, so nothing jumps.
+        """
+        control = self.cycle.state.control
+        taken = self.corrections.take(
+            int(control["tick"][0]), resting=control["phase"][0] in _RESTING and not control["swinging"][0]
+        )
+        if taken is not None:
+            self.cycle.parameters = self.cycle.parameters._replace(
+                angle=taken.angle, velocity=taken.velocity, valve=taken.valve
+            )
 
     def _watch_device(self) -> None:
         """Tell why the device went passive, if its driver knows."""

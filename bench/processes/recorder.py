@@ -28,13 +28,16 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError, ExitCode
+from bench.learning.correction import basis_of
+from bench.lifecycle import State
 from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
+from bench.processes.correction import CORRECTED, weights_of
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.record_queue import Record, RecordQueue, folder_trouble, record_path, remove_partial
 from bench.telemetry.ring import RingReader
 from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
-from bench.telemetry.swing_metadata import Surroundings, begin_of, since, swing_metadata
+from bench.telemetry.swing_metadata import Surroundings, begin_of, profile_entry, since, swing_metadata
 from sim.shared_record import SharedMemoryError, SharedRecord
 
 POLL = 0.01
@@ -60,6 +63,8 @@ class RecorderPlan:
     """Shared record of HEARTBEAT."""
     snapshot_dtype: np.dtype[Any]
     """`bench.telemetry.snapshot.SNAPSHOT`: given, as the recorder need not load the controller for it."""
+    corrected: Path
+    """Shared record of CORRECTED."""
     profile: Profile
     run: str
     """Id of the bench's run, of which shots get theirs."""
@@ -107,10 +112,13 @@ class Recorder:
             plan.real_time,
             plan.calibrations,
         ).entries()
+        self._basis = basis_of(plan.profile)
         self._heart = Heart(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)
         self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
+        self._corrected = SharedRecord.open(plan.corrected, CORRECTED)
+        self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._cutter = SwingCutter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
         self._segment: list[Cycles] = []
@@ -188,7 +196,7 @@ class Recorder:
 
     def close(self) -> None:
         """Unmap the shared files."""
-        for shared in (self._heart, self._ring, self._snapshot):
+        for shared in (self._heart, self._ring, self._snapshot, self._corrected):
             shared.close()
 
     def _read(self) -> Cycles:
@@ -202,8 +210,27 @@ class Recorder:
     def _note_snapshot(self) -> None:
         """Keep the newest snapshot if it is a new one."""
         found = np.zeros(1, self._plan.snapshot_dtype)
+        self._note_correction()
         if self._snapshot.read(found) and all(s["tick"][0] != found["tick"][0] for s in self._snapshots):
             self._snapshots.append(found)
+
+    def _note_correction(self) -> None:
+        """Keep the correction that swings are made with, if it is another than before."""
+        found = np.zeros(1, CORRECTED)
+        self._corrected.read(found)
+        if not self._corrections or found["tick"][0] != self._corrections[-1]["tick"][0]:
+            self._corrections.append(found)
+
+    def _entries_of(self, cut: Cut) -> Mapping[str, Any]:
+        """Return what is the same for all records, with the profile as it was swung in `cut`."""
+        swung = cut.cycles["tick"][cut.cycles["state"] == State.SWINGING]
+        tick = int(swung[0] if len(swung) else cut.cycles["tick"][-1])
+        held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
+        if not held or not (weights := weights_of(held[-1])):
+            return self._entries
+        corrected = self._basis.correction(np.array(weights)).applied_to(self._plan.profile)
+        beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
+        return {**self._entries, "profile": profile_entry(corrected) | beside}
 
     def _finish(self, why: str, *, keep: bool) -> None:
         for cut in self._cutter.finish(why, keep=keep):
@@ -215,7 +242,12 @@ class Recorder:
         begin = begin_of(cut.cycles)
         began = datetime.fromtimestamp(float(cut.cycles["time"][0]) + self._utc_less_loop, UTC)
         metadata = swing_metadata(
-            cut, self._entries, number=self._number, begin=begin, time_utc=began, snapshots=self._snapshots
+            cut,
+            self._entries_of(cut),
+            number=self._number,
+            begin=begin,
+            time_utc=began,
+            snapshots=self._snapshots,
         )
         path = record_path(folder, began, self._number)
         self._queue.put(Record(path, began, since(cut.cycles, begin), metadata))

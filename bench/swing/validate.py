@@ -21,6 +21,7 @@ from bench.swing.profile import PHASES, Profile
 from drivers.base import JOINTS
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
+from sim.pneumatics import Actuator
 
 PRESSURE_TOLERANCE = 0.01
 """Share by which the supply may differ from the one the swing was designed for."""
@@ -177,12 +178,29 @@ def _allowed_steps(plan: Plan) -> Array:
     return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 
 
+def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings) -> str:
+    """Return where the swing leaves the working range of a joint; empty when nowhere."""
+    motion, share = Motion(profile, plant), envelope.minimum_stop_margin
+    for i, actuator in enumerate(plant.actuators):
+        beyond = _beyond(actuator, motion.position[:, i])
+        k = int(beyond.argmax())
+        if beyond[k] > share * actuator.stop.travel:
+            place = f"{motion.position[k, i]:.4f} {_POSITION[i]}"
+            return f"the {JOINTS[i]} is led to {place} after {k * profile.period:.3f} s, beyond its range"
+    return ""
+
+
+def _beyond(actuator: Actuator, position: Array) -> Array:
+    """Return how far each of `position` (n,) lies beyond the ends of the travel."""
+    return np.asarray(np.maximum(actuator.lower - position, position - actuator.upper))
+
+
 def _range(plan: Plan) -> Check:
     """Keep the swing off the end stops: within the envelope's share of the cushion and its rated energy."""
     share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
     for i, actuator in enumerate(plan.plant.actuators):
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
-        beyond = np.maximum(actuator.lower - position, position - actuator.upper)
+        beyond = _beyond(actuator, position)
         k = int(beyond.argmax())
         place, speed = _between_samples(position, plan.motion.speed[:, i], plan.profile.period)
         force = stop_forces(actuator, place, speed)

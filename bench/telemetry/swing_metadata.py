@@ -18,6 +18,7 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
                  of a stop; `ended`: why the record ends before the robot stood, else empty
 `configuration`, `versions`, `real_time`, `calibrations`   as the supervisor gave them
 `profile`        `name`, `golfer`, `club`, `impact_time`, and `data`: all of the profile, see `profile_entry`
+                 `correction`, where it was swung with a learned one, which is in `data`: `number`, `weights`
 `snapshot`       null, or the controller's memory after the step of `tick` (which is in the record) at the
                  loop's `time`: `layout`, digest of its type; `data`, base64 of zlib of its bytes
 `replayable`     there is a snapshot, and no record is lost

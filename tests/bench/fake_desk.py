@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
@@ -44,6 +44,7 @@ class FakeDesk:
     def __init__(self, state: State = State.ESTOP) -> None:
         self.state = state
         self.requests: list[Request] = []
+        self.corrections: list[tuple[str, tuple[float, ...]]] = []
         self.stops: list[tuple[str, float]] = []
         self.free = threading.Event()
         """While it is clear, requests wait."""
@@ -58,6 +59,12 @@ class FakeDesk:
         if self.state not in ACCEPTED_IN[request]:
             return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.STATE])
         self.state = NEXT[request]
+        return Reply(True, self.state.name, "")
+
+    def correct(self, profile: str, weights: Sequence[float]) -> Reply:
+        if self.state is State.SWINGING:
+            return Reply(False, self.state.name, "the robot moves")
+        self.corrections.append((profile, tuple(weights)))
         return Reply(True, self.state.name, "")
 
     def stop(self) -> Reply:
@@ -92,6 +99,7 @@ class FakeDesk:
             read_only=False,
             driver="sim",
             profile="default",
+            correction=len(self.corrections),
             club="driver",
             joints_deg=[32.71, 237.3, None],
             supply_pressure_pa=8.01e5,

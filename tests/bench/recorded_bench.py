@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.processes.child_process import HEARTBEAT
+from bench.processes.correction import CORRECTED, pack_correction
 from bench.processes.recorder import RecorderPlan
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -38,6 +39,7 @@ class RecordedBench:
         self.folder, self.data = folder, folder / "data"
         self.writer = RingWriter(folder / "ring", capacity)
         self.snapshots = SharedRecord.create(folder / "snapshot", SNAPSHOT)
+        self.corrected = SharedRecord.create(folder / "corrected", CORRECTED)
         self.heart = SharedRecord.create(folder / "heart", HEARTBEAT)
         self.recorder: subprocess.Popen[bytes] | None = None
         self.begun = time.monotonic() - 100.0
@@ -52,6 +54,7 @@ class RecordedBench:
                 "data_dir": self.data,
                 "ring": self.folder / "ring",
                 "snapshot": self.folder / "snapshot",
+                "corrected": self.folder / "corrected",
                 "heartbeat": self.folder / "heart",
                 "snapshot_dtype": SNAPSHOT,
                 "profile": load_profile(find_profile("default")),
@@ -90,6 +93,12 @@ class RecordedBench:
         record["tick"], record["time"] = tick, 0.5
         record["control"]["swings"] = 77
         self.snapshots.write(record)
+
+    def correct(self, tick: int, number: int, weights: Sequence[float]) -> None:
+        """Let the loop have taken a correction in `tick`."""
+        record = np.zeros(1, CORRECTED)
+        record["asked"], record["tick"], record["order"] = number, tick, pack_correction(number, weights)
+        self.corrected.write(record)
 
     def event(self) -> dict[str, Any]:
         """Wait for the next event and return it."""
@@ -146,5 +155,5 @@ class RecordedBench:
 
     def close(self) -> None:
         self.kill()
-        for shared in (self.writer, self.snapshots, self.heart):
+        for shared in (self.writer, self.snapshots, self.corrected, self.heart):
             shared.close()

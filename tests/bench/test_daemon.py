@@ -11,6 +11,7 @@ import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -18,10 +19,13 @@ from bench.calibration.archive import add_calibration
 from bench.calibration.values import BallPosition
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
-from bench.lifecycle import Cause, Phase, State
+from bench.learning.correction import basis_of, digest_of
+from bench.lifecycle import Cause, Phase, Request, State
 from bench.network.client import CommandRefused
 from bench.replay import replay_record
 from bench.store.database import database_url, open_database
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -68,6 +72,58 @@ def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> 
         assert bench.end() == 0
         assert not folder.exists()
         assert bench.records == [record]
+
+
+def test_a_learned_correction_is_swung_and_recorded_but_never_taken_in_a_swing(tmp_path: Path) -> None:
+    profile = load_profile(find_profile("default"))
+    basis, digest = basis_of(profile), digest_of(profile)
+    weights = (0.2 * np.random.default_rng(2).uniform(-1, 1, basis.size)).tolist()
+    with running_bench(write_configuration(tmp_path, "corrected")) as bench, bench.client.lease("test"):
+        with pytest.raises(CommandRefused, match="another profile"):
+            bench.client.correct("0123456789abcdef", weights)
+        with pytest.raises(CommandRefused, match="weights"):
+            bench.client.correct(digest, weights[:-1])
+        bench.make_ready()
+        bench.take_address()
+        bench.client.correct(digest, weights)
+        assert bench.client.status()["correction"] == 1
+        bench.swing()
+        bench.wait_phase(Phase.BACKSWING)
+        with pytest.raises(CommandRefused, match="the robot moves"):
+            bench.client.correct(digest, [])
+        bench.wait_phase(Phase.FOLLOW_THROUGH)
+        bench.client.wait_for("READY")
+        bench.client.correct(digest, [])
+        assert bench.client.status()["correction"] == 0
+        (record,) = wait_for_records(bench, 1)
+        cycles, metadata = read_swing(record)
+        assert metadata["profile"]["correction"] == {"number": 1, "weights": weights}
+        swung = cycles[cycles["phase"] == Phase.DOWNSWING]
+        wanted = basis.correction(np.array(weights)).applied_to(profile)
+        first = int(cycles["tick"][(cycles["request"] == Request.SWING) & (cycles["answer"] == 1)][0])
+        sample = swung["tick"] - first
+        moved = np.abs(wanted.angle[sample] - profile.angle[sample]).max()
+        assert moved > 0.005
+        assert np.abs(swung["reference_angle"] - wanted.angle[sample]).max() < moved / 10
+        assert all(not difference.ticks for difference in replay_record(record).differences())
+
+
+def test_a_running_bench_learns_its_swing_and_keeps_what_it_learned(tmp_path: Path) -> None:
+    """Two swings are no lesson: that they were made, seen and stored is what is asked here."""
+    file = write_configuration(tmp_path, "learner")
+    with running_bench(file) as bench:
+        learn = ["learn", "default", "--swings", "1", "--json"]
+        learned = subprocess.run(
+            [sys.executable, "-m", "bench", "--config", str(file), *learn],
+            capture_output=True, check=False, text=True, timeout=300,
+        )  # fmt: skip
+        assert learned.returncode in (ExitCode.OK, ExitCode.REFUSED), learned.stderr
+        told = json.loads(learned.stdout)
+        assert (told["version"], told["simulated"], told["source"]) == (1, True, "encoders+model")
+        assert [swing["cause"] for swing in told["content"]["swings"]] == ["NONE", "NONE"]
+        assert told["content"]["swings"][0]["head_speed_mps"] == pytest.approx(42.5, abs=1.0)
+        assert len(bench.records) == 2
+        assert bench.client.status()["lease"] is None
 
 
 def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.campaign.analysis import analyse, values_of
+from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
 from bench.campaign.plan import Plan, Simulation
@@ -56,7 +57,9 @@ class Swings:
     def shots(self, plan: Plan, seed: int) -> list[Shot]:
         """Return the shots of a campaign."""
         plan = replace(plan, design=replace(plan.design, seed=seed))
-        source = SimulatedShots(plan, self._configuration, require_swings(plan, self._configuration), never)
+        source = SimulatedShots(
+            plan, self._configuration, AsDesigned(require_swings(plan, self._configuration)), never
+        )
         return [
             source.take(Step(trial, 1, Centre()), number, number).shot
             for number, trial in enumerate(all_trials(plan), 1)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.campaign.corrections import AsDesigned
 from bench.campaign.operate import course_of, new_entry, runner_lock
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
@@ -41,7 +42,7 @@ def run_once(plan: Plan, configuration: Configuration, entry: CampaignEntry, bat
     """Run or resume `entry` in this process."""
     profiles = require_swings(plan, configuration)
     data_dir = configuration.bench.data_dir
-    source = SimulatedShots(plan, configuration, profiles, never)
+    source = SimulatedShots(plan, configuration, AsDesigned(profiles), never)
     with (
         open_database(database_url("", data_dir)) as engine,
         runner_lock(data_dir, entry.id),
@@ -91,7 +92,7 @@ def kill_and_resume(
     context = multiprocessing.get_context("fork")
     # This process loads the model but starts no thread of its own, so that it may be forked.
     configuration, entry = begin(plan, shipped, broken)
-    SimulatedShots(plan, configuration, require_swings(plan, configuration), never).arm_all()
+    SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never).arm_all()
     killed, before = 0, 0
     while killed < kills:
         child = context.Process(target=run_once, args=(plan, configuration, entry, batch))

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.campaign.campaign_report import load_record, write_campaign_report
+from bench.campaign.corrections import AsDesigned
 from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry, run_simulated
 from bench.campaign.plan import Plan
@@ -77,7 +78,7 @@ def _swung(folder: Path, shots: int) -> list[Row]:
     plan, clock = plan_of(shots), Clock()
     entry = new_entry(plan, configuration, BEGIN, simulated=True)
     # The first arming after a change of the model translates it to machine code, once.
-    SimulatedShots(plan, configuration, require_swings(plan, configuration), never).arm_all()
+    SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never).arm_all()
     with open_database(database_url("", folder)) as engine:
         store = CampaignStore(engine)
         store.begin(entry)

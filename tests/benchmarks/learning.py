@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bench.config import load_configuration
 from bench.errors import Refused
 from bench.learning.figures import Tolerance, figures_of
-from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
+from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
 from bench.learning.series import Bench, Series
 from bench.learning.variation import WORN, Variation, drawn
 from bench.swing.library import find_profile
@@ -109,7 +109,7 @@ _UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
 def _taught(lecture: Lecture, robot: str, variation: Variation) -> tuple[Outcome, Lesson, Series]:
     plant = variation.applied_to(lecture.bench.model)
     series = Series(lecture.bench, plant)
-    lesson = learn(lecture, series, by_encoders(lecture))
+    lesson = learn(lecture, on_series(lecture, series))
     swing, scale = lesson.correction.applied_to(lecture.bench.profile), Tolerance().scale(lecture.target)
     figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
     outcome = Outcome(

@@ -15,10 +15,11 @@ from typing import Any
 
 import pytest
 
+from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind
 from bench.campaign.gate import Centre
-from bench.campaign.live import LiveShots, _Record, require_live
+from bench.campaign.live import LiveShots, require_live
 from bench.campaign.operate import ask, bench_facts, new_entry, run_live
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
@@ -29,6 +30,7 @@ from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.launch.shot_message import ShotMessage
 from bench.lifecycle import Phase, State
+from bench.live_swing import SwingRecord
 from bench.network.client import CommandRefused
 from bench.network.command import Answer, Verb
 from bench.shot.shot import Status
@@ -132,7 +134,7 @@ class StandingBench:
         self.asked: list[str] = []
         self._status = {
             "state": "READY", "phase": "STANDING", "cause": None, "lease": {"holder": "me"}, "tick": 1,
-            "supply_pressure_pa": 8.0e5, **status,
+            "supply_pressure_pa": 8.0e5, "correction": 0, **status,
         }  # fmt: skip
 
     def status(self) -> dict[str, Any]:
@@ -147,7 +149,7 @@ class StandingBench:
         yield lambda: None
 
     def __getattr__(self, verb: str) -> Any:
-        return lambda: self.asked.append(verb)
+        return lambda *_: self.asked.append(verb)
 
 
 def a_step() -> Step:
@@ -171,7 +173,7 @@ def shots_of(
 ) -> LiveShots:
     configuration = load_configuration(Path("shipped"))
     return LiveShots(
-        plan, require_swings(plan, configuration), configuration.clubs, bench, "me",
+        plan, AsDesigned(require_swings(plan, configuration)), configuration.clubs, bench, "me",
         simulated=simulated, interrupted=interrupted, aborted=never,
         monitored=monitored, air=lambda: air,
     )  # fmt: skip
@@ -247,8 +249,8 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -
 def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.campaign.live._FEED", 0.1)
-    monkeypatch.setattr("bench.campaign.live._HOLD", 0.0)
+    monkeypatch.setattr("bench.live_swing.FEED", 0.1)
+    monkeypatch.setattr("bench.campaign.live.HOLD", 0.0)
     bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
     taken = take(plan, bench, simulated=True)
     assert (taken.shot.status, taken.shot.reason) == (Status.FAILED, "feeder empty or jammed: no ball came")
@@ -337,7 +339,7 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: Plan, tmp_p
         **robot.metadata(), "outcome": {"cause": "NONE"}, "complete": True, "lost_records": 0,
         "time_utc": "2026-11-21T12:00:00+00:00",
     }  # fmt: skip
-    record = _Record(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
+    record = SwingRecord(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
     told = ShotMessage(
         "1", None, Outcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
     )

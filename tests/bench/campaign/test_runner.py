@@ -28,6 +28,7 @@ from bench.campaign.operate import (
 )
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, NotNow, Outcome, Runner, Watcher
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
@@ -56,6 +57,9 @@ class Scripted:
 
     def time_of(self, number: int) -> datetime:
         return NOW + timedelta(seconds=48 * number)
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        return f"learned {drift.arm} before {number}"
 
     def hindrance(self, step: Step) -> Hindrance | None:
         return None
@@ -506,3 +510,25 @@ def test_a_supply_that_stays_low_is_left_to_a_person_with_the_robot_vented(
     assert source.log == ["not now", "rest"]
     source.left = 0
     assert bench.run(source).state is CampaignState.FINISHED
+
+
+def drifting(number: int) -> dict[str, Any]:
+    """Return a club that gets faster in the third block."""
+    return {"club_speed_mps": 42.9 + (0.5 if 14 <= number <= 18 else 0.0)}
+
+
+def test_a_swing_that_drifts_is_learned_between_blocks_also_after_a_crash(make: Callable[..., Bench]) -> None:
+    learned: list[int] = []
+
+    class Learner(Scripted):
+        def relearn(self, drift: Drift, number: int) -> str:
+            learned.append(number)
+            return super().relearn(drift, number)
+
+    bench, learner = make(learning={"refresh": True}, design={"blocks": 5}), Learner(drifting)
+    assert bench.run(learner, interrupted=lambda: len(learner.taken) >= 20).state is CampaignState.STOPPED
+    assert learned == [19]
+    assert bench.run(Learner(drifting)).state is CampaignState.FINISHED
+    assert learned == [19, 19]  # it is asked again, and answers with what it learned then
+    (event,) = [event for event in bench.store.events(bench.entry.id) if event.kind == "learned"]
+    assert (event.shot, event.text) == (19, "learned ('default', 'driver') before 19")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
 from bench.campaign.plan import Plan, Simulation
@@ -37,7 +38,7 @@ def plan(configuration: Configuration) -> Plan:
 
 @pytest.fixture(scope="module")
 def source(plan: Plan, configuration: Configuration) -> SimulatedShots:
-    return SimulatedShots(plan, configuration, require_swings(plan, configuration), never)
+    return SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
 
 
 def _take(source: SimulatedShots, plan: Plan, number: int, sample: int = 1) -> Taken:
@@ -50,7 +51,9 @@ def test_a_shot_is_the_same_whatever_was_swung_before(
     for number in (1, 3, 7):
         _take(source, plan, number)
     again = _take(source, plan, 6)
-    fresh = _take(SimulatedShots(plan, configuration, require_swings(plan, configuration), never), plan, 6)
+    fresh = _take(
+        SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never), plan, 6
+    )
     assert again.shot == fresh.shot
     assert again.cycles is not None
     assert fresh.cycles is not None
@@ -84,7 +87,10 @@ def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
 ) -> None:
     faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_away=(6,))
     source = SimulatedShots(
-        replace(plan, simulation=faulty), configuration, require_swings(plan, configuration), never
+        replace(plan, simulation=faulty),
+        configuration,
+        AsDesigned(require_swings(plan, configuration)),
+        never,
     )
     misread = _take(source, plan, 6)
     assert misread.shot.status is Status.EXCLUDED
@@ -114,7 +120,7 @@ def test_a_feeder_that_is_empty_or_brings_another_ball(plan: Plan, configuration
         handling = replace(plan.ball_handling, identify=identify)
         changed = replace(plan, simulation=simulation, ball_handling=handling)
         profiles = require_swings(changed, configuration)
-        return _take(SimulatedShots(changed, configuration, profiles, never), changed, number)
+        return _take(SimulatedShots(changed, configuration, AsDesigned(profiles), never), changed, number)
 
     empty = take(2, s, identify=False)
     assert (empty.shot.reason, empty.cycles) == ("feeder empty: no ball came", None)

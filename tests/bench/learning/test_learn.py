@@ -11,7 +11,7 @@ import pytest
 from bench.config import load_configuration
 from bench.learning import variation
 from bench.learning.figures import Tolerance, figures_of
-from bench.learning.learn import Lecture, Lesson, by_encoders, learn, prepare
+from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
 from bench.learning.series import Bench, Series
@@ -37,7 +37,7 @@ def lecture() -> Lecture:
 
 @pytest.fixture(scope="module")
 def lesson(lecture: Lecture) -> Lesson:
-    return learn(lecture, Series(BENCH, WORN), by_encoders(lecture))
+    return learn(lecture, on_series(lecture, Series(BENCH, WORN)))
 
 
 def test_the_robot_learns_what_the_model_delivers(lecture: Lecture, lesson: Lesson) -> None:
@@ -67,11 +67,11 @@ def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: Lecture) -> No
 def test_other_sources_replace_what_they_tell(lecture: Lecture) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     encoders = figures_from("encoders+model", swing.cycles, PLANT, lecture.response.free)
-    marked = figures_from("impact marks", swing.cycles, PLANT, lecture.response.free, mark=(6.0, 4.5))
+    marked = figures_from("impact-marks", swing.cycles, PLANT, lecture.response.free, mark=(6.0, 4.5))
     assert marked.strike == pytest.approx(strike_from_mark(6.0, 4.5, PLANT))
     assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
     assert marked[1:] == encoders[1:]
-    monitor = figures_from("launch monitor", swing.cycles, PLANT, lecture.response.free, club_speed=42.0)
+    monitor = figures_from("launch-monitor", swing.cycles, PLANT, lecture.response.free, club_speed=42.0)
     assert monitor.speed == 42.0
     assert (monitor.strike, monitor.lean, monitor.attack) == (
         encoders.strike, encoders.lean, encoders.attack,

@@ -12,7 +12,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 
 from bench.learning.correction import basis_of
-from bench.learning.store import Conditions, Learned, corrected, drifted, keep, learned_swings
+from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds
 from bench.store.database import database_url, open_database
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -31,13 +31,15 @@ def entry(value: float, **changes: object) -> Learned:
 
 def test_the_newest_that_holds_is_used_and_nothing_is_overwritten(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
-        assert corrected(database, "b", PROFILE, HERE, simulated=True) == (PROFILE, 0)
+        assert newest_that_holds(database, "b", PROFILE.name, HERE, simulated=True) is None
         assert [keep(database, entry(value)) for value in (0.1, 0.2)] == [1, 2]
         assert keep(database, entry(0.9, within=False)) == 3
         assert keep(database, entry(0.9, conditions=replace(HERE, club="iron7"))) == 4
         assert keep(database, entry(0.9, simulated=False)) == 5
-        swing, version = corrected(database, "b", PROFILE, HERE, simulated=True)
-        assert version == 2
+        found = newest_that_holds(database, "b", PROFILE.name, HERE, simulated=True)
+        assert found is not None
+        assert found.version == 2
+        swing = found.correction(PROFILE).applied_to(PROFILE)
         wanted = basis_of(PROFILE).correction(np.full(basis_of(PROFILE).size, 0.2)).applied_to(PROFILE)
         assert np.array_equal(swing.valve, wanted.valve)
         assert np.array_equal(swing.angle, wanted.angle)
@@ -82,8 +84,8 @@ def test_a_campaign_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
         keep(database, entry(0.1))
         keep(database, entry(0.2, date=NOW + timedelta(hours=1)))
         for until, version in ((None, 2), (NOW, 1), (NOW - timedelta(hours=1), 0)):
-            found = corrected(database, "b", PROFILE, HERE, simulated=True, until=until)
-            assert found[1] == version
+            found = newest_that_holds(database, "b", PROFILE.name, HERE, simulated=True, until=until)
+            assert (found.version if found else 0) == version
 
 
 @pytest.mark.parametrize(

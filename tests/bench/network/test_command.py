@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
+from bench.learning.correction import MOST_WEIGHTS
 from bench.lifecycle import NEEDS_LEASE, Request
 from bench.network.command import (
     FORMS,
@@ -18,6 +19,7 @@ from bench.network.command import (
     REQUESTS,
     Answer,
     Command,
+    Correct,
     Keyed,
     Plain,
     ReleaseLease,
@@ -58,6 +60,32 @@ def test_what_moves_needs_key_and_sequence(verb: Verb) -> None:
 def test_the_lease_is_asked_of_what_the_loop_asks_it_for() -> None:
     assert {REQUESTS[verb] for verb in REQUESTS.keys() - PLAIN} == NEEDS_LEASE
     assert set(REQUESTS.values()) | {Request.NONE, Request.STOP, Request.EMERGENCY_STOP} == set(Request)
+
+
+def correct(**values: Any) -> bytes:
+    return encode_command(
+        Verb.CORRECT, **{"key": KEY, "sequence": 1, "profile": "0123456789abcdef", "weights": [0.5], **values}
+    )
+
+
+def test_a_correction_is_bounded_weights_for_one_profile() -> None:
+    assert parse_command("correct", correct()) == Correct(KEY, 1, "0123456789abcdef", (0.5,))
+    assert parse_command("correct", correct(weights=[])) == Correct(KEY, 1, "0123456789abcdef", ())
+    most = correct(weights=[-1.2345678901234567] * MOST_WEIGHTS)
+    assert len(most) <= LONGEST_MESSAGE
+    assert len(parse_command("correct", most).weights) == MOST_WEIGHTS  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "weights", [None, 1.0, "1", [1.6], [-1.6], ["1"], [True], [[1.0]], [0.0] * (MOST_WEIGHTS + 1)]
+)
+def test_weights_beyond_their_bounds_are_no_correction(weights: Any) -> None:
+    assert refused("correct", correct(weights=weights)).place == "command correct: weights"
+
+
+@pytest.mark.parametrize("profile", [None, "", "0123456789ABCDEF", "0123456789abcde", 7])
+def test_a_correction_names_its_profile(profile: Any) -> None:
+    assert refused("correct", correct(profile=profile)).place == "command correct: profile"
 
 
 def test_leases() -> None:

@@ -118,6 +118,17 @@ def wait_until(holds: Callable[[], bool], timeout: float = 5.0) -> None:
 # What is asked and answered --------------------------------------------------------------------------
 
 
+def test_a_correction_takes_the_lease_and_comes_to_the_desk(bench: RunningPlane, asker: Asker) -> None:
+    values: dict[str, Any] = {"profile": "0123456789abcdef", "weights": [0.5, -1.0]}
+    assert not asker.ask("correct", key=new_key(), sequence=1, **values).accepted
+    assert bench.desk.corrections == []
+    key = asker.take()
+    assert asker.ask_keyed("correct", key, **values) == Answer(True, "ESTOP")
+    assert bench.desk.corrections == [("0123456789abcdef", (0.5, -1.0))]
+    assert not asker.ask("correct", key=key, sequence=asker.sequence, **values).accepted  # repeated
+    assert asker.ask("status").content["correction"] == 1
+
+
 def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
     key = asker.take()
     day = ["reset", "access", "secure", "home", "arm", "tee", "swing", "arm", "disarm"]

@@ -19,8 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.learning.correction import basis_of
 from bench.lifecycle import Cause, State
 from bench.processes.child_process import HEARTBEAT, Condition
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.snapshot import read_snapshot
@@ -91,6 +94,37 @@ def test_a_swing_becomes_one_whole_file(bench: Bench, day: MakeDay) -> None:
     assert bench.end() == 0
     assert bench.event() == {"event": "ended", "waiting": 0}
     assert bench.heartbeat()["condition"] == Condition.ENDING
+
+
+def test_a_record_holds_the_profile_as_it_was_swung(bench: Bench, day: MakeDay) -> None:
+    profile = load_profile(find_profile("default"))
+    basis = basis_of(profile)
+    weights = np.random.default_rng(3).uniform(-1, 1, basis.size)
+    bench.correct(400, 1, weights.tolist())
+    bench.start()
+    bench.read_up()
+    bench.write(day(SWING)[:600])
+    bench.read_up()
+    bench.correct(600, 2, (2 * weights).tolist())
+    bench.write(day(SWING)[600:])
+    bench.event()
+    _, metadata = stored_cycles(bench.files()[0])
+    assert metadata["profile"]["correction"] == {"number": 2, "weights": (2 * weights).tolist()}
+    swung, wanted = read_profile(metadata, "x"), basis.correction(2 * weights).applied_to(profile)
+    assert np.array_equal(swung.angle, wanted.angle)
+    assert np.array_equal(swung.valve, wanted.valve)
+    assert swung.name == "default"
+
+
+def test_a_correction_taken_after_the_swing_is_none_of_its(bench: Bench, day: MakeDay) -> None:
+    bench.start()
+    cycles = day(SWING)
+    bench.write(cycles[:1150])
+    bench.read_up()
+    bench.correct(1150, 1, [0.5] * basis_of(load_profile(find_profile("default"))).size)
+    bench.write(cycles[1150:])
+    bench.event()
+    assert "correction" not in stored_cycles(bench.files()[0])[1]["profile"]
 
 
 def test_sigterm_waits_for_the_swing_under_way(bench: Bench, day: MakeDay) -> None:

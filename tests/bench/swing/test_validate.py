@@ -15,7 +15,7 @@ from bench.lifecycle import Phase
 from bench.swing.air_limits import force_bounds, needed_force, steady_speed, stop_forces
 from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import Profile
-from bench.swing.validate import check_profile, profile_faults, require_possible
+from bench.swing.validate import beyond_range, check_profile, profile_faults, require_possible
 from drivers.base import COMMAND
 from sim.compiled import new_record
 from sim.kinematics import theta2_from_right_arm
@@ -140,6 +140,14 @@ def test_all_reasons_come_at_once(
         require_possible(replace(slow_swing, club="x", limits={}), plant, envelope, "slow.toml")
     assert all(isinstance(fault, BenchError) for fault in raised.value.exceptions)
     assert len(raised.value.exceptions) == 2
+
+
+def test_a_reference_beyond_a_joints_range_is_named(slow_swing: Profile, plant: PlantParameters) -> None:
+    envelope = EnvelopeSettings()
+    assert beyond_range(slow_swing, plant, envelope) == ""
+    found = beyond_range(changed(slow_swing, "angle", 40, 2, 3.0), plant, envelope)
+    assert "wrist" in found
+    assert f"{40 * slow_swing.period:.3f} s" in found
 
 
 def test_arriving_too_fast_at_a_stop_is_refused(

@@ -1,0 +1,165 @@
+"""The learned corrections that a campaign swings with, and how a swing is learned anew on its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Protocol
+
+import numpy as np
+from sqlalchemy import Engine
+
+from bench.campaign.plan import Plan
+from bench.campaign.refreshing import Arm, Drift
+from bench.campaign.swings import Profiles
+from bench.config import Configuration
+from bench.learning.learn import Lecture, Swinger, learn, prepare
+from bench.learning.learner import LearningSettings
+from bench.learning.series import Bench
+from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
+from bench.store.campaigns import CampaignEntry
+from bench.swing.profile import Profile
+from sim.plant import PlantParameters
+
+Robot = Callable[[Lecture], AbstractContextManager[Swinger]]
+"""Lends the robot to a learner."""
+
+
+class Swung(Protocol):
+    """The profiles of a campaign and what is added to them, by swing and club."""
+
+    def designed(self, arm: Arm) -> Profile:
+        """Return the profile of `arm` without correction."""
+        ...
+
+    def weights(self, arm: Arm) -> tuple[float, ...]:
+        """Return the weights that `arm` is swung with; none: as designed."""
+        ...
+
+    def profile(self, arm: Arm) -> Profile:
+        """Return the profile of `arm` as it is swung."""
+        ...
+
+    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
+        """Learn the swing that has drifted anew before shot `number`, and return what is to be told of it.
+
+        `robot` swings; `truth` is the robot in simulation.
+
+        Raises:
+            BenchError: the modelled swing strikes no ball, or the bench refuses.
+        """
+        ...
+
+
+class AsDesigned:
+    """No corrections, and none learned on the way."""
+
+    def __init__(self, profiles: Profiles) -> None:
+        self._profiles = profiles
+
+    def designed(self, arm: Arm) -> Profile:
+        """Return the profile of `arm`."""
+        return self._profiles[arm]
+
+    profile = designed
+
+    def weights(self, arm: Arm) -> tuple[float, ...]:
+        """Return none."""
+        return ()
+
+    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
+        """Learn nothing."""
+        return f"{self._profiles[drift.arm].name}: {drift.text}; it goes on as designed"
+
+
+class Corrections:
+    """By swing and club; a campaign begins with the newest ones that hold and were there when it began."""
+
+    def __init__(
+        self,
+        entry: CampaignEntry,
+        plan: Plan,
+        configuration: Configuration,
+        database: Engine,
+        profiles: Profiles,
+        *,
+        simulated: bool,
+    ) -> None:
+        """`profiles` are as designed; what was learned is used if it is as `simulated` as the campaign."""
+        self._entry, self._plan, self._configuration = entry, plan, configuration
+        self._database, self._profiles, self._simulated = database, profiles, simulated
+        self._lectures: dict[Arm, Lecture] = {}
+        self._learned: dict[Arm, Learned | None] = {
+            arm: newest_that_holds(
+                database,
+                entry.bench,
+                profile.name,
+                self._conditions(arm),
+                simulated=simulated,
+                until=entry.date,
+            )
+            for arm, profile in profiles.items()
+        }
+
+    def designed(self, arm: Arm) -> Profile:
+        """Return the profile of `arm` without correction."""
+        return self._profiles[arm]
+
+    def weights(self, arm: Arm) -> tuple[float, ...]:
+        """Return the weights that `arm` is swung with; none: as designed."""
+        learned = self._learned[arm]
+        return () if learned is None else learned.weights
+
+    def profile(self, arm: Arm) -> Profile:
+        """Return the profile of `arm` as it is swung."""
+        learned, profile = self._learned[arm], self._profiles[arm]
+        if learned is None:
+            return profile
+        swung = learned.correction(profile).applied_to(profile)
+        return replace(swung, text=f"{swung.text}; learned, version {learned.version}")
+
+    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
+        """See `Swung`. What this campaign has learned there before it was cut off is taken as it was.
+
+        A correction that does not reach its target is not used.
+        """
+        arm, profile = drift.arm, self._profiles[drift.arm]
+        mark = {"campaign": self._entry.id, "before_shot": number}
+        before = learned_swings(self._database, self._entry.bench, profile.name)
+        found = next((one for one in before if mark.items() <= dict(one.content).items()), None)
+        if found is None:
+            lecture = self._lecture(arm)
+            weights = self.weights(arm)
+            with robot(lecture) as swinger:
+                lesson = learn(
+                    lecture, swinger, LearningSettings(swings=self._plan.learning.swings),
+                    start=np.array(weights) if weights else None,
+                )  # fmt: skip
+            found = stored(
+                lesson, self._entry.bench, profile.name, self._conditions(arm, truth), "encoders+model",
+                datetime.now(UTC), simulated=self._simulated, beside=mark,
+            )  # fmt: skip
+            found = replace(found, version=keep(self._database, found))
+        swings = f"{len(found.content['swings']) - 1} learning swings"
+        if not found.within:
+            return f"{profile.name}: {drift.text}; not learned anew in {swings}, it goes on as before"
+        self._learned[arm] = found
+        return f"{profile.name}: {drift.text}; learned anew in {swings}, version {found.version}"
+
+    def _lecture(self, arm: Arm) -> Lecture:
+        if arm not in self._lectures:
+            c = self._configuration
+            bench = Bench(self._plant(arm), self._profiles[arm], c.control, c.envelope, c.estimator)
+            self._lectures[arm] = prepare(bench)
+        return self._lectures[arm]
+
+    def _plant(self, arm: Arm) -> PlantParameters:
+        plant = self._configuration.plant
+        return replace(plant, robot=replace(plant.robot, club=self._plan.clubs[arm[1]]))
+
+    def _conditions(self, arm: Arm, truth: PlantParameters | None = None) -> Conditions:
+        plant = self._plant(arm)
+        robot = (truth or plant) if self._simulated else None
+        return Conditions.of(self._profiles[arm], plant, self._configuration.air.temperature, robot)

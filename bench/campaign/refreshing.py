@@ -1,0 +1,98 @@
+"""When a swing is learned anew: between blocks, when its delivery has drifted from what it was.
+
+A block's deliveries of one swing and club are compared with those of the first whole block after it was
+learned last, by the same measuring chain: what the chain sees wrongly it sees wrongly in both. The ball's
+results are never looked at.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.campaign.course import Step
+from bench.campaign.gate import delivered
+from bench.campaign.plan import Plan
+from bench.campaign.sequence import Role
+from bench.learning.figures import Tolerance
+from bench.learning.store import drifted
+from bench.shot.shot import Shot, Status
+
+Array = NDArray[np.float64]
+Arm = tuple[str, str]
+"""Swing and club."""
+
+_LEAST = 3
+"""Shots of a swing and club in a block, without which it says nothing."""
+_NAMES = ("head speed", "attack angle", "shaft lean", "strike heel to toe", "strike low to high")
+
+
+class Drift(NamedTuple):
+    """A swing that is to be learned anew."""
+
+    arm: Arm
+    text: str
+
+
+class Drifts:
+    """Told of every shot in order, asked before each step; all it knows follows from the shots."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._block = (0, 0)
+        self._seen: dict[Arm, list[Array]] = defaultdict(list)
+        self._baseline: dict[Arm, Array] = {}
+        self._open: dict[Arm, Drift] = {}
+
+    def before(self, step: Step) -> Drift | None:
+        """Return that the swing of `step` is to be learned anew, as it has drifted in a block before.
+
+        It is told once, and not before this very swing is up again: its club is mounted then.
+        """
+        if not self._plan.learning.refresh:
+            return None
+        block, arm = (step.trial.section, step.trial.block), step.trial.arm
+        if block != self._block:
+            self._block = block
+            seen, self._seen = self._seen, defaultdict(list)
+            for drift in filter(None, map(self._judged, seen, seen.values())):
+                self._open[drift.arm] = drift
+        return self._open.pop((arm.swing, arm.club), None)
+
+    def note(self, shot: Shot) -> None:
+        """Take note of a shot; warm-up and what does not count say nothing."""
+        if shot.status is not Status.VALID or shot.role == Role.WARM_UP:
+            return
+        centre = delivered(shot, self._plan.clubs[shot.club])
+        figures = np.array([np.nan if value is None else value for value in centre])
+        if np.isfinite(figures).all():
+            self._seen[shot.swing, shot.club].append(figures)
+
+    def _judged(self, arm: Arm, shots: list[Array]) -> Drift | None:
+        if len(shots) < _LEAST:
+            return None
+        now, before = np.array(shots), self._baseline.get(arm)
+        if before is None:
+            self._baseline[arm] = now
+            return None
+        scale, middle = _scale(before), before.mean(axis=0)
+        errors = (now - middle) / scale
+        within = np.concatenate([now - now.mean(axis=0), before - middle]) / scale
+        scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - 2))
+        # The baseline is a mean of some shots, too.
+        if not drifted(scatter * np.sqrt(1 + len(now) / len(before)), errors):
+            return None
+        del self._baseline[arm]
+        mean = errors.mean(axis=0)
+        worst = int(np.abs(mean).argmax())
+        return Drift(arm, f"{_NAMES[worst]} has drifted by {mean[worst]:+.1f} tolerances")
+
+
+def _scale(before: Array) -> Array:
+    """Return the tolerances in the units of a gate's figures."""
+    t = Tolerance()
+    speed = float(before[:, 0].mean())
+    return np.array([t.speed * speed, t.attack, t.lean, t.strike, t.strike])

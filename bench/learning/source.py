@@ -1,0 +1,7 @@
+"""What tells of a delivery; a module of its own, as the command line names it before anything is loaded."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+Source = Literal["encoders+model", "launch-monitor", "impact-marks"]

@@ -1,0 +1,83 @@
+"""A learned correction on its way into a running loop, and what the loop made of it.
+
+The supervisor orders weights; the loop takes them where nothing swings, and tells since which tick they hold.
+What is taken are tables for the swings to come: reference and feed-forward up to the impact. Everything that
+limits a swing limits the corrected one alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.learning.correction import MOST_WEIGHTS, basis_of
+from bench.swing.profile import Profile
+from sim.compiled import new_record
+from sim.shared_record import SharedRecord
+
+CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
+
+CORRECTION = np.dtype([("number", "i8"), ("size", "i8"), ("weights", "f8", (MOST_WEIGHTS,))], align=True)
+"""An order: `size` weights; none is the profile as designed. A new `number` makes it a new order."""
+
+CORRECTED = np.dtype([("asked", "i8"), ("tick", "i8"), ("order", CORRECTION)], align=True)
+"""`asked` is the order looked at last. `order` is the one that swings are made with since `tick`."""
+
+
+def pack_correction(number: int, weights: Sequence[float]) -> np.ndarray[Any, Any]:
+    """Return order `number` (one-element array of CORRECTION)."""
+    order = new_record(CORRECTION)
+    order["number"], order["size"] = number, len(weights)
+    order["weights"][0, : len(weights)] = weights
+    return order
+
+
+def weights_of(order: np.ndarray[Any, Any]) -> list[float]:
+    """Return the weights in `order` (one element of CORRECTION)."""
+    weights: list[float] = order["weights"].reshape(-1)[: int(order["size"].reshape(-1)[0])].tolist()
+    return weights
+
+
+class Corrections:
+    """The loop's side."""
+
+    def __init__(self, folder: Path, profile: Profile) -> None:
+        """Open the bench's files for corrections of `profile`.
+
+        Raises:
+            SharedMemoryError: the supervisor made none.
+        """
+        self._profile, self._basis = profile, basis_of(profile)
+        self._orders = SharedRecord.open(folder / CORRECTION_FILE, CORRECTION)
+        self._told = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
+        self._order, self._answer = new_record(CORRECTION), new_record(CORRECTED)
+        self._version = self._orders.newest
+        self._told.write(self._answer)
+
+    def take(self, tick: int, *, resting: bool) -> Profile | None:
+        """Return the profile to swing from `tick` on, if another was ordered; None: as before.
+
+        An order that comes while the robot does not rest, or is for another profile, is answered by `asked`
+        alone, and forgotten.
+        """
+        if self._orders.newest == self._version:
+            return None
+        self._version = self._orders.read(self._order)
+        self._answer["asked"] = self._order["number"]
+        taken = None
+        weights = weights_of(self._order)
+        if resting and len(weights) in (0, self._basis.size):
+            taken = self._profile
+            if weights:
+                taken = self._basis.correction(np.array(weights)).applied_to(taken)
+            self._answer["tick"], self._answer["order"] = tick, self._order
+        self._told.write(self._answer)
+        return taken
+
+    def close(self) -> None:
+        """Unmap the files."""
+        self._orders.close()
+        self._told.close()

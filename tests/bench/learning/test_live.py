@@ -1,0 +1,68 @@
+"""A running bench as a learner's robot: what is read out of its records, and which bench it takes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.errors import Refused
+from bench.learning.live import require_bench, swung_cycles
+from bench.lifecycle import Answer, Request
+from bench.network.desk import LaunchMonitorStatus
+from bench.processes.status import NO_LAUNCH_MONITOR
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.cycle_record import CYCLE
+from tests.bench.fake_desk import FakeDesk
+
+PROFILE = load_profile(find_profile("default"))
+
+
+def record(ticks: list[int], swing: int) -> np.ndarray:
+    cycles = np.zeros(len(ticks), CYCLE)
+    cycles["tick"] = ticks
+    cycles["angle"] = np.array(ticks)[:, None]
+    accepted = cycles["tick"] == swing
+    cycles["request"][accepted], cycles["answer"][accepted] = Request.SWING, Answer.ACCEPTED
+    return cycles
+
+
+def test_a_swing_begins_with_the_tick_in_which_it_was_accepted() -> None:
+    cycles, missing = swung_cycles(record(list(range(50, 90)), 60), 20)
+    assert cycles["tick"].tolist() == list(range(60, 80))
+    assert not missing.any()
+
+
+def test_a_tick_that_is_missing_keeps_its_place() -> None:
+    ticks = [t for t in range(50, 90) if t not in (65, 66)]
+    cycles, missing = swung_cycles(record(ticks, 60), 20)
+    assert np.flatnonzero(missing).tolist() == [5, 6]
+    assert np.isnan(cycles["angle"][[5, 6]]).all()
+    assert cycles["angle"][7, 0] == 67
+
+
+def test_a_record_that_ends_early_misses_its_end() -> None:
+    _, missing = swung_cycles(record(list(range(50, 70)), 60), 20)
+    assert np.flatnonzero(missing).tolist() == list(range(10, 20))
+
+
+def test_a_record_without_a_swing_is_refused() -> None:
+    with pytest.raises(ValueError, match="no swing begins"):
+        swung_cycles(record(list(range(10)), 99), 5)
+
+
+def test_only_the_bench_that_swings_the_profile_learns_it() -> None:
+    status = FakeDesk().status()
+    require_bench(status, PROFILE, "encoders+model")
+    with pytest.raises(Refused, match="it swings steady"):
+        require_bench({**status, "profile": "steady"}, PROFILE, "encoders+model")
+
+
+def test_a_launch_monitor_that_is_not_there_tells_nothing() -> None:
+    status = FakeDesk().status()
+    with pytest.raises(Refused, match="launch monitor"):
+        require_bench(status, PROFILE, "launch-monitor")
+    away = LaunchMonitorStatus(**NO_LAUNCH_MONITOR)
+    with pytest.raises(Refused, match="none is connected"):
+        require_bench({**status, "launch_monitor": away}, PROFILE, "launch-monitor")
+    require_bench({**status, "launch_monitor": {**away, "present": True}}, PROFILE, "launch-monitor")
