@@ -406,6 +406,20 @@ def angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
     )
 
 
+def with_tables_of(
+    parameters: ControlParameters, profile: Profile, control: ControlSettings, plant: PlantParameters
+) -> ControlParameters:
+    """Return `parameters`, built with `control` for `plant`, with the tables of `profile`."""
+    demand = demand_for(control.feed_forward, plant, profile)
+    return parameters._replace(
+        angle=profile.angle,
+        velocity=profile.velocity,
+        valve=profile.valve,
+        force=demand.force,
+        force_rate=demand.rate,
+    )
+
+
 def _control_record(
     control: ControlSettings,
     lifecycle: LifecycleSettings,

@@ -67,8 +67,8 @@ def learn(
 
     from bench.config import load_configuration
     from bench.errors import BenchError, ExitCode
+    from bench.learning.learn import begun_on, on_series, prepare
     from bench.learning.learn import learn as learned
-    from bench.learning.learn import on_series, prepare
     from bench.learning.learner import LearningSettings
     from bench.learning.live import LiveSwinger, require_bench
     from bench.learning.series import Bench, Series
@@ -118,8 +118,7 @@ def learn(
         begin = None
         if identified is not None:
             task = bar.add_task("the identified robot learns", total=None)
-            twin = Series(bench, load_configuration(identified).plant)
-            begin = learned(lecture, on_series(lecture, twin)).weights
+            lecture, begin = begun_on(lecture, load_configuration(identified).plant)
             bar.update(task, total=1.0, completed=1.0)
         task = bar.add_task("learning swings", total=swings + 1)
         live = None

@@ -13,8 +13,9 @@ from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learner import Learner, LearningSettings, Trial
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
-from bench.learning.series import Bench, Series
+from bench.learning.series import Bench, Series, quiet
 from bench.lifecycle import Cause
+from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -95,6 +96,22 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
     basis = basis_of(bench.profile)
     response = Model(bench, basis).response(progress=progress)
     return Lecture(bench, basis, response, Figures(*map(float, response.figures)))
+
+
+def begun_on(lecture: Lecture, plant: PlantParameters) -> tuple[Lecture, Array]:
+    """Return `lecture` as it begins on an identified robot: with the response about what that one learns.
+
+    Also returns the weights that it learns, to begin with.
+
+    Raises:
+        BenchError: its swing is stopped or misses the ball with them.
+        Refused: it does not reach its address.
+    """
+    bench, basis = lecture.bench, lecture.basis
+    weights = learn(lecture, on_series(lecture, Series(bench, quiet(plant)))).weights
+    about = Model(bench, basis, plant).response(weights)
+    response = lecture.response._replace(by_figures=about.by_figures, by_path=about.by_path)
+    return lecture._replace(response=response), weights
 
 
 def on_series(lecture: Lecture, series: Series) -> Swinger:

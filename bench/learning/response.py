@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.learning.correction import Basis
 from bench.learning.figures import figures_of
-from bench.learning.series import Bench, Mark, Series, Swing, quiet, settled
+from bench.learning.series import Bench, Swing, quiet, settled
 from bench.lifecycle import CAUSE_TEXT
+from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -50,10 +51,10 @@ def path_rows(bench: Bench) -> NDArray[np.int64]:
 class Model:
     """The plant as the bench believes it to be, ready to swing with any correction from the same instant."""
 
-    def __init__(self, bench: Bench, basis: Basis) -> None:
-        """Arm the model; Refused when it does not reach its address."""
+    def __init__(self, bench: Bench, basis: Basis, plant: PlantParameters | None = None) -> None:
+        """Arm the model, or another `plant`; Refused when it does not reach its address."""
         self._bench, self._basis = bench, basis
-        self._series, self._mark = _settled_quietly(bench)
+        self._series, self._mark = settled(bench, quiet(plant or bench.model))
         profile = bench.profile
         self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
         self.rows = path_rows(bench)
@@ -100,7 +101,3 @@ class Model:
 
     def _seen(self, swing: Swing) -> tuple[Array, Array]:
         return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]
-
-
-def _settled_quietly(bench: Bench) -> tuple[Series, Mark]:
-    return settled(bench, quiet(bench.model))

@@ -7,8 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.control.demand import demand_for
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
+from bench.control.settings import (
+    ControlSettings,
+    EnvelopeSettings,
+    EstimatorSettings,
+    build_controller,
+    with_tables_of,
+)
 from bench.control.step import ACCEPTED, SWING, ControlParameters
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
@@ -139,11 +144,7 @@ class Series:
 
     def _swing(self, profile: Profile, ticks: int, *, ball: bool = True) -> Swing:
         stepper, control = self._stepper, self._stepper.state.control
-        demand = demand_for(self.bench.control.feed_forward, self.bench.model, profile)
-        stepper.parameters = stepper.parameters._replace(
-            angle=profile.angle, velocity=profile.velocity, valve=profile.valve,
-            force=demand.force, force_rate=demand.rate,
-        )  # fmt: skip
+        stepper.parameters = with_tables_of(stepper.parameters, profile, self.bench.control, self.bench.model)
         control["tee"] = False
         stepper.advance(1)
         stepper.plant_state["ball_present"] = stepper.plant_state["struck"] = False

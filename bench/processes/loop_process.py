@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.clock import GridClock, PacedClock
-from bench.control.settings import build_controller
+from bench.control.settings import build_controller, with_tables_of
 from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
@@ -236,9 +236,8 @@ class LoopProcess:
             int(control["tick"][0]), resting=control["phase"][0] in _RESTING and not control["swinging"][0]
         )
         if taken is not None:
-            self.cycle.parameters = self.cycle.parameters._replace(
-                angle=taken.angle, velocity=taken.velocity, valve=taken.valve
-            )
+            c = self.plan.configuration
+            self.cycle.parameters = with_tables_of(self.cycle.parameters, taken, c.control, c.plant)
 
     def _watch_device(self) -> None:
         """Tell why the device went passive, if its driver knows."""

@@ -531,4 +531,4 @@ def test_a_swing_that_drifts_is_learned_between_blocks_also_after_a_crash(make: 
     assert bench.run(Learner(drifting)).state is CampaignState.FINISHED
     assert learned == [19, 19]  # it is asked again, and answers with what it learned then
     (event,) = [event for event in bench.store.events(bench.entry.id) if event.kind == "learned"]
-    assert (event.shot, event.text) == (19, "learned ('default', 'driver') before 19")
+    assert (event.before_shot, event.text) == (19, "learned ('default', 'driver') before 19")
