@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,14 @@ from bench.campaign.live import LiveShots, require_live
 from bench.campaign.operate import ask, bench_facts, new_entry, run_live
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.swings import require_swings
 from bench.config import load_configuration
 from bench.errors import ExitCode, Refused
 from bench.launch.shot_message import ShotMessage
+from bench.learning.store import learned_swings
 from bench.lifecycle import Phase, State
 from bench.live_swing import SwingRecord
 from bench.network.client import CommandRefused
@@ -564,3 +567,47 @@ def test_a_swing_without_a_ball_follows_each_arming(
             source._swing(a_step(), events)
     assert bench.asked == asked
     assert [kind for kind, _ in events] == ["practice"] * practice
+
+
+class Listening(Watcher):
+    """Keeps what was said."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.texts.append(text)
+
+
+@pytest.mark.timeout(400)
+def test_a_swing_is_learned_anew_on_the_bench_without_a_ball(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That it drifts is said here; a simulated robot of a running bench does not."""
+    file = write_configuration(tmp_path, "relearned", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(PLAN + "[learning]\nrefresh = true\nswings = 1\n")
+    configuration = load_configuration(file)
+    plan = load_plan(tmp_path / "plan.toml", configuration)
+    arm = ("default", "driver")
+    asked = chain([None, Drift(arm, "drifted")], repeat(None))
+    monkeypatch.setattr("bench.campaign.refreshing.Drifts.before", lambda self, step: next(asked))
+    monkeypatch.setattr("bench.learning.learn.Lesson.within", True)
+    url = database_url("", configuration.bench.data_dir)
+    with running_bench(file) as bench, open_database(url) as engine:
+        store, said = CampaignStore(engine), Listening()
+        facts = bench_facts(plan, configuration, bench.client.status())
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
+        store.begin(entry)
+        outcome = run_live(entry, configuration, store, said, never)
+        shots = [stored.shot for stored in store.shots(entry.id)]
+        assert [shot.reason for shot in shots] == ["", ""], said.texts
+        assert outcome.state is CampaignState.FINISHED
+        assert bench.client.status()["swings"] == 4
+        assert any("drifted; learned anew in 1 learning swings, version 1" in text for text in said.texts)
+        files = [configuration.bench.data_dir / stored.file for stored in store.shots(entry.id)]
+        first, second = (read_swing(file)[1] for file in files)
+        assert "correction" not in first["profile"]
+        (learned,) = learned_swings(engine, configuration.bench.id, arm[0])
+        assert second["profile"]["correction"]["weights"] == list(learned.weights)
+        for record in bench.records:  # those of the learner stay with the bench
+            assert not read_swing(record)[0]["ball_present"].any()
