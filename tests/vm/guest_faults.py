@@ -22,6 +22,9 @@ CARD = "can0"
 """Of the bench; the nodes are on can1, the witness and whoever babbles on can2."""
 _SETTLING = 0.5
 """s after a mend: taking a queueing discipline away may cost frames of its own."""
+_NEWS = 1.2
+"""s after which the status has the driver's counters; it gets them once a second."""
+_HEALTHY = ("frames", "syncs", "positions", "inputs", "pressures", "heartbeats", "services")
 _AT_REST = 0.05
 """rad/s."""
 
@@ -58,19 +61,23 @@ def provoke(bench: GuestBench, name: str, fault: Fault) -> list[Row]:
     """Swing, bring one fault, watch to the end, mend it."""
     bench.take_address()
     time.sleep(0.5)
+    before = bench.client.status()["device"]["counters"]
     witness = Listener("can2", (COMMAND, EMERGENCY))
     bench.swing()
     bench.wait_phase(Phase.DOWNSWING)
     bench.ring.read()
     try:
-        return _watch(bench, name, fault, witness)
+        return _watch(bench, name, fault, witness, before)
     finally:
         witness.close()
         fault.mend()
         time.sleep(_SETTLING)
 
 
-def _watch(bench: GuestBench, name: str, fault: Fault, witness: Listener) -> list[Row]:
+def _watch(
+    bench: GuestBench, name: str, fault: Fault, witness: Listener, before: dict[str, int]
+) -> list[Row]:
+    """`before` are the driver's counters before the swing."""
     begun = fault.bring()
     time.sleep(0.3)
     frames = [frame for frame in witness.frames() if frame.time > begun - 0.02]
@@ -88,15 +95,24 @@ def _watch(bench: GuestBench, name: str, fault: Fault, witness: Listener) -> lis
     )  # fmt: skip
     ending = _ending(bench)
     later = bench.ring.read()
+    time.sleep(_NEWS)
+    counted = _more(bench.client.status()["device"]["counters"], before)
     cause = Cause(int(cycles["trip"][-1])).name if len(cycles) else "?"
     first = Reaction(int(reacting["reaction"][0])).name if len(reacting) else "none"
-    note = f"{first}, {cause}; ended in {ending}"
+    note = f"{first}, {cause}; ended in {ending}; {counted}"
     print(f"{time.monotonic():.1f} s: {name}: {note}", flush=True)
     if fault.longest_ms is None:
         stops = float(np.any(np.concatenate([cycles, later])["reaction"] > Reaction.COMPLETE))
         return [Row(TITLE, name, stops, "reactions", note, at_most=0)]
     milliseconds = float("nan") if reacted is None else 1e3 * (reacted - begun)
     return [Row(TITLE, name, milliseconds, "ms", note, at_most=fault.longest_ms)]
+
+
+def _more(counters: dict[str, int], before: dict[str, int]) -> str:
+    """Return what of the driver's counters of trouble went up, by how many."""
+    new = {name: count - before.get(name, 0) for name, count in counters.items() if name not in _HEALTHY}
+    told = [f"{name.replace('_', ' ')} {count}" for name, count in new.items() if count]
+    return ", ".join(told) or "nothing counted"
 
 
 def _ending(bench: GuestBench) -> str:
@@ -226,7 +242,9 @@ FAULTS: dict[str, Fault] = {
     "frames delayed by 5 ms and reordered": Fault(
         _disturb("delay", "5ms", "2ms", "reorder", "30%"), _calm, 3 * WATCHDOG
     ),
-    "a node babbles as an encoder": Fault(_AS_ENCODER.begin, _AS_ENCODER.end, 200.0),
+    # On the guest's one processor nobody speaks between SYNC and answers: all of it is told apart. What
+    # follows where a wrong sample gets through is seen in step: `tests.benchmarks canopen_reactions`.
+    "a node babbles as an encoder": Fault(_AS_ENCODER.begin, _AS_ENCODER.end, None),
     "driver unbound from the card, then bound again": Fault(_now(_unbind), _bind, WATCHDOG),
     "card taken out by the kernel, then found again": Fault(_now(_unplug), _plug, WATCHDOG),
     "card pulled out, then put back": Fault(_pull_and_wait, _put, WATCHDOG),
