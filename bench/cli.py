@@ -30,6 +30,7 @@ from bench.nodes_command import nodes
 from bench.run_command import run
 from bench.session import Session
 from bench.swing.commands import app as swing_app
+from bench.tuning.command import tune
 from bench.viewer.commands import view
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
@@ -57,6 +58,7 @@ app.command()(nodes)
 app.command()(launch_monitor)
 app.command()(learn)
 app.command()(identify)
+app.command()(tune)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)

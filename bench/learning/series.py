@@ -113,9 +113,14 @@ class Series:
         return Mark(tuple(array.copy() for array in _memory(stepper)), stepper.tick)
 
     def swing_from(
-        self, mark: Mark, profile: Profile, ticks: int | None = None, *, ball: bool = True
-    ) -> Swing:
-        """Swing `profile` from the instant `mark`; the robot is left where it is after `ticks`."""
+        self, mark: Mark, profile: Profile, ticks: int | None = None, *, ball: bool = True,
+        parameters: ControlParameters | None = None,
+    ) -> Swing:  # fmt: skip
+        """Swing `profile` from the instant `mark`; the robot is left where it is after `ticks`.
+
+        With `parameters` the controller is another one from here on.
+        """
+        self._stepper.parameters = parameters or self._stepper.parameters
         for array, then in zip(_memory(self._stepper), mark.arrays, strict=True):
             array[...] = then
         self._stepper.tick = mark.tick

@@ -1,0 +1,111 @@
+"""Gains by margins: of each joint the greatest proportional gain whose loop keeps the margins asked for.
+
+Too small a gain leaves the spool in its dead band, and the robot short of its address: what `reaches_address`
+rules out is not tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import radians
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.control.settings import ControlSettings
+from bench.tuning.gains import Gains
+from bench.tuning.linear_loop import FREQUENCIES, Estimator, Frozen, least_damping, loop_response
+from bench.tuning.margins import margins_of
+from sim.plant import PlantParameters
+
+_ROUNDS = 2
+_OPENED = 1.2
+"""Dead bands that the spool is to be moved by."""
+_PROPORTIONAL = np.geomspace(2.5, 0.2, 24).tolist()
+_DERIVATIVE = (0.25, 0.5, 1.0, 1.4, 2.0)
+_DAMPING = (0.0, 0.25, 0.5, 1.0, 1.5)
+"""Factors on the gains to begin with; the integral gain keeps its share of the proportional one."""
+
+
+class Wanted(NamedTuple):
+    """Margins that are asked for at every instant up to the top."""
+
+    gain: float = 2.0
+    phase: float = radians(30.0)
+    delay: float = 0.003
+    damping_ratio: float = 0.1
+
+
+class Tuned(NamedTuple):
+    """What was found."""
+
+    gains: Gains
+    met: tuple[float, float, float]
+    """By joint: the worst share of what was asked for that is reached, at most 1."""
+
+
+def met_share(
+    plants: list[Frozen], estimator: Estimator, gains: Gains, joint: int, period: float, wanted: Wanted
+) -> float:
+    """Return the worst share of `wanted` that the loop of `joint` reaches: 1 at most, negative when it grows.
+
+    `plants` are the instants to judge by.
+    """
+    worst = 1.0
+    for frozen in plants:
+        response = loop_response(frozen, estimator, gains, joint, period)
+        margins = margins_of(FREQUENCIES, response)
+        shares = (margins.gain / wanted.gain, margins.phase / wanted.phase, margins.delay / wanted.delay)
+        worst = min(worst, *shares)
+    for frozen in plants:
+        worst = min(worst, least_damping(frozen, estimator, gains, period) / wanted.damping_ratio)
+    return worst
+
+
+def reaches_address(gains: Gains, joint: int, plant: PlantParameters, control: ControlSettings) -> bool:
+    """Tell whether an error as great as the address allows opens the valve within half the time-out."""
+    opened = gains.proportional[joint] + gains.integral[joint] * control.move_timeout / 2
+    return opened * control.address_tolerance[joint] >= _OPENED * plant.actuators[joint].valve.dead_band
+
+
+def tune_by_margins(
+    plants: list[Frozen],
+    estimator: Estimator,
+    plant: PlantParameters,
+    control: ControlSettings,
+    wanted: Wanted | None = None,
+    progress: Callable[[float], None] = lambda part: None,
+) -> Tuned:
+    """Return gains of all joints; where what is `wanted` cannot be had, those that come nearest to it.
+
+    Deterministic: a search over fixed factors on the gains of `control`, joint by joint, twice round.
+    """
+    start = Gains.of(control)
+    wanted, gains, period = wanted or Wanted(), start, plant.tick
+    judged = [frozen for frozen in plants if frozen.point.judged]
+    met, done, all_ = [0.0, 0.0, 0.0], 0, _ROUNDS * 3 * len(_DERIVATIVE) * len(_DAMPING)
+    for _ in range(_ROUNDS):
+        for joint in range(3):
+            best: tuple[float, float] | None = None
+            found = gains
+            for derivative in _DERIVATIVE:
+                for damping in _DAMPING:
+                    for factor in _PROPORTIONAL:
+                        tried = gains.with_joint(
+                            joint,
+                            proportional=factor * start.proportional[joint],
+                            integral=factor * start.integral[joint],
+                            derivative=derivative * start.derivative[joint],
+                            damping=damping * start.damping[joint],
+                        )
+                        if not reaches_address(tried, joint, plant, control):
+                            break
+                        share = met_share(judged, estimator, tried, joint, period, wanted)
+                        if best is None or (round(share, 6), factor) > best:
+                            best, found = (round(share, 6), factor), tried
+                        if share >= 1.0:
+                            break  # smaller ones are no better
+                    done += 1
+                    progress(done / all_)
+            gains, met[joint] = found, best[0] if best else 0.0
+    return Tuned(gains, (met[0], met[1], met[2]))

@@ -1,0 +1,27 @@
+"""Tuned gains as a configuration file over the one they were tuned with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from bench.tuning.gains import Gains, Triple
+
+
+def gains_file(gains: Gains, base: Path, how: str) -> str:
+    """Return TOML with `gains`, laid over the file `base`; `how` says where they come from."""
+
+    def row(values: Triple) -> str:
+        return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
+
+    return f"""# Gains {how}. A profile's openings are planned for the gains it was designed with.
+base = {json.dumps(str(base.resolve()))}
+
+[control]
+damping = {row(gains.damping)}
+
+[control.pid]
+proportional = {row(gains.proportional)}
+integral = {row(gains.integral)}
+derivative = {row(gains.derivative)}
+"""
