@@ -12,7 +12,10 @@ jump      each encoder's sample against what the motion so far predicts: steps, 
 effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
           whose scale or time is wrong, a head that came off
 
-A pressure that is ABSENT, or the supply's, leaves out what would need it. All pure, time is an argument.
+A pressure that is ABSENT, or the supply's, leaves out what would need it. When a joint, or its reference,
+runs into its cushion, in whichever phase a swing has that, velocity and jump have the limits of the
+follow-through for a while and efforts are not compared: the blow is in no prediction. All pure, time is an
+argument.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.air import actuator_motion
+from bench.control.envelope import joint_coordinates
 from bench.lifecycle import Cause, Phase
 from sim.compiled import compiled
 from sim.kane import kane_terms
@@ -58,12 +62,15 @@ MODEL_STATE = np.dtype(
         ("flow", "f8", (6,)),
         ("effort", "f8", (3,)),
         ("settled", "f8"),
+        ("pressed", "u1", (6,)),
+        ("blow", "f8"),
     ],
     align=True,
 )
 """The observer: spools, pressures as `sim.motion.chambers` takes them (chambers from 6 on, supply), what each
 sensor showed last and for how long (s); residuals of the chambers (Pa; NaN where there is none), the
-same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed."""
+same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed; which joint
+and which joint's reference is at its cushion; s for which the blow of one that ran into it still counts."""
 
 _MEMORY = 0.010
 """s in which the observer takes over what is measured."""
@@ -76,16 +83,24 @@ _FLOW_SMOOTHING = 0.050
 _BOTH = 0.2
 """Share of the limit that the other chamber must be off, too, for a valve to be at fault."""
 _CLOSE = 1e-4
+_BLOW = 0.030
+"""s for which a joint that ran into its cushion shakes all of them."""
+_FAST = 0.5
+"""rad/s from which on running into it is a blow."""
 _AIR, _VELOCITY = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_VELOCITY)
 _JUMP, _EFFORT = int(Cause.SHOULDER_JUMP), int(Cause.SHOULDER_EFFORT)
+_FOLLOW_THROUGH = int(Phase.FOLLOW_THROUGH)
 _FLOW, _SENSOR = int(Cause.SHOULDER_FLOW), int(Cause.SHOULDER_SENSOR)
 
 
 @compiled
-def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, step: float) -> None:
+def observe(
+    m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, reference: Any, step: float
+) -> None:
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
-    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS.
+    `estimator` and `readings` are this tick's, `reference` (3,) rad is the last one's; `plant` is the
+    machine's PLANT_PARAMETERS.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall all begins anew
@@ -128,13 +143,28 @@ def observe(m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, appli
                 lasting = m.residual[k] if m.since[k] <= _MEMORY else 0.0
                 m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
     m.started = True
+    _note_blows(m, robot, p, e, reference, step)
     if fresh:
         _compare_efforts(m, robot, p, e, step)
 
 
 @compiled
+def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float) -> None:
+    """Notice joints, and references, that come to their cushion at speed."""
+    m.blow = max(m.blow - step, 0.0) if step > 0.0 else m.blow
+    for i in range(3):
+        actual, _ = joint_coordinates(robot, e.angle, e.velocity, i)
+        wanted, _ = joint_coordinates(robot, reference, e.velocity, i)
+        for k, position in ((2 * i, actual), (2 * i + 1, wanted)):
+            at_cushion = not p.lower[i] + _CLOSE < position < p.upper[i] - _CLOSE
+            if at_cushion and m.pressed[k] == 0 and abs(e.velocity[i]) > _FAST:
+                m.blow = _BLOW
+            m.pressed[k] = at_cushion
+
+
+@compiled
 def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
-    """Smooth the residual of Kane's equations (N m a joint) on; zero for a joint that presses its cushion."""
+    """Smooth the residual of Kane's equations (N m a joint) on; zero at a cushion, and in a blow for all."""
     u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
     a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
     m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
@@ -152,7 +182,7 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
         ) * p.area_b[i]
         stop = position if i != 2 else e.angle[2]
         residual = needed[i] - (force - p.viscous[i] * speed) * to_joint
-        if not (p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE and np.isfinite(residual)):
+        if m.blow > 0.0 or not (p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE and np.isfinite(residual)):
             m.effort[i] = 0.0
         else:
             m.effort[i] += step / (step + _SMOOTHING) * (residual - m.effort[i])
@@ -164,14 +194,15 @@ def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, ph
     p, e = limits[0], estimator[0]
     if not p.check or m.settled < _SETTLING:
         return 0
+    loosest = _FOLLOW_THROUGH if m.blow > 0.0 else phase
     for i in range(3):
-        if abs(e.innovation[i]) > p.jump[phase, i]:
+        if abs(e.innovation[i]) > max(p.jump[phase, i], p.jump[loosest, i]):
             return _JUMP + i
         a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
         if max(a, b) > p.air[phase, i]:
             # A spool moves air in both chambers, a sensor shows what is not there in one.
             return _AIR + i if min(a, b) > _BOTH * p.air[phase, i] else _SENSOR + i
-        if abs(reference_velocity[i] - e.velocity[i]) > p.velocity[phase, i]:
+        if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[phase, i], p.velocity[loosest, i]):
             return _VELOCITY + i
         if abs(m.effort[i]) > p.effort[phase, i]:
             return _EFFORT + i

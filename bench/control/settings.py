@@ -206,13 +206,13 @@ class ModelSettings:
         default_factory=lambda: {
             "homing": (4.0e3, 1.2e5, 1.2e4),
             "hold": (5.0e2, 4.0e3, 9.0e3),
-            "backswing": (1.8e3, 7.0e3, 1.1e4),
-            "top": (1.1e3, 7.0e3, 1.5e4),
-            "downswing": (2.3e3, 7.0e3, 1.1e4),
+            "backswing": (2.6e3, 7.0e3, 1.1e4),
+            "top": (1.7e3, 7.0e3, 1.5e4),
+            "downswing": (3.5e3, 7.0e3, 1.1e4),
             "committed": (2.0e3, 9.0e3, 7.0e3),
             "impact": (2.2e3, 7.5e3, 6.0e3),
-            "follow_through": (6.0e3, 6.0e4, 1.0e4),
-            "return": (6.0e2, 1.1e4, 1.3e4),
+            "follow_through": (6.0e3, 6.0e4, 1.3e4),
+            "return": (1.0e3, 1.1e4, 1.3e4),
         }
     )
     """The same smoothed over 50 ms, Pa."""
@@ -220,12 +220,12 @@ class ModelSettings:
         default_factory=lambda: {
             "homing": (5.0, 5.0, 15.0),
             "hold": (0.8, 0.6, 0.8),
-            "backswing": (1.6, 1.2, 5.0),
+            "backswing": (2.4, 1.8, 5.0),
             "top": (1.5, 1.5, 6.5),
             "downswing": (3.5, 3.0, 10.0),
-            "committed": (3.5, 3.5, 9.0),
+            "committed": (7.0, 3.5, 13.0),
             "impact": (30.0, 30.0, 60.0),
-            "follow_through": (18.0, 25.0, 12.0),
+            "follow_through": (18.0, 25.0, 30.0),
             "return": (1.5, 1.2, 2.5),
         }
     )
@@ -240,7 +240,7 @@ class ModelSettings:
             "downswing": (0.0015, 0.0015, 0.002),
             "committed": (0.0015, 0.0015, 0.002),
             "impact": (0.004, 0.004, 0.04),
-            "follow_through": (0.02, 0.025, 0.015),
+            "follow_through": (0.02, 0.025, 0.025),
             "return": (0.001, 0.001, 0.001),
         }
     )
@@ -253,8 +253,8 @@ class ModelSettings:
             "top": (25.0, 60.0, 12.0),
             "downswing": (30.0, 50.0, 12.0),
             "committed": (30.0, 50.0, 12.0),
-            "impact": (120.0, 150.0, 30.0),
-            "follow_through": (150.0, 120.0, 15.0),
+            "impact": (120.0, 150.0, 50.0),
+            "follow_through": (150.0, 120.0, 60.0),
             "return": (30.0, 70.0, 15.0),
         }
     )

@@ -774,7 +774,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     if parameters.model[0].check:
         observe(
             state.model[0], parameters.robot, parameters.plant, state.estimator, readings, s.applied,
-            s.measured_step,
+            s.reference, s.measured_step,
         )  # fmt: skip
     if parameters.control[0].feed_forward == PNEUMATIC:
         observe_air(

@@ -160,7 +160,7 @@ def watch(
     model: Any, estimator: Any, readings: Any, ticks: int, step: float = 1e-3, valve: float = 0.0
 ) -> None:
     for _ in range(ticks):
-        observe(model[0], ROBOT, PLANT, estimator, readings, np.array([valve, 0.0, 0.0]), step)
+        observe(model[0], ROBOT, PLANT, estimator, readings, np.array([valve, 0.0, 0.0]), SPEEDS, step)
 
 
 def test_it_settles_and_begins_anew_after_a_stall() -> None:
@@ -257,7 +257,7 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
         readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
         readings["supply_pressure"] = 8e5
         applied = random.uniform(-1.0, 1.0, 3)
-        observe(one[0], ROBOT, PLANT, estimator, readings, applied, 1e-3)
+        observe(one[0], ROBOT, PLANT, estimator, readings, applied, SPEEDS, 1e-3)
         slow(two[0], robot, plant, estimator.view(np.recarray), readings.view(np.recarray), applied, 1e-3)
     for name in MODEL_STATE.names or ():
         np.testing.assert_allclose(
