@@ -28,6 +28,7 @@ BENCHMARKS = (
     "shared_memory",
     "canopen_driver",
     "feed_forward",
+    "model_check",
 )
 LONG = (
     "loop_timing",

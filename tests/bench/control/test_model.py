@@ -171,6 +171,41 @@ def test_it_settles_and_begins_anew_after_a_stall() -> None:
     assert model["settled"][0] == 0.0
 
 
+def run_into_cushion(model: Any, estimator: Any, readings: Any, joint: int, speed: float) -> None:
+    """Let `joint` come from its middle to its upper cushion at `speed` rad/s."""
+    watch(model, estimator, readings, 60)
+    estimator["velocity"][0, joint] = speed
+    estimator["angle"][0, joint] = (float(PLANT["upper"][0, 0]) + 0.01, 5.2, 6.5)[joint]
+    watch(model, estimator, readings, 1)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -> None:
+    built = limits()
+    built["velocity"][0, Phase.FOLLOW_THROUGH], built["jump"][0, Phase.FOLLOW_THROUGH] = 200.0, 300.0
+    model, estimator, readings = still()
+    run_into_cushion(model, estimator, readings, joint, 5.0)
+    assert model["effort"].tolist() == [[0.0, 0.0, 0.0]]
+
+    def cause(innovation: float, speed: float) -> Cause:
+        estimator["innovation"] = innovation
+        reference = estimator["velocity"][0] + speed
+        return Cause(model_cause(built, model[0], estimator, reference, int(Phase.COMMITTED)))
+
+    assert cause(299.0, 199.0) is Cause.NONE
+    assert cause(301.0, 0.0) is Cause.SHOULDER_JUMP
+    assert cause(0.0, 201.0) is Cause.SHOULDER_VELOCITY
+    watch(model, estimator, readings, 31)  # it stays there
+    assert cause(31.0, 0.0) is Cause.SHOULDER_JUMP
+    assert cause(0.0, 21.0) is Cause.SHOULDER_VELOCITY
+
+
+def test_a_joint_that_creeps_into_its_cushion_shakes_nothing() -> None:
+    model, estimator, readings = still()
+    run_into_cushion(model, estimator, readings, 0, 0.4)
+    assert model["blow"][0] == 0.0
+
+
 def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
     model, estimator, readings = still()
     readings["chamber_pressure"][0, 2] = np.nan
