@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.control.settings import build_controller
+from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step import ACCEPTED, RESET, SWING
 from bench.lifecycle import Cause, Phase, Reaction
 from bench.lockstep import Lockstep
@@ -76,6 +76,17 @@ def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> 
     assert max(outcome.pressure_share for outcome in outcomes) <= 1.0
     own = Cause[f"{name.partition(' ')[0].upper()}_FOLLOWING"]
     assert [outcome.cause for outcome in outcomes if outcome.phase < Phase.DOWNSWING].count(own) > 5
+
+
+@pytest.mark.parametrize("joint", ["shoulder", "arm", "wrist"])
+def test_it_overloads_nothing_when_the_model_tells_it_sooner(default_profile: Profile, joint: str) -> None:
+    watching = EnvelopeSettings(model=ModelSettings(check="always"))
+    check = SwingCheck(PlantParameters(), default_profile, envelope=watching)
+    outcomes = check.outcomes((TRIAL[f"{joint} valve stuck shut"],), SPACING)
+    assert max(outcome.stop_share for outcome in outcomes) <= 1.0
+    assert max(outcome.pressure_share for outcome in outcomes) <= 1.0
+    told = {outcome.cause.name for outcome in outcomes}
+    assert told <= {f"{joint.upper()}_{what}" for what in ("AIR", "FLOW", "SENSOR")}
 
 
 @pytest.fixture
