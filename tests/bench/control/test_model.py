@@ -293,7 +293,16 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
         readings["supply_pressure"] = 8e5
         applied = random.uniform(-1.0, 1.0, 3)
         observe(one[0], ROBOT, PLANT, estimator, readings, applied, SPEEDS, 1e-3)
-        slow(two[0], robot, plant, estimator.view(np.recarray), readings.view(np.recarray), applied, 1e-3)
+        slow(
+            two[0],
+            robot,
+            plant,
+            estimator.view(np.recarray),
+            readings.view(np.recarray),
+            applied,
+            SPEEDS,
+            1e-3,
+        )
     for name in MODEL_STATE.names or ():
         np.testing.assert_allclose(
             np.asarray(one[name], float), np.asarray(two[name], float), rtol=1e-9, atol=1e-9
