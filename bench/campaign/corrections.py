@@ -20,6 +20,7 @@ from bench.learning.learner import LearningSettings
 from bench.learning.series import Bench
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
 from bench.store.campaigns import CampaignEntry
+from bench.swing.planned_openings import require_planned_openings
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
@@ -151,6 +152,7 @@ class Corrections:
     def _lecture(self, arm: Arm) -> Lecture:
         if arm not in self._lectures:
             c = self._configuration
+            require_planned_openings(c.control)
             bench = Bench(self._plant(arm), self._profiles[arm], c.control, c.envelope, c.estimator)
             self._lectures[arm] = prepare(bench)
         return self._lectures[arm]

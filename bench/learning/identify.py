@@ -42,14 +42,14 @@ _SMOOTHED = 41
 """Samples over which openings are averaged."""
 _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
 """Size of an error that weighs as much as another: rad, opening, Pa; what swings alike differ by."""
-_PRIOR = 0.15
-"""Standard deviation of the parameters before anything was recorded."""
+_PRIOR = 0.4
+"""Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
 _BOUND, _MOST = 0.5, 1.0
 _STEP = 0.05
 _LATENCY = 5.0
 """ms that count as much as a factor of two."""
-_ITERATIONS = 10
-_ALIKE = 10
+_ITERATIONS = 40
+_ALIKE = 100
 """Neighbouring samples that err alike and count as one."""
 _SWINGS = 3
 """Simulated ones that are averaged; one before them is not, as it begins with the air of arming."""

@@ -11,7 +11,6 @@ from bench.session import Session
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.swing.optimal_control import Plan
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -302,8 +301,14 @@ def design(
 
         try:
             if highest:
-                plan = highest_speed(plant, demand, *settings, start=begin, progress=show_progress)
-                _tell_highest(plan, margin)
+                found = highest_speed(plant, demand, *settings, start=begin, progress=show_progress)
+                typer.echo(
+                    f"At most {found.plan.speed:.1f} m/s at the ball, {margin:g} % of each valve left to "
+                    "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
+                    f"{found.limit}."
+                )
+                for name, gain in list(found.plan.binding.items())[:5]:
+                    typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")
                 return
             made = design_swing(
                 plant,
@@ -391,13 +396,3 @@ def _require_picture(plot: Path | None) -> None:
 
     if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")
-
-
-def _tell_highest(plan: Plan, margin: float) -> None:
-    """Print the fastest plan and what limits it."""
-    typer.echo(
-        f"At most {plan.speed:.1f} m/s at the ball, {margin:g} % of each valve left to feedback, "
-        "cushions kept when the ball is missed or the bench falls silent. What limits it:"
-    )
-    for name, gain in plan.binding.items():
-        typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")

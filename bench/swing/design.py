@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import asin, atan2, degrees, pi, sin
+from math import asin, atan2, degrees, inf, pi, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +44,8 @@ _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
 _INTERVALS = 40
 _CORRECTED = 0.02, 0.06
 """Share of the stroke left to the correction on the plant; the second when a motion is followed."""
+_MORE, _NEAREST = 2.0, 0.5
+"""m/s: by how much more speed is asked for, and how near what does not go must be to what does."""
 _ROUNDS = 7
 _AIMED = 5
 """Times the loop is aimed off at most."""
@@ -374,14 +376,24 @@ def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProbl
     return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
 
 
+class Highest(NamedTuple):
+    """The fastest downswing that was found."""
+
+    plan: Plan
+    limit: str
+    """Why a little more was not."""
+
+
 def highest_speed(
     parameters: PlantParameters, demand: Demand, control: ControlSettings, envelope: EnvelopeSettings,
     estimator: EstimatorSettings, *, start: Profile | None = None,
     progress: Progress = lambda what, part: None,
-) -> Plan:  # fmt: skip
+) -> Highest:  # fmt: skip
     """Return the fastest downswing within `demand` that the plant follows within its cushions.
 
-    Its `binding` says what limits it. Begins with `start`, or with nothing.
+    The fastest plan is a beginning only: with cushions that must hold when the ball is missed, faster ones
+    are found by asking for them. So speeds above it are, until half a m/s more fails. Begins with
+    `start`, or with nothing.
 
     Raises:
         BenchError: the package casadi is not installed.
@@ -390,8 +402,22 @@ def highest_speed(
     load_casadi()
     bench = _bench(parameters, control, envelope, estimator)
     free = replace(demand, head_speed=None, follow=None)
-    downswing, _ = design_downswing(bench, free, start, _swing_up(bench, free), progress)
-    return downswing.plan
+    begun = _swing_up(bench, free)
+
+    def fastest(speed: float | None, what: str) -> Plan:
+        def told(_: str, part: float) -> None:
+            progress(what, part)
+
+        return design_downswing(bench, replace(free, head_speed=speed), start, begun, told)[0].plan
+
+    plan, failed, limit = fastest(None, "as fast as it goes"), inf, ""
+    while failed - plan.speed > _NEAREST:
+        speed = min(plan.speed + _MORE, (plan.speed + failed) / 2)
+        try:
+            plan = fastest(speed, f"{speed:.1f} m/s")
+        except DesignFailed as failure:
+            failed, limit = speed, f"at {speed:.1f} m/s {failure}"
+    return Highest(plan, limit)
 
 
 def _model_state(begun: _Start) -> Array:

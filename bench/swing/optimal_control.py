@@ -34,6 +34,8 @@ _KINDS = (
     ("joint ranges",) * 3 + ("joint speeds",) * 3 + ("chamber pressure",) * 6
     + ("supply",) + ("shoulder valve", "right arm's valve", "wrist's valve")
 )  # fmt: skip
+_FREE = 1e-6
+"""Price of a m/s below which nothing holds the speed back."""
 _LIMITS = ("rod speed", "rod range", "cushion of the right arm", "cushion of the wrist", "shoulder braking")
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
@@ -261,7 +263,7 @@ class Plan(NamedTuple):
     status: str
     iterations: int
     binding: dict[str, float]
-    """m/s of head speed gained for one per cent more of each limit, when the speed was free."""
+    """m/s of head speed gained for one per cent more of each limit; at a demanded speed at equal effort."""
     carried: Array
     """J that the model brings the upper cushions of right arm and wrist, (2,)."""
 
@@ -391,7 +393,7 @@ def solve_downswing(
         bool(stats["success"]),
         str(stats["return_status"]),
         int(stats["iter_count"]),
-        _gains(found, kinds, names, np.concatenate(lower), np.concatenate(upper)) if p.speed is None else {},
+        _gains(found, kinds, names, np.concatenate(lower), np.concatenate(upper)),
         np.array(values[3]).ravel(),
     )
 
@@ -399,13 +401,18 @@ def solve_downswing(
 def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: Array) -> dict[str, float]:
     """Return the head speed (m/s) that one per cent more of each limit would give, from its multipliers."""
     gains: dict[str, float] = {}
-    multipliers = np.array(found["lam_x"]).ravel()
+    by_row = np.array(found["lam_g"]).ravel()
+    # In effort for a m/s, where the speed is demanded; else the cost is the speed itself.
+    price = abs(float(by_row[names.index("speed")])) if "speed" in names else 1.0
+    if price < _FREE:
+        return {}
+    multipliers = np.array(found["lam_x"]).ravel() / price
     for kind, value, low, high in zip(kinds, multipliers, lower, upper, strict=True):
         bound = high if value > 0 else low
         if kind not in {"the top"} and high > low and np.isfinite(bound):
             gains[kind] = gains.get(kind, 0.0) + 0.01 * abs(value * bound)
     reached = np.array(found["g"]).ravel()
-    for name, value, at in zip(names, np.array(found["lam_g"]).ravel(), reached, strict=True):
+    for name, value, at in zip(names, by_row / price, reached, strict=True):
         if name in _LIMITS:
             gains[name] = gains.get(name, 0.0) + 0.01 * abs(value * at)
     return {name: gain for name, gain in sorted(gains.items(), key=lambda item: -item[1]) if gain > 1e-3}

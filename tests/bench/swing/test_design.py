@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from math import asin, radians, sin
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,12 +18,14 @@ from bench.simulate import SimulatedBench, simulate_swing, simulate_swings
 from bench.swing.closed_loop import Rehearsal
 from bench.swing.design import (
     Demand,
+    DesignFailed,
     _guess_from,
     _model_state,
     _problem,
     _swing_up,
     address_pose,
     design_swing,
+    highest_speed,
     slope_of,
     top_pose,
 )
@@ -38,12 +42,15 @@ from sim.plant import PlantParameters, build_plant
 SHIPPED = (
     ("driver-85mph", "shipped", 38.0),
     ("driver-90mph", "shipped", 40.2),
+    ("driver-100mph", "steady", 45.0),
     ("average-male", "steady", 41.57),
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
     ("tour-female", "steady", 42.92),
 )
-"""Name, whose gains, and head speed (m/s) demanded; all level."""
+"""Name, whose gains, and head speed (m/s) demanded."""
+RISING = {"driver-100mph": 2.0}
+"""Attack angle in degrees; the others are level."""
 
 
 def _bench(name: str, variant: str) -> SimulatedBench:
@@ -119,7 +126,7 @@ def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed
     delivery = result.delivery
     assert delivery is not None
     assert delivery.speed == pytest.approx(speed, abs=0.1)
-    assert np.degrees(delivery.attack_angle) == pytest.approx(0.0, abs=0.1)
+    assert np.degrees(delivery.attack_angle) == pytest.approx(RISING.get(name, 0.0), abs=0.1)
     assert abs(delivery.in_plane_error) < 1e-3
     # What the file tells is what the simulated bench did when it was made: both are one rehearsal.
     assert told["head_speed_mps"] == pytest.approx(delivery.speed, abs=0.05)
@@ -177,3 +184,22 @@ def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
         design_swing(PlantParameters(), Demand(), "nothing")
+
+
+def test_the_highest_speed_is_asked_for_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
+    asked = list[float | None]()
+
+    def downswing(bench: Any, demand: Demand, *_: Any) -> Any:
+        asked.append(demand.head_speed)
+        if demand.head_speed is not None and demand.head_speed > 41.3:
+            raise DesignFailed("the wrist's cushion would take too much")
+        return SimpleNamespace(plan=SimpleNamespace(speed=demand.head_speed or 38.0)), 1
+
+    monkeypatch.setattr("bench.swing.design.design_downswing", downswing)
+    monkeypatch.setattr("bench.swing.design._swing_up", lambda *_: None)
+    bench = _bench("driver-85mph", "shipped")
+    found = highest_speed(bench.plant, Demand(), bench.control, bench.envelope, bench.estimator)
+    assert asked == [None, 40.0, 42.0, 41.0, 41.5]
+    assert found.plan.speed == 41.0
+    assert found.limit == "at 41.5 m/s the wrist's cushion would take too much"
