@@ -132,7 +132,9 @@ class Daemon:
                 f"{len(weights)} weights, {self._basis.size} are needed: learn it anew"
             )
         if weights and self.configuration.control.feed_forward != "planned":
-            return self._not_corrected('corrections change planned openings: control.feed_forward = "planned"')
+            return self._not_corrected(
+                'corrections change planned openings: control.feed_forward = "planned"'
+            )
         if weights:
             corrected = self._basis.correction(np.array(weights)).applied_to(self.profile)
             if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
