@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.errors import BenchError, Refused
+from bench.learning.correction import digest_of
 from bench.learning.series import Bench, Series, quiet
 from bench.learning.variation import Variation
 from bench.lifecycle import Phase
@@ -112,6 +113,17 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     return swing
 
 
+def require_alike(one: Profile, other: Profile, place: str) -> None:
+    """Refuse swings that were not planned alike, a correction included; `place` names the other's record.
+
+    Raises:
+        BenchError: they were not.
+    """
+    if digest_of(one) != digest_of(other):
+        found = f"a swing of {other.name}" + (", corrected otherwise" if one.name == other.name else "")
+        raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")
+
+
 def identify(
     bench: Bench,
     observed: Sequence[Cycles],
@@ -150,7 +162,8 @@ def identify(
     nominal = residual(start)
     found = least_squares(
         residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST),
-        diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, loss="soft_l1", f_scale=5.0 * weight,
+        diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, ftol=1e-4, xtol=1e-3,
+        loss="soft_l1", f_scale=5.0 * weight,
     )  # fmt: skip
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
     # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.

@@ -31,7 +31,7 @@ def identify(
     from rich.table import Table
 
     from bench.errors import BenchError
-    from bench.learning.identify import NAMES, from_first_tick
+    from bench.learning.identify import NAMES, from_first_tick, require_alike
     from bench.learning.identify import identify as identified
     from bench.learning.plant_file import plant_file, write_plant_file
     from bench.learning.series import Bench
@@ -44,8 +44,7 @@ def identify(
     for path in records:
         cycles, metadata = read_swing(path)
         swung = read_profile(metadata, str(path))
-        if profile is not None and (swung.angle.shape, swung.name) != (profile.angle.shape, profile.name):
-            raise BenchError(str(path), f"a swing of {swung.name}", profile.name, "Identify one at a time.")
+        require_alike(profile or swung, swung, str(path))
         profile = swung
         swings.append(from_first_tick(cycles, swung, str(path)))
     if profile is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -10,7 +11,14 @@ import pytest
 
 from bench.config import load_configuration
 from bench.errors import BenchError
-from bench.learning.identify import NAMES, Identified, from_first_tick, identify, variation_of
+from bench.learning.identify import (
+    NAMES,
+    Identified,
+    from_first_tick,
+    identify,
+    require_alike,
+    variation_of,
+)
 from bench.learning.plant_file import plant_file, write_plant_file
 from bench.learning.series import Bench, Series
 from bench.swing.library import find_profile
@@ -62,3 +70,13 @@ def test_a_record_without_a_whole_swing_is_refused() -> None:
         from_first_tick(new_record(CYCLE, 100), BENCH.profile, "record")
     with pytest.raises(BenchError, match="no swing"):
         identify(BENCH, [])
+
+
+def test_swings_with_another_correction_are_not_alike() -> None:
+    profile = load_profile(find_profile("default"))
+    require_alike(profile, replace(profile, text="the same"), "b")
+    other = replace(profile, valve=profile.valve + 1e-3)
+    with pytest.raises(BenchError, match="corrected otherwise"):
+        require_alike(profile, other, "b")
+    with pytest.raises(BenchError, match="a swing of steady"):
+        require_alike(profile, load_profile(find_profile("steady")), "b")
