@@ -200,9 +200,8 @@ class CanopenDevice:
 
     def tell_error(self, code: int, register: int) -> None:
         """Send an emergency message; code 0 tells that the errors are over."""
-        self._trouble = (
-            code >= _COMMUNICATION
-        )  # over with the next start, unlike an error of the device itself
+        # Over with the next start, unlike an error of the device itself.
+        self._trouble = code >= _COMMUNICATION
         self.errors += code != NO_ERROR
         self.put(_ERROR_REGISTER, 0, register)
         if self.state != STOPPED:
