@@ -136,7 +136,7 @@ class Daemon:
                 'corrections change planned openings: control.feed_forward = "planned"'
             )
         if weights:
-            corrected = self._basis.correction(np.array(weights)).applied_to(self.profile)
+            corrected = self._basis.corrected(self.profile, weights)
             if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
                 return self._not_corrected(f"corrected, {beyond}: learn it anew on a better model")
         return self._link.correct(weights)

@@ -193,3 +193,19 @@ def running_bench(
         yield bench
     finally:
         bench.close()
+
+
+@contextmanager
+def played_nodes(file: Path, *arguments: str) -> Iterator[None]:
+    """Play the devices of the configuration `file` as `golfbench nodes` does."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "bench", "--config", str(file), "nodes", *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stderr is not None
+            assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
+            yield
+        finally:
+            process.terminate()

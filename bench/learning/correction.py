@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 
@@ -89,6 +90,10 @@ class Basis:
         valve = self.opening * point[:split].reshape(3, -1)
         shift = self.shift * point[split:].reshape(3, -1)
         return Correction((shift @ self.angle).T, (shift @ self.slope).T, (valve @ self.valve).T)
+
+    def corrected(self, profile: Profile, weights: Sequence[float]) -> Profile:
+        """Return `profile` with what `weights` (m,) stand for."""
+        return self.correction(np.array(weights)).applied_to(profile)
 
 
 def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: float = 0.060) -> Basis:

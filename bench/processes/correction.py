@@ -72,7 +72,7 @@ class Corrections:
         if resting and len(weights) in (0, self._basis.size):
             taken = self._profile
             if weights:
-                taken = self._basis.correction(np.array(weights)).applied_to(taken)
+                taken = self._basis.corrected(taken, weights)
             self._answer["tick"], self._answer["order"] = tick, self._order
         self._told.write(self._answer)
         return taken

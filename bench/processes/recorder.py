@@ -228,7 +228,7 @@ class Recorder:
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
         if not held or not (weights := weights_of(held[-1])):
             return self._entries
-        corrected = self._basis.correction(np.array(weights)).applied_to(self._plan.profile)
+        corrected = self._basis.corrected(self._plan.profile, weights)
         beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
         return {**self._entries, "profile": profile_entry(corrected) | beside}
 

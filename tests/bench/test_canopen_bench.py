@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +17,7 @@ from drivers.can_bus import switch
 from drivers.canopen.counters import CLASSES
 from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
 from sim.shared_record import SharedRecord
-from tests.running_bench import running_bench, write_configuration
+from tests.running_bench import played_nodes, running_bench, write_configuration
 
 pytestmark = pytest.mark.timeout(400)  # the first start compiles
 
@@ -34,22 +31,6 @@ def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> D
     return device
 
 
-@contextmanager
-def played_nodes(file: Path, folder: Path) -> Iterator[None]:
-    """Play the devices of the configuration `file`; the plant's files lie in `folder`."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "nodes", "--folder", str(folder)],
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            assert process.stderr is not None
-            assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
-            yield
-        finally:
-            process.terminate()
-
-
 def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_path: Path) -> None:
     channel = tmp_path / "bus"
     file = write_configuration(  # patient: the machine may be busy
@@ -57,7 +38,11 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
         f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
         f'channel = "{channel}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
     )  # fmt: skip
-    with played_nodes(file, tmp_path), running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+    with (
+        played_nodes(file, "--folder", str(tmp_path)),
+        running_bench(file, clock="wall") as bench,
+        bench.client.lease("test"),
+    ):
         report, plant = np.zeros(1, PLANT_REPORT), SharedRecord.open(tmp_path / REPORT_FILE, PLANT_REPORT)
 
         def in_force() -> Command:

@@ -5,10 +5,6 @@ Patient where the plant has a clock of its own: the machine of the tests may be 
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numba
@@ -17,7 +13,7 @@ import pytest
 from bench.lifecycle import Cause, Phase, Reaction, State
 from bench.network.client import CommandRefused
 from bench.telemetry.recorder import read_swing
-from tests.running_bench import BenchProcess, running_bench, write_configuration
+from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration
 
 pytestmark = [
     pytest.mark.timeout(400),  # the first start compiles
@@ -79,20 +75,6 @@ def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) ->
     with running_bench(file, clock="wall") as bench:
         assert stopped(bench) == (Cause.GUARD, Reaction.BRAKE)
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
-
-
-@contextmanager
-def played_nodes(file: Path) -> Iterator[None]:
-    """Play the devices of the configuration `file`."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "nodes"], stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            assert process.stderr is not None
-            assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
-            yield
-        finally:
-            process.terminate()
 
 
 def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
