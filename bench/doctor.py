@@ -360,6 +360,7 @@ def realtime_probes() -> Iterator[Probe]:
         yield Probe("real time", item, functools.partial(setting, name))
     yield Probe("real time", "limits", limits)
     yield Probe("real time", "throttling", throttling)
+    yield Probe("real time", "huge pages", huge_pages)
     yield Probe("real time", "clock", clock)
     yield Probe("real time", "wake-up latency", wake_up)
 
@@ -393,6 +394,18 @@ def throttling() -> Outcome:
     if runtime < 0.9 * period:
         return Outcome(Status.LIMITED, value, "sysctl kernel.sched_rt_runtime_us=950000")
     return Outcome(Status.OK, f"{value}; the loop needs far less")
+
+
+def huge_pages() -> Outcome:
+    """Look whether the kernel gathers everybody's small pages into huge ones, which stalls every task."""
+    found = _read("/sys/kernel/mm/transparent_hugepage/enabled")
+    if "[always]" in found:
+        return Outcome(
+            Status.LIMITED,
+            "always",
+            "the kernel copies whole huge pages every ten seconds: boot with transparent_hugepage=madvise",
+        )
+    return Outcome(Status.OK, next((w[1:-1] for w in found.split() if w[0] == "["), "this kernel has none"))
 
 
 def clock() -> Outcome:

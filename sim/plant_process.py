@@ -43,7 +43,7 @@ from sim.wall_plant import WallPlant
 _BETWEEN_LOOKS = 0.02
 """s between two looks at signals, parent and files."""
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
-_PR_SET_TIMERSLACK = 29
+_PR_SET_TIMERSLACK, _PR_SET_THP_DISABLE = 29, 41
 
 
 # The side of the one who starts it -------------------------------------------------------------------
@@ -214,7 +214,9 @@ def ask_for_scheduling(plan: PlantPlan) -> str:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(plan.priority))
     is_fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
     granted.append(f"SCHED_FIFO {os.sched_getparam(0).sched_priority}" if is_fifo else "SCHED_OTHER")
-    # All stays in memory: a page fetched from disk in a tick is a stall of milliseconds.
+    # All stays in memory, where it is: a page fetched from disk in a tick is a stall of milliseconds, small
+    # pages gathered into a huge one are a stall of one.
+    ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
     locked = ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0
     granted.append("memory locked" if locked else "memory not locked")
     granted.append("cpu " + ",".join(map(str, sorted(os.sched_getaffinity(0)))))

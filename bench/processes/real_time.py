@@ -24,10 +24,12 @@ PRIORITY = 80
 """Usual SCHED_FIFO priority: above the kernel's threaded interrupts (50), below its watchdogs (99)."""
 
 SCHEDULING, MEMORY, SLACK, IDLE = "scheduling", "memory lock", "timer slack", "idle states"
+HUGE_PAGES = "huge pages"
 """Names of settings that others look up."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
+_PR_SET_THP_DISABLE, _PR_GET_THP_DISABLE = 41, 42
 _CPU_DMA_LATENCY = "/dev/cpu_dma_latency"
 _POLICIES = {os.SCHED_OTHER: "OTHER", os.SCHED_FIFO: "FIFO", os.SCHED_RR: "RR", os.SCHED_BATCH: "BATCH"}
 
@@ -95,7 +97,10 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
         Refused: with "require", naming every setting that is not held and its cure; everything is restored.
     """
     # Scheduling last: before it the memory is locked and the garbage collected, both long.
-    items = (_collector(), _memory(), _processor(cpu), _timer_slack(), _idle_states(), _scheduling(priority))
+    items = (
+        _collector(), _huge_pages(), _memory(), _processor(cpu), _timer_slack(), _idle_states(),
+        _scheduling(priority),
+    )  # fmt: skip
     with ExitStack() as undo:
         asked = mode != "off"
         refusals = [_try(item, undo) if asked else "" for item in items]
@@ -160,6 +165,20 @@ def _collector() -> _Item:
         )
 
     return _Item("garbage collector", "off, objects frozen", ask, read, "report it: nothing may forbid this")
+
+
+def _huge_pages() -> _Item:
+    # Locked memory moves all the same: the kernel gathers small pages into huge ones while the loop waits.
+    def ask(undo: ExitStack) -> None:
+        before = _call("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0)
+        _call("prctl", _PR_SET_THP_DISABLE, 1, 0, 0, 0)
+        undo.callback(_call, "prctl", _PR_SET_THP_DISABLE, before, 0, 0, 0)
+
+    def read() -> tuple[str, bool]:
+        off = _call("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0) != 0
+        return "none" if off else "as the system has them", off
+
+    return _Item(HUGE_PAGES, "none", ask, read, "boot with transparent_hugepage=madvise", required=False)
 
 
 def _memory() -> _Item:

@@ -285,6 +285,21 @@ def test_throttling(files: dict[str, str], runtime: str, status: Status) -> None
     assert doctor.throttling().status is status
 
 
+@pytest.mark.parametrize(
+    ("text", "value", "status"),
+    [
+        ("[always] madvise never\n", "always", Status.LIMITED),
+        ("always [madvise] never\n", "madvise", Status.OK),
+        ("always madvise [never]\n", "never", Status.OK),
+        ("", "this kernel has none", Status.OK),
+    ],
+)
+def test_huge_pages(files: dict[str, str], text: str, value: str, status: Status) -> None:
+    files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
+    outcome = doctor.huge_pages()
+    assert (outcome.value, outcome.status) == (value, status)
+
+
 def test_a_coarse_clock_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
     assert doctor.clock().status is Status.LIMITED

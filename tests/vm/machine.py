@@ -24,7 +24,8 @@ MEMORY = 2560
 
 _APPEND = (
     "console=ttyS0 quiet panic=-1 systemd.show_status=no mitigations=off tsc=reliable no_timer_check "
-    "nowatchdog nokaslr apparmor=0 selinux=0 audit=0 cryptomgr.notests rcupdate.rcu_expedited=1"
+    "nowatchdog nokaslr apparmor=0 selinux=0 audit=0 cryptomgr.notests rcupdate.rcu_expedited=1 "
+    "transparent_hugepage=madvise"
 )
 _LOOK = 0.02
 """s between two looks at what the guest asks for."""

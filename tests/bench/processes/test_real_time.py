@@ -39,6 +39,7 @@ LOOK = """
             "locked": [line.split()[1] for line in open("/proc/self/status") if line.startswith("VmLck")],
             "cores": sorted(os.sched_getaffinity(0)),
             "slack": ctypes.CDLL(None).prctl(30, 0, 0, 0, 0),
+            "small pages only": ctypes.CDLL(None).prctl(42, 0, 0, 0, 0),
             "collector": [gc.isenabled(), gc.get_freeze_count()],
             "files": sorted(os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd")
                             if os.path.exists(f"/proc/self/fd/{name}")),
@@ -86,12 +87,14 @@ def test_what_is_said_to_be_held_is_in_force(tried: dict[str, Any]) -> None:
         "memory lock": int(inside["locked"][0]) > 1000,
         "processor": inside["cores"] == [tried["core"]],
         "timer slack": inside["slack"] <= 1,
+        "huge pages": inside["small pages only"] == 1,
         "garbage collector": not inside["collector"][0] and inside["collector"][1] > 0,
         "idle states": "/dev/cpu_dma_latency" in inside["files"],
     }
     assert {name: setting["held"] for name, setting in settings.items()} == in_force
     assert in_force["processor"]
     assert in_force["timer slack"]
+    assert in_force["huge pages"]
     assert in_force["garbage collector"]
 
 
@@ -136,7 +139,7 @@ def test_prefer_without_privileges_runs_and_tells() -> None:
         WITHOUT_PRIVILEGES,
     )
     held = {name for name, setting in found["settings"].items() if setting["held"]}
-    assert held - {"idle states"} == {"garbage collector", "processor", "timer slack"}
+    assert held - {"idle states"} == {"garbage collector", "huge pages", "processor", "timer slack"}
     assert not found["held"]
     assert found["settings"]["scheduling"]["reason"] == os.strerror(errno.EPERM)
     assert found["settings"]["scheduling"]["granted"] == "OTHER 0"
