@@ -59,6 +59,8 @@ class MonitorParameters:
     misread: Share = 0.0
     """One figure is wrong: a launch angle of 0, ten times the speed, a spin of thousands too much."""
     no_spin: Share = 0.0
+    club: bool = False
+    """Also tells of the club, as dearer ones do; with the noise of the ball's speed and angles."""
     ghost: Share = 0.0
     """After the shot one that nobody hit, half a minute later."""
     text_numbers: bool = False
@@ -72,6 +74,15 @@ class MonitorParameters:
         check_ranges(self)
 
 
+class ClubMotion(NamedTuple):
+    """How the club came, as far as a monitor tells."""
+
+    speed: float
+    """m/s"""
+    attack_angle: float
+    """rad"""
+
+
 class Planned(NamedTuple):
     """A message and when it goes out, s after the impact."""
 
@@ -79,8 +90,13 @@ class Planned(NamedTuple):
     message: bytes
 
 
-def messages_of(launch: Launch, number: int, p: MonitorParameters) -> list[Planned]:
-    """Return what the monitor tells of ball `number` that left with `launch`, in the order of time."""
+def messages_of(
+    launch: Launch, number: int, p: MonitorParameters, club: ClubMotion | None = None
+) -> list[Planned]:
+    """Return what the monitor tells of ball `number` that left with `launch`, in the order of time.
+
+    `club` is what struck it; None: the monitor did not see it.
+    """
     chance = np.random.default_rng([p.seed, number])
     # One draw for each question, so that switching one fault on moves no other.
     missing, double, repeated, misread, no_spin, ghost = chance.random(6)
@@ -91,7 +107,8 @@ def messages_of(launch: Launch, number: int, p: MonitorParameters) -> list[Plann
         return []
     if misread < p.misread:
         figures[0] = _misread(figures[0], kind)
-    messages = [_message(f, 2 * number + n, p, no_spin < p.no_spin) for n, f in enumerate(figures)]
+    seen = _club_seen(club, number, p)
+    messages = [_message(f, 2 * number + n, p, no_spin < p.no_spin, seen) for n, f in enumerate(figures)]
     planned = [Planned(float(delays[0]), messages[0])]
     if repeated < p.repeated:
         planned.append(Planned(float(delays[1]), messages[0]))
@@ -113,6 +130,13 @@ def _measured(launch: Launch, p: MonitorParameters, chance: np.random.Generator)
     )
 
 
+def _club_seen(club: ClubMotion | None, number: int, p: MonitorParameters) -> ClubMotion | None:
+    if club is None or not p.club:
+        return None
+    a, b = np.random.default_rng([p.seed, number, 1]).standard_normal(2)  # moves no draw of the ball's
+    return ClubMotion(club.speed * (1.0 + p.speed_noise * a), club.attack_angle + p.angle_noise * b)
+
+
 def _misread(launch: Launch, kind: int) -> Launch:
     match kind:
         case 0:
@@ -123,7 +147,9 @@ def _misread(launch: Launch, kind: int) -> Launch:
             return launch._replace(spin=launch.spin + 16_000.0 * RPM)
 
 
-def _message(launch: Launch, number: int, p: MonitorParameters, no_spin: bool) -> bytes:
+def _message(
+    launch: Launch, number: int, p: MonitorParameters, no_spin: bool, club: ClubMotion | None
+) -> bytes:
     def shown(value: float, digits: int) -> float | str:
         return f"{value:.{digits}f}" if p.text_numbers else round(value, digits)
 
@@ -140,10 +166,14 @@ def _message(launch: Launch, number: int, p: MonitorParameters, no_spin: bool) -
         ball |= {"TotalSpin": "0.0", back: shown(spin * cos(axis), 2), "SideSpin": shown(spin * sin(axis), 2)}
     else:
         ball |= {"TotalSpin": shown(spin, 2), "SpinAxis": shown(degrees(axis), 3)}
-    return _root(number, p, {"ContainsBallData": True, "ContainsClubData": False}, ball)
+    more = {"BallData": ball}
+    if club is not None:
+        speed, attack = shown(club.speed / MPH, 3), shown(degrees(club.attack_angle), 3)
+        more["ClubData"] = {"Speed": speed, "AngleOfAttack": attack}
+    return _root(number, p, {"ContainsBallData": True, "ContainsClubData": club is not None}, more)
 
 
-def _root(number: int, p: MonitorParameters, options: dict[str, Any], ball: dict[str, Any] | None) -> bytes:
+def _root(number: int, p: MonitorParameters, options: dict[str, Any], more: dict[str, Any]) -> bytes:
     root: dict[str, Any] = {
         "DeviceID": "simulated monitor",
         "Units": "Yards",
@@ -152,9 +182,8 @@ def _root(number: int, p: MonitorParameters, options: dict[str, Any], ball: dict
         "ShotDataOptions": {
             **options, "LaunchMonitorIsReady": True, "LaunchMonitorBallDetected": True,
         },
+        **more,
     }  # fmt: skip
-    if ball is not None:
-        root["BallData"] = ball
     return json.dumps(root, indent=1 if p.other_spelling else None).encode()
 
 
@@ -190,10 +219,10 @@ class SimulatedMonitor:
         """Messages that have still to go out."""
         return len(self._waiting) + bool(self._unsent)
 
-    def see(self, launch: Launch, time: float) -> None:
-        """Notice a ball that leaves with `launch` at `time` (s, the clock of `step`)."""
+    def see(self, launch: Launch, time: float, club: ClubMotion | None = None) -> None:
+        """Notice a ball that leaves with `launch` at `time` (s, the clock of `step`), and the `club`."""
         self._number += 1
-        planned = messages_of(launch, self._number, self.parameters)
+        planned = messages_of(launch, self._number, self.parameters, club)
         self._waiting += [_Outgoing(time + delay, message) for delay, message in planned]
         self._waiting.sort(key=lambda outgoing: outgoing.due)
 
@@ -230,7 +259,7 @@ class SimulatedMonitor:
         if time >= self._next_heartbeat:
             self._next_heartbeat = time + HEARTBEAT
             options = {"ContainsBallData": False, "ContainsClubData": False, "IsHeartBeat": True}
-            self._unsent += _root(self._number, self.parameters, options, None)
+            self._unsent += _root(self._number, self.parameters, options, {})
         while self._waiting and self._waiting[0].due <= time:
             self._unsent += self._waiting.pop(0).message
             self.sent += 1

@@ -209,3 +209,18 @@ def played_nodes(file: Path, *arguments: str) -> Iterator[None]:
             yield
         finally:
             process.terminate()
+
+
+@contextmanager
+def simulated_monitor(file: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    """Run `golfbench launch-monitor` beside the test."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bench", "--config", str(file), "launch-monitor", *options],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()

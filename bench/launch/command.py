@@ -14,6 +14,7 @@ from bench.session import Session
 
 if TYPE_CHECKING:
     from sim.launch_monitor import MonitorParameters
+    from sim.plant import PlantParameters
 
 _LOOK = 0.005
 """s between two looks at the plant."""
@@ -43,6 +44,9 @@ def launch_monitor(
     repeated: Annotated[float, _share("messages that are sent again")] = 0.0,
     no_spin: Annotated[float, _share("balls whose spin is not seen")] = 0.0,
     ghost: Annotated[float, _share("balls that one follows which nobody hit")] = 0.0,
+    club: Annotated[
+        bool, typer.Option("--club", help="Tell of the club, too: its speed and angle of attack.")
+    ] = False,
     noise: Annotated[
         float, typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Times the usual noise; 0: none.")
     ] = 1.0,
@@ -72,31 +76,41 @@ def launch_monitor(
         speed_noise=noise * usual.speed_noise, angle_noise=noise * usual.angle_noise,
         spin_noise=noise * usual.spin_noise, axis_noise=noise * usual.axis_noise,
         delay=delay, missing=missing, dropped=tuple(drop or ()), misread=misread, double=double,
-        repeated=repeated, no_spin=no_spin, ghost=ghost, pieces=pieces, text_numbers=text, seed=seed,
+        repeated=repeated, no_spin=no_spin, club=club, ghost=ghost, pieces=pieces, text_numbers=text,
+        seed=seed,
     )  # fmt: skip
     settings = c.launch_monitor
     address = (settings.address, settings.port)
     if not settings.enabled:
         typer.echo("[launch_monitor] is not enabled here; the running bench may have it on", err=True)
-    play(parameters, folder or bench_folder(c.bench.id), address, lambda text: typer.echo(text, err=True))
+    play(
+        parameters, c.plant, folder or bench_folder(c.bench.id), address,
+        lambda text: typer.echo(text, err=True),
+    )  # fmt: skip
 
 
 def play(
-    parameters: MonitorParameters, folder: Path, address: tuple[str, int], say: Callable[[str], None]
+    parameters: MonitorParameters,
+    plant: PlantParameters,
+    folder: Path,
+    address: tuple[str, int],
+    say: Callable[[str], None],
 ) -> None:
-    """Be the monitor of the plant in `folder` until SIGTERM or Ctrl-C; `say` hears what goes on.
+    """Be the monitor of the `plant` in `folder` until SIGTERM or Ctrl-C; `say` hears what goes on.
 
     Raises:
         NoPlant: the plant there is of other code.
     """
     from bench.interrupt import wish_to_end
     from sim.contact_watch import ContactWatch, warm_up
-    from sim.launch_monitor import SimulatedMonitor
+    from sim.impact import delivery_from_plane
+    from sim.launch_monitor import ClubMotion, SimulatedMonitor
     from sim.shared_record import SharedMemoryError
 
     warm_up()
     watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
     where = f"{address[0]} port {address[1]}"
+    robot, place = plant.robot, (plant.site.ball_x, plant.site.ball_y)
     balls, attach_at = 0, -1.0
     told: tuple[bool, bool] | None = None
     try:
@@ -109,7 +123,10 @@ def play(
                 if (contact := watch.look()) is not None:
                     balls += 1
                     launch = contact.launch
-                    monitor.see(launch, now)
+                    came = delivery_from_plane(
+                        contact.head, contact.head_velocity, place, robot.club, robot.lie
+                    )
+                    monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle))
                     say(f"ball {balls}: {launch.speed:.2f} m/s, {'told' if monitor.waiting else 'not told'}")
                 monitor.step(now)
                 if (standing := (watch.attached, monitor.connected)) != told:

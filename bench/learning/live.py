@@ -153,6 +153,11 @@ class LiveSwinger:
             return MonitorFigures()
         club = told.launch.club
         attack = None if club.attack_angle is None else float(np.degrees(club.attack_angle))
+        silent = [
+            name for name, value in (("speed", club.speed), ("angle of attack", attack)) if value is None
+        ]
+        if silent:
+            self._say(f"the launch monitor tells no {' and no '.join(silent)} of the club: the encoders do")
         return MonitorFigures(club.speed, attack)
 
     # The way to the address ------------------------------------------------------------------------

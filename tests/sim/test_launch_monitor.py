@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -15,7 +16,14 @@ from drivers.launch_monitor.plausibility import PlausibleFigures, judged
 from drivers.launch_monitor.record import LaunchRecord
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
-from sim.launch_monitor import RECONNECT, MonitorParameters, SimulatedMonitor, messages_of
+from sim.launch_monitor import (
+    MPH,
+    RECONNECT,
+    ClubMotion,
+    MonitorParameters,
+    SimulatedMonitor,
+    messages_of,
+)
 
 STRUCK = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
 EXACT = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis_noise=0.0)
@@ -45,6 +53,21 @@ def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: 
     (record,) = told(STRUCK, 1, parameters)
     assert record.launch == pytest.approx(STRUCK, rel=1e-4)
     assert record.valid
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_it_tells_of_the_club_where_it_is_one_that_does(text: bool) -> None:
+    club = ClubMotion(43.0, -0.02)
+    parameters = replace(EXACT, club=True, text_numbers=text)
+    ((_, message),) = messages_of(STRUCK, 1, parameters, club)
+    record = read_message(message, 0.0)
+    assert isinstance(record, LaunchRecord)
+    assert record.club[:2] == pytest.approx(club, rel=1e-3)
+    assert messages_of(STRUCK, 1, EXACT, club) == messages_of(STRUCK, 1, EXACT)
+    assert told(STRUCK, 2, replace(MonitorParameters(), club=True)) == told(STRUCK, 2, MonitorParameters())
+    seen = [messages_of(STRUCK, n, replace(MonitorParameters(), club=True), club)[0] for n in range(300)]
+    speeds = [json.loads(message)["ClubData"]["Speed"] * MPH for _, message in seen]
+    assert np.std(speeds) == pytest.approx(MonitorParameters().speed_noise * club.speed, rel=0.15)
 
 
 def test_the_noise_has_the_size_asked_for() -> None:

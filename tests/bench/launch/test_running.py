@@ -6,7 +6,6 @@ import json
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -23,7 +22,13 @@ from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import Outcome
 from drivers.launch_monitor.open_connect import write_heartbeat, write_shot
-from tests.running_bench import LONGEST_START, BenchProcess, running_bench, write_configuration
+from tests.running_bench import (
+    LONGEST_START,
+    BenchProcess,
+    running_bench,
+    simulated_monitor,
+    write_configuration,
+)
 
 LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)
 LATEST = 8.0
@@ -40,21 +45,6 @@ def configuration(folder: Path, name: str) -> tuple[Path, int]:
         f"[launch_monitor.window]\nlatest = {LATEST}\npatience = 12.0\n"
     )
     return write_configuration(folder, name, text), port
-
-
-@contextmanager
-def simulated_monitor(file: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run `golfbench launch-monitor` beside the test."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "launch-monitor", *options],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 @contextmanager
