@@ -241,6 +241,14 @@ def design(
     highest: Annotated[
         bool, typer.Option("--highest", help="Only say how fast it can be, and what limits it.")
     ] = False,
+    nearest: Annotated[
+        bool,
+        typer.Option(
+            "--nearest",
+            help="Where this is out of reach give way, and say by how much: time of the downswing, "
+            "rise of the path, head speed.",
+        ),
+    ] = False,
     start: Annotated[
         str | None,
         typer.Option(
@@ -252,7 +260,8 @@ def design(
 ) -> None:
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
-    Deterministic. A demand beyond the robot is refused with what limits it.
+    Deterministic. A demand beyond the robot is refused with what limits it; --nearest designs what comes
+    nearest and says what it gave way in.
     """
     import math
     from dataclasses import replace
@@ -262,9 +271,9 @@ def design(
     from bench.errors import BenchError
     from bench.progress import progress_bar
     from bench.swing.design import Demand, DesignFailed, design_swing, highest_speed
-    from bench.swing.follow import demand_like
+    from bench.swing.follow import demand_like, gave_way
     from bench.swing.golfers import find_golfer, human_downswing
-    from bench.swing.golfers_table import golfer_row, golfers_table
+    from bench.swing.golfers_table import deviations_table, golfer_row, reach_table
     from bench.swing.library import find_profile
     from bench.swing.planned_openings import require_planned_openings
     from bench.swing.profile import load_profile, save_profile
@@ -280,6 +289,7 @@ def design(
         lean=None if lean is None else math.radians(lean),
         strike=strike / 1e3,
         margin=margin / 100,
+        nearest=nearest,
     )
     text = ""
     if whose is not None:
@@ -327,10 +337,13 @@ def design(
                 "swing design",
                 str(failure),
                 "a swing that this plant can do",
-                "Ask for less --speed or a steeper --attack angle; --highest tells how fast it can be.",
+                "Ask for less --speed or a steeper --attack angle; --highest tells how fast it can be, "
+                "--nearest gives way.",
             ) from None
-    save_profile(output, made.profile)
-    delivery, limits = made.profile.delivery, made.profile.limits
+    given = gave_way(demand, made.profile)
+    swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
+    save_profile(output, swing)
+    delivery, limits = swing.delivery, swing.limits
     typer.echo(
         f"{output}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
         f"attack {delivery['attack_angle_deg']:+.2f} deg, lean {delivery['shaft_lean_deg']:+.2f} deg, "
@@ -340,9 +353,11 @@ def design(
         f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
         f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
     )
+    if given:
+        typer.echo("Gave way: " + "; ".join(given) + ".")
     if whose is not None:
-        away = golfer_row(plant, whose, made.profile)
-        Console().print(golfers_table([away], plant), highlight=False)
+        rows = [golfer_row(plant, whose, swing)]
+        Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
     typer.echo(f"Next: golfbench swing check {output}")
 
 
@@ -369,7 +384,13 @@ def golfers(
     from rich.console import Console
 
     from bench.swing.golfers import GOLFERS
-    from bench.swing.golfers_table import draw_golfers, golfer_record, golfer_row, golfers_table
+    from bench.swing.golfers_table import (
+        deviations_table,
+        draw_golfers,
+        golfer_record,
+        golfer_row,
+        reach_table,
+    )
     from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
 
@@ -386,7 +407,10 @@ def golfers(
         typer.echo(json.dumps([golfer_record(plant, row) for row in rows], indent=2))
         return
     console = Console()
-    console.print(golfers_table(rows, plant) if rows else "No golfers' swings here yet.", highlight=False)
+    if not rows:
+        console.print("No golfers' swings here yet.")
+        return
+    console.print(deviations_table(rows), reach_table(rows, plant), highlight=False)
     if plot is not None and rows:
         console.print(f"Picture: {plot}", highlight=False)
 

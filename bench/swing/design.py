@@ -26,7 +26,15 @@ from bench.simulate import SimulatedBench
 from bench.swing.blind_brake import SPACING, design_blind_brake
 from bench.swing.casadi_package import load_casadi
 from bench.swing.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
-from bench.swing.optimal_control import BAR, STATES, DownswingProblem, Plan, solve_downswing
+from bench.swing.optimal_control import (
+    BAR,
+    NO_CONCESSIONS,
+    STATES,
+    Concessions,
+    DownswingProblem,
+    Plan,
+    solve_downswing,
+)
 from bench.swing.profile import Profile, as_written
 from bench.swing.refine import NEAR, UNITS, NotReached, refine
 from bench.swing.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
@@ -46,6 +54,12 @@ _CORRECTED = 0.02, 0.06
 """Share of the stroke left to the correction on the plant; the second when a motion is followed."""
 _MORE, _NEAREST = 2.0, 0.5
 """m/s: by how much more speed is asked for, and how near what does not go must be to what does."""
+_GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
+"""Of the longest downswing, rad of attack angle, m/s: the most that a nearest swing gives way."""
+_SHORT = 0.2
+"""m/s that a nearest swing may be slower than demanded, or gain in a round, without looking on."""
+_SAG, _TURN_BACK = 0.05, 1.0
+"""rad and rad/s that a golfer's shoulder may turn back from the top, pulled while the air builds up."""
 _ROUNDS = 7
 _AIMED = 5
 """Times the loop is aimed off at most."""
@@ -102,6 +116,8 @@ class Demand:
     """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad."""
     ranges: Array | None = None
     """(3,) what deviations from them are counted in, rad."""
+    nearest: bool = False
+    """Where it is out of reach, may give way: the downswing's time, the path's rise, the head speed."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +271,11 @@ def _problem(
         time=demand.downswing_time,
         opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
         slew=150.0,
+        shoulder=(_furthest_back(parameters, demand), parameters.shoulder.upper),
+        shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * speeds[0],
+        stop_speed=envelope.stop_speed,
+        stop_deceleration=envelope.stop_deceleration,
+        committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
         wrist=(max(parameters.wrist.lower, 1.5 * pi + asin(demand.least_lever)), parameters.wrist.upper),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
@@ -262,7 +283,21 @@ def _problem(
         pressure=demand.pressure,
         follow=demand.follow,
         ranges=demand.ranges,
+        concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
     )
+
+
+def _furthest_back(parameters: PlantParameters, demand: Demand) -> float:
+    """Return the least theta1 of the downswing, rad: a golfer does not swing back again from the top."""
+    if demand.follow is None:
+        return parameters.shoulder.lower
+    return demand.top_shoulder - _SAG
+
+
+def _concessions(parameters: PlantParameters, demand: Demand) -> Concessions:
+    lie, longest = parameters.robot.lie, demand.downswing_time[1]
+    rise = slope_of(demand.attack + _GIVES_WAY.rise, lie) - slope_of(demand.attack, lie)
+    return Concessions(_GIVES_WAY.time * longest, rise, _GIVES_WAY.speed)
 
 
 def _openings(plan: Plan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
@@ -328,7 +363,8 @@ def design_downswing(
         progress("a first swing", 1.0)
     else:
         time, guess = _guess_from(start, state)
-    best: tuple[float, Downswing] | None = None
+    best: tuple[tuple[float, float], Downswing] | None = None
+    tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
     brought: Array | None = None
     reason = ""
     for count in range(_ROUNDS):
@@ -351,25 +387,48 @@ def design_downswing(
             break
         trial = shooter.shoot(opening)
         over = _loads(trial, parameters, demand)
-        if best is None or over.max() < best[0]:
-            best = float(over.max()), Downswing(opening, wanted, plan, trial)
-        if over.max() <= 0.0:
+        short = 0.0 if demand.head_speed is None else demand.head_speed - plan.speed
+        worth = max(float(over.max()), 0.0), short
+        gained = inf if best is None or best[0][0] > 0.0 else best[0][1] - short
+        if best is None or worth < best[0]:
+            best = worth, Downswing(opening, wanted, plan, trial)
+        if over.max() <= 0.0 and min(short, gained) < _SHORT:
             break
         reason = (
             f"the cushions of right arm and wrist would take {over[0]:+.1f} and {over[1]:+.1f} J "
             "beside what they may when the ball is missed"
         )
-        # What one cushion has too much of, the other one or the shoulder has to give.
         brought = np.minimum(problem.cushions, plan.carried)
-        less = np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
-        problem = _with_cushions(problem, brought - less)
+        tried = tried.learned(brought, over)
+        problem = _with_cushions(problem, tried.next(brought, over))
     progress("downswing", 1.0)
     survived = (1.0 - demand.missed_share) * min(
         parameters.right_arm.stop.energy, parameters.wrist.stop.energy
     )
-    if best is None or best[0] > survived:
+    if best is None or best[0][0] > survived:
         raise DesignFailed(reason or "no downswing found")
     return best[1], count + 1
+
+
+class _Cushions(NamedTuple):
+    """What plans brought the two cushions, and what these then took too much of: (2, 2), cushion and pair."""
+
+    held: Array
+    broke: Array
+
+    def learned(self, brought: Array, over: Array) -> _Cushions:
+        """Return this with what a plan `brought` (2,), J, and what was `over` (2,), J, on the plant."""
+        pair, broke = np.column_stack([brought, over]), (over > 0.0)[:, None]
+        return _Cushions(np.where(broke, self.held, pair), np.where(broke, pair, self.broke))
+
+    def next(self, brought: Array, over: Array) -> Array:
+        """Return what the next plan may bring (2,), J."""
+        # What one cushion has too much of, the other one or the shoulder has to give.
+        step = brought - np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
+        low, high = self.held[:, 0], self.broke[:, 0]
+        known = (self.held.any(axis=1)) & (self.broke.any(axis=1)) & (low < high)
+        share = -self.held[:, 1] / np.where(known, self.broke[:, 1] - self.held[:, 1], 1.0)
+        return np.where(known, low + np.clip(share, 0.1, 0.9) * (high - low), step)
 
 
 def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProblem:

@@ -23,6 +23,9 @@ from bench.swing.profile import Profile
 from sim.kinematics import forward_kinematics, right_arm_length
 from sim.plant import PlantParameters
 
+_SHORT = 0.1
+"""m/s below which nothing is short: the strike differs as much from swing to swing."""
+
 
 class Row(NamedTuple):
     """A golfer beside a swing of the robot."""
@@ -31,6 +34,11 @@ class Row(NamedTuple):
     human: HumanDownswing
     swing: Profile
     away: Deviation
+
+    @property
+    def short(self) -> float:
+        """m/s by which the robot's head is slower than the golfer's."""
+        return max(self.golfer.head_speed - self.swing.delivery.get("head_speed_mps", 0.0), 0.0)
 
 
 def golfer_row(plant: PlantParameters, golfer: Golfer, swing: Profile) -> Row:
@@ -49,6 +57,10 @@ def golfer_record(plant: PlantParameters, row: Row) -> dict[str, Any]:
         "amplitude": row.human.amplitude,
         "robot": row.swing.name,
         "robot_head_speed_mps": row.swing.delivery.get("head_speed_mps"),
+        "short_mps": row.short,
+        "golfer_downswing_s": float(row.human.time[-1]),
+        "robot_downswing_s": row.swing.downswing_time,
+        "robot_attack_angle_deg": row.swing.delivery.get("attack_angle_deg"),
         "deviation": row.away._asdict(),
         "beyond_the_robots_range": out_of_reach(plant, row.human),
     }
@@ -65,32 +77,49 @@ def out_of_reach(plant: PlantParameters, human: HumanDownswing) -> tuple[float, 
     return shoulder, arm, wrist
 
 
-def golfers_table(rows: list[Row], plant: PlantParameters) -> Table:
-    """Return a row a golfer: speeds, deviations of each joint and the head, what is out of reach."""
+def _table(title: str, caption: str, *columns: str) -> Table:
     table = Table(
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-        title="The robot against golfers",
-        title_justify="left",
-    )
-    table.caption = (
-        "Shoulder to head: root mean square over the downswing, clocks laid together at the ball, in % of "
-        f"the human's range; Hunt and Wiens quote {100 * HUNT_WIENS:.1f} % without a public definition. "
-        "Beyond: how far the golfer is out of the robot's range: shoulder (rad), right arm (m), wrist (rad)."
-    )
+        box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, caption=caption,
+        title_justify="left", caption_justify="left",
+    )  # fmt: skip
     table.add_column("golfer", no_wrap=True)
-    for heading in ("m/s", "model", "robot", "shoulder", "arm", "wrist", "head"):
+    for heading in columns:
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("beyond", no_wrap=True)
+    return table
+
+
+def deviations_table(rows: list[Row]) -> Table:
+    """Return a row a golfer: how far each joint and the head are from his or hers."""
+    table = _table(
+        "The robot against golfers",
+        "Root mean square over the downswing, clocks laid together at the ball, in % of the human's range; "
+        f"Hunt and Wiens quote {100 * HUNT_WIENS:.1f} % without a public definition.",
+        "shoulder", "arm", "wrist", "head",
+    )  # fmt: skip
     for row in rows:
-        speed = row.swing.delivery.get("head_speed_mps")
+        table.add_row(row.golfer.name, *(f"{100 * share:.0f}" for share in row.away))
+    return table
+
+
+def reach_table(rows: list[Row], plant: PlantParameters) -> Table:
+    """Return a row a golfer: speed, downswing and attack of golfer and robot, and what is out of reach."""
+    table = _table(
+        "What of a golfer the robot reaches",
+        "Head speed of the golfer, of the model of his or her motion, of the robot, and what that is short "
+        "by, m/s; golfer's and robot's downswing, s; the robot's attack angle, deg; how far the golfer goes "
+        "beyond the robot's range: shoulder (rad), right arm (m), wrist (rad).",
+        "m/s", "model", "robot", "short", "downswing", "attack", "beyond",
+    )  # fmt: skip
+    for row in rows:
+        speed, attack = (row.swing.delivery.get(key) for key in ("head_speed_mps", "attack_angle_deg"))
         table.add_row(
             row.golfer.name,
             f"{row.golfer.head_speed:.1f}",
             f"{row.human.head_speed:.1f}",
             "" if speed is None else f"{speed:.1f}",
-            *(f"{100 * share:.0f}" for share in row.away),
+            "" if row.short < _SHORT else f"{row.short:.1f}",
+            f"{row.human.time[-1]:.2f} {row.swing.downswing_time:.2f}",
+            "" if attack is None else f"{attack:+.1f}",
             " ".join(f"{value:.2f}" for value in out_of_reach(plant, row.human)),
         )
     return table

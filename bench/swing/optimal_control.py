@@ -37,6 +37,9 @@ _KINDS = (
 _FREE = 1e-6
 """Price of a m/s below which nothing holds the speed back."""
 _LIMITS = ("rod speed", "rod range", "cushion of the right arm", "cushion of the wrist", "shoulder braking")
+_PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
+"""Of giving way, beside deviations that cost about one: a downswing twice as long, a rad, a m/s. They are
+linear, so that nothing gives way that need not, and the speed is the last to: a degree is worth some m/s."""
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
 """Speed over which dry friction turns round, m/s or rad/s times ten: the plant's is a step."""
@@ -215,6 +218,20 @@ def _solved(m: Expression, f: Expression) -> Expression:
     return ca.vertcat(f[0] / m[0, 0] - l21 * x2 - l31 * x3, x2, x3)
 
 
+class Concessions(NamedTuple):
+    """How far a demand may give way where it is out of reach."""
+
+    time: float = 0.0
+    """Longer downswing, s."""
+    rise: float = 0.0
+    """Steeper path upwards in the plane, rad."""
+    speed: float = 0.0
+    """Lower head speed, m/s."""
+
+
+NO_CONCESSIONS = Concessions()
+
+
 @dataclass(frozen=True)
 class DownswingProblem:
     """What a downswing is to do, and within what."""
@@ -235,10 +252,18 @@ class DownswingProblem:
     """Greatest valve opening."""
     slew: float
     """Greatest change of an opening, 1/s."""
+    shoulder: tuple[float, float]
     wrist: tuple[float, float]
-    """Range of theta3 before the ball, rad."""
+    """Ranges of theta1 and theta3 before the ball, rad."""
     speed_limits: tuple[float, float, float]
     """Shoulder rad/s, rod m/s, wrist rad/s."""
+    shoulder_back: float
+    """Fastest that the shoulder may turn back, rad/s."""
+    stop_speed: tuple[float, float, float]
+    stop_deceleration: tuple[float, float, float]
+    """How joints must be able to stop before their end stops, until `committed` (rad, m, rad)."""
+    committed: float
+    """s before the ball from which on that is not asked."""
     cushions: tuple[float, float]
     """J that the upper cushions of right arm and wrist may take when the ball is missed."""
     shoulder_speed: float
@@ -249,6 +274,7 @@ class DownswingProblem:
     """(n, 3) motion to keep close to, evenly spaced over the downswing, rad."""
     ranges: Array | None = None
     """(3,) what deviations from it are counted in, rad."""
+    concessions: Concessions = NO_CONCESSIONS
 
 
 class Plan(NamedTuple):
@@ -320,11 +346,17 @@ def solve_downswing(
         return points, control
 
     low, high = _state_bounds(plant, p)
-    duration = variable("duration", np.array([guess_time]), p.time[0], p.time[1], ("time",))
+    longest = p.time[1] + p.concessions.time
+    duration = variable("duration", np.array([guess_time]), p.time[0], longest, ("time",))
+    cost: Expression = 0.0
+    given: Expression = np.zeros(3)
+    if any(p.concessions):
+        given = variable("given", np.zeros(3), np.zeros(3), np.array(p.concessions), ("concessions",) * 3)
+        require("tempo", duration - given[0], p.time[0], p.time[1])
+        cost += ca.dot(given, [_PRICE["time"] / p.time[1], _PRICE["rise"], _PRICE["speed"]])
     first_low, first_high = p.start.copy(), p.start.copy()
     first_low[:3], first_high[:3] = p.top_freedom[:, 0], p.top_freedom[:, 1]
     state = variable("x0", guess[0], first_low, first_high, ("the top",) * STATES)
-    cost: Expression = 0.0
     step = duration / n
     states, controls = [state], []
     for k in range(n):
@@ -340,6 +372,11 @@ def solve_downswing(
             -p.speed_limits[1],
             p.speed_limits[1],
         )
+        if (1 - (k + 1) / n) * longest > p.committed:
+            rod = (equations.extension(state[:3]) - equations.extension(states[k][:3])) / step
+            place = ca.vertcat(state[0], equations.extension(state[:3]), state[2])
+            spare = _stop_distance(plant, p, place, ca.vertcat(state[3], rod, state[5]))
+            require("stop distance", spare, 0.0, np.inf)
         require(
             "rod range", equations.extension(state[:3]), plant.right_arm.lower, plant.right_arm.upper + 1e-3
         )
@@ -347,13 +384,14 @@ def solve_downswing(
     site = plant.site
     require("ball", head[:2], [site.ball_x, site.ball_y], [site.ball_x, site.ball_y])
     require("shaft lean", head[2], p.theta_t[0], p.theta_t[1])
-    along = np.cos(p.slope) * head[3] + np.sin(p.slope) * head[4]
-    require("slope", -np.sin(p.slope) * head[3] + np.cos(p.slope) * head[4], 0.0, 0.0)
+    slope = p.slope + given[1]
+    along = ca.cos(slope) * head[3] + ca.sin(slope) * head[4]
+    require("slope", -ca.sin(slope) * head[3] + ca.cos(slope) * head[4], 0.0, 0.0)
     require("shoulder braking", state[3], -p.shoulder_speed, p.shoulder_speed)
     if p.speed is None:
         cost += -along
     else:
-        require("speed", along, p.speed, p.speed)
+        require("speed", along + given[2], p.speed, p.speed)
     if p.follow is not None and p.ranges is not None:
         for k in range(n + 1):
             row = p.follow[round(k * (len(p.follow) - 1) / n)]
@@ -398,6 +436,23 @@ def solve_downswing(
     )
 
 
+def _stop_distance(
+    plant: PlantParameters, p: DownswingProblem, place: Expression, speed: Expression
+) -> Expression:
+    """Return how much of its speed squared each joint has to spare to stop before its upper and lower end.
+
+    As the envelope asks it (`bench.control.envelope`), a tenth less.
+    """
+    ca = load_casadi()
+    towards = speed * ca.sqrt(speed**2 + 0.01)
+    at_end, braking = np.array(p.stop_speed) ** 2, 2.0 * np.array(p.stop_deceleration)
+    ends = np.array([[a.lower, a.upper] for a in plant.actuators])
+    scale = np.tile(at_end, 2)
+    upwards = 0.9 * (at_end + braking * (ends[:, 1] - place)) - towards
+    downwards = 0.9 * (at_end + braking * (place - ends[:, 0])) + towards
+    return ca.vertcat(upwards, downwards) / scale
+
+
 def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: Array) -> dict[str, float]:
     """Return the head speed (m/s) that one per cent more of each limit would give, from its multipliers."""
     gains: dict[str, float] = {}
@@ -409,7 +464,7 @@ def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: 
     multipliers = np.array(found["lam_x"]).ravel() / price
     for kind, value, low, high in zip(kinds, multipliers, lower, upper, strict=True):
         bound = high if value > 0 else low
-        if kind not in {"the top"} and high > low and np.isfinite(bound):
+        if kind not in {"the top", "concessions"} and high > low and np.isfinite(bound):
             gains[kind] = gains.get(kind, 0.0) + 0.01 * abs(value * bound)
     reached = np.array(found["g"]).ravel()
     for name, value, at in zip(names, by_row / price, reached, strict=True):
@@ -419,13 +474,13 @@ def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: 
 
 
 def _state_bounds(plant: PlantParameters, p: DownswingProblem) -> tuple[Array, Array]:
-    shoulder, atmosphere = plant.shoulder, plant.supply.atmosphere / BAR
+    atmosphere = plant.supply.atmosphere / BAR
     low = np.array(
-        [shoulder.lower, pi + 0.05, p.wrist[0], -p.speed_limits[0], -60.0, -p.speed_limits[2]]
+        [p.shoulder[0], pi + 0.05, p.wrist[0], -p.shoulder_back, -60.0, -p.speed_limits[2]]
         + [0.9 * atmosphere] * 6 + [2.0] + [-p.opening] * 3
     )  # fmt: skip
     high = np.array(
-        [shoulder.upper, 1.6 * pi, p.wrist[1], p.speed_limits[0], 60.0, p.speed_limits[2]]
+        [p.shoulder[1], 1.6 * pi, p.wrist[1], p.speed_limits[0], 60.0, p.speed_limits[2]]
         + [p.pressure / BAR] * 6 + [1.05 * plant.supply.pressure / BAR] + [p.opening] * 3
     )  # fmt: skip
     return low, high

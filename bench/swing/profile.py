@@ -68,6 +68,11 @@ class Profile:
         """From start to planned standstill, s."""
         return len(self.angle) * self.period
 
+    @property
+    def downswing_time(self) -> float:
+        """From the top to the ball, s."""
+        return self.impact_time - self.begins[PHASES.index(Phase.DOWNSWING)] * self.period
+
     def phase_of(self, sample: int) -> Phase:
         """Return the phase at `sample`."""
         return PHASES[int(np.searchsorted(self.begins, sample, side="right")) - 1]

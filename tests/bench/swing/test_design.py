@@ -19,6 +19,7 @@ from bench.swing.closed_loop import Rehearsal
 from bench.swing.design import (
     Demand,
     DesignFailed,
+    _Cushions,
     _guess_from,
     _model_state,
     _problem,
@@ -29,8 +30,16 @@ from bench.swing.design import (
     slope_of,
     top_pose,
 )
+from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile
-from bench.swing.optimal_control import BAR, _radau_slopes, build_equations, solve_downswing
+from bench.swing.optimal_control import (
+    BAR,
+    DownswingProblem,
+    Plan,
+    _radau_slopes,
+    build_equations,
+    solve_downswing,
+)
 from bench.swing.profile import load_profile
 from bench.swing.refine import KNOT, correction
 from bench.swing.validate import profile_faults
@@ -47,9 +56,11 @@ SHIPPED = (
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
     ("tour-female", "steady", 42.92),
+    ("two-handicap", "steady", 46.94),
+    ("tour-male", "steady", 48.09),
 )
 """Name, whose gains, and head speed (m/s) demanded."""
-RISING = {"driver-100mph": 2.0}
+RISING = {"driver-100mph": 2.0, "two-handicap": 2.0, "tour-male": 2.0}
 """Attack angle in degrees; the others are level."""
 
 
@@ -178,6 +189,55 @@ def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParame
     assert abs(theta_t - 3.5 * np.pi) <= 0.026 + 1e-6
     assert np.abs(plan.state[:, 13:]).max() <= 0.85
     assert np.array_equal(plan.state, plans[1].state)
+
+
+def _coarse_plan(plant: PlantParameters, demand: Demand) -> tuple[DownswingProblem, Plan]:
+    """Return the shipped swing's downswing planned anew on a coarse mesh, and the problem it solves."""
+    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    state = _model_state(_swing_up(bench, demand))
+    problem = _problem(plant, demand, bench.envelope, state)
+    return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, state, 12), 12)
+
+
+def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParameters) -> None:
+    demand = Demand(head_speed=36.0, attack=radians(0.5), nearest=True)
+    problem, plan = _coarse_plan(plant, demand)
+    vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
+    assert problem.concessions.speed > 0.0
+    assert plan.solved
+    assert plan.time[-1] <= demand.downswing_time[1] + 1e-6
+    assert np.hypot(vx, vy) == pytest.approx(36.0, abs=1e-3)
+    assert np.arctan2(vy, vx) == pytest.approx(slope_of(demand.attack, plant.robot.lie), abs=1e-5)
+
+
+def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) -> None:
+    demand = Demand(head_speed=58.0, attack=radians(0.5), nearest=True)
+    problem, plan = _coarse_plan(plant, demand)
+    vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
+    assert plan.solved
+    assert 46.0 < plan.speed < 57.0
+    assert plan.speed == pytest.approx(np.hypot(vx, vy), abs=1e-3)
+    assert problem.slope - 1e-5 <= np.arctan2(vy, vx) <= problem.slope + problem.concessions.rise + 1e-5
+    assert plan.time[-1] <= problem.time[1] + problem.concessions.time + 1e-6
+    assert np.all(plan.carried <= np.array(problem.cushions) + 1e-3)
+
+
+def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
+    tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
+    brought, over = np.array([20.0, 25.0]), np.array([10.0, -4.0])
+    tried = tried.learned(brought, over)
+    assert tried.next(brought, over) == pytest.approx([20.0 - 10.3, 25.0 + 2.0])
+    brought, over = np.array([10.0, 27.0]), np.array([-5.0, 12.0])
+    tried = tried.learned(brought, over)
+    # Straight lines between (10, -5) and (20, +10), and (25, -4) and (27, +12).
+    assert tried.next(brought, over) == pytest.approx([10.0 + 10.0 / 3, 25.5])
+
+
+def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
+    profile, golfer = load_profile(find_profile("tour-male")), GOLFERS["tour-male"]
+    reached = profile.delivery["head_speed_mps"]
+    told = f"demanded {golfer.head_speed:.1f} m/s, reached {reached:.1f} m/s, short by"
+    assert f"{told} {golfer.head_speed - reached:.1f} m/s" in profile.text
 
 
 def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
