@@ -160,6 +160,9 @@ def identify(
 
     start = np.ones(len(free))
     nominal = residual(start)
+    # The supply is measured: a search for it may lead to where it has too little to swing, and end there.
+    supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.model.supply.pressure
+    start[free == NAMES.index("supply pressure")] = np.clip(supply, 1.0 - 0.9 * _BOUND, 1.0 + 0.9 * _MOST)
     found = least_squares(
         residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST),
         diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, ftol=1e-4, xtol=1e-3,

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from bench.learning.correction import Basis, Correction, basis_of
 from bench.learning.figures import Figures, Tolerance, figures_of
-from bench.learning.learner import Learner, LearningSettings, Trial
+from bench.learning.learner import Beginning, Learner, LearningSettings, Trial
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
-from bench.learning.series import Bench, Series, quiet
+from bench.learning.series import Bench, Series
 from bench.lifecycle import Cause
-from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -28,6 +27,8 @@ class Swung(NamedTuple):
     figures: Figures
     """What it delivered, by the declared source; unknown when it was stopped or missed the ball."""
     cause: Cause
+    settled: bool = True
+    """Whether it began with the air that a swing had left, not with that of arming."""
 
 
 Swinger = Callable[[Array], Swung]
@@ -84,6 +85,8 @@ class Lecture(NamedTuple):
     basis: Basis
     response: Response
     target: Figures
+    beginning: Beginning | None = None
+    """Where an identified robot lets learning begin; None: without correction."""
 
 
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> Lecture:
@@ -98,22 +101,6 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
     return Lecture(bench, basis, response, Figures(*map(float, response.figures)))
 
 
-def begun_on(lecture: Lecture, plant: PlantParameters) -> tuple[Lecture, Array]:
-    """Return `lecture` as it begins on an identified robot: with the response about what that one learns.
-
-    Also returns the weights that it learns, to begin with.
-
-    Raises:
-        BenchError: its swing is stopped or misses the ball with them.
-        Refused: it does not reach its address.
-    """
-    bench, basis = lecture.bench, lecture.basis
-    weights = learn(lecture, on_series(lecture, Series(bench, quiet(plant)))).weights
-    about = Model(bench, basis, plant).response(weights)
-    response = lecture.response._replace(by_figures=about.by_figures, by_path=about.by_path)
-    return lecture._replace(response=response), weights
-
-
 def on_series(lecture: Lecture, series: Series) -> Swinger:
     """Return the swinger that a simulated bench is; the source of the delivery is encoders and model."""
     bench, free = lecture.bench, lecture.response.free
@@ -121,7 +108,7 @@ def on_series(lecture: Lecture, series: Series) -> Swinger:
     def swing(weights: Array) -> Swung:
         made = series.swing(lecture.basis.correction(weights).applied_to(bench.profile))
         delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.model, free)
-        return Swung(made.cycles, figures_of(delivery), made.cause)
+        return Swung(made.cycles, figures_of(delivery), made.cause, made.settled)
 
     return swing
 
@@ -132,21 +119,17 @@ def learn(
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
     told: Callable[[Attempt], None] = lambda attempt: None,
-    start: Array | None = None,
 ) -> Lesson:
     """Swing until the target is reached and confirmed, or the swings are used up.
 
-    It is reached when two swings in a row with the same correction lie well within every tolerance. The first
-    swing is made with the weights `start` (m,), such as an identified robot has learned in simulation, or
-    without correction.
+    It is reached when swings with the same correction lie well within every tolerance in the mean, two at the
+    least, and so does the last of them.
 
     Raises:
         Refused: the robot does not come back to its address.
     """
     settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
-    learner = Learner(lecture.response, lecture.target, tolerance, settings)
-    if start is not None:
-        learner.point = start
+    learner = Learner(lecture.response, lecture.target, tolerance, settings, lecture.beginning)
     attempts: list[Attempt] = []
     for _ in range(settings.swings + 1):
         trial, attempt = _attempt(lecture, swing, learner)
@@ -170,10 +153,10 @@ def learn(
 
 def _attempt(lecture: Lecture, swing: Swinger, learner: Learner) -> tuple[Trial, Attempt]:
     bench, response, point = lecture.bench, lecture.response, learner.point
-    cycles, figures, cause = swing(point)
+    cycles, figures, cause, settled = swing(point)
     path = cycles["angle"][response.rows].copy()
     path[cycles["trip"][response.rows] != 0] = np.nan
-    trial = Trial(point, figures.array, path)
+    trial = Trial(point, figures.array, path, settled)
     down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
     off = path - response.path
     attempt = Attempt(

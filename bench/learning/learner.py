@@ -11,7 +11,11 @@ linear: the model's response is the prior mean, every swing that was made is an 
 scatter between swings as noise and less weight the farther its weights are from the best one's (Bayesian
 linear regression). So the response becomes the robot's own, and one lucky swing is not taken for a good one.
 A swing that was stopped counts as failed: its record up to the stop still tells of the path, and the radius
-is halved.
+is halved. The first swing after arming begins with other air than those that follow: it says where to step,
+with so much more noise, and nothing is confirmed by it.
+
+An identified robot says more before the first swing is made: where to begin, what is delivered there, and a
+response that is known better.
 """
 
 from __future__ import annotations
@@ -60,14 +64,19 @@ class LearningSettings:
     """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""
     path_scatter: Annotated[float, Gt(0)] = 0.003
     """rad"""
+    unsettled: Four = (1.0, 7.0, 0.7, 1.5)
+    """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
+    path_unsettled: Annotated[float, Gt(0)] = 0.02
+    """rad"""
     doubt: Annotated[float, Ge(0)] = 0.5
     """Share by which the robot's response differs from the model's."""
-    bend: Annotated[float, Ge(0)] = 0.05
+    bend: Annotated[float, Ge(0)] = 0.1
     """Share of the response by which a step of one weight bends it."""
     enough: Annotated[float, Gt(0)] = 0.5
-    """Share of the tolerances within which every figure counts as reached: the swing is then repeated."""
+    """Share of the tolerances within which every figure is to be, as far as all swings tell, for the best
+    swing to be repeated, and the mean of it and its repetition to be confirmed."""
     confirm: Annotated[float, Gt(0)] = 1.0
-    """Share within which the repetition must lie; the mean of both must be near enough."""
+    """Share within which the repetition must lie."""
 
 
 class Trial(NamedTuple):
@@ -79,30 +88,74 @@ class Trial(NamedTuple):
     """(4,), NaN where they are not known or the swing was stopped."""
     path: Array
     """(r, 3) rad at the response's rows; NaN from a stop on."""
+    settled: bool = True
+    """Whether it began with the air that a swing had left, not with that of arming."""
+
+
+class Beginning(NamedTuple):
+    """What is known of the robot before it swings."""
+
+    point: Array
+    """Weights (m,) about which it is known."""
+    response: Response
+    """What is expected there."""
+    offset: Four
+    """Standard deviation of the figures expected, in tolerances."""
+    path_offset: float
+    """The same of the path, rad."""
+    doubt: float
+    """As in `LearningSettings`."""
+    radius: float
+    """The same."""
 
 
 class Learner:
     """Asked for a point, told of the swing made with it, and so on; the best point is kept."""
 
-    def __init__(self, response: Response, target: Figures, tolerance: Tolerance, settings: LearningSettings):
-        """`response` is the model's without correction."""
+    def __init__(
+        self,
+        response: Response,
+        target: Figures,
+        tolerance: Tolerance,
+        settings: LearningSettings,
+        beginning: Beginning | None = None,
+    ):
+        """`response` is the model's without correction, its path the plan; `beginning` may know better."""
         s, self._settings = settings, settings
         self._target, self._scale = target.array, tolerance.scale(target)
         self._plan = response.path
         self._path_factor = s.path_weight / s.path_scale / np.sqrt(response.path.size)
+        expected = response if beginning is None else beginning.response
         self._prior = np.vstack(
-            [response.by_figures / self._scale[:, None], self._path_factor * response.by_path]
+            [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]
         )
-        self._noise = np.concatenate(
-            [s.scatter, np.full(response.path.size, self._path_factor * s.path_scatter)]
-        )
+        self._noise = self._rows(s.scatter, s.path_scatter)
+        self._unsettled = self._rows(s.unsettled, s.path_unsettled)
         self._size = np.linalg.norm(self._prior, axis=1) + 1e-9
+        self._origin = np.zeros(self._prior.shape[1]) if beginning is None else beginning.point
+        self._known = beginning is not None
+        self._doubt, self._offset = s.doubt, np.full(len(self._prior), _OFFSET)
+        self._expected = np.zeros(len(self._prior))
         self._radius = s.radius
-        self.point = np.zeros(self._prior.shape[1])
-        """The weights to swing next."""
         self.trials: list[Trial] = []
         self._errors: list[Array] = []
         self._best = 0
+        self.point = self._origin
+        """The weights to swing next."""
+        if beginning is not None:
+            self._doubt, self._radius = beginning.doubt, beginning.radius
+            self._offset = self._rows(beginning.offset, beginning.path_offset)
+            self._expected = self._error(expected.figures, expected.path)
+            at, matrix = self._prediction()
+            self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
+
+    def _rows(self, figures: Four, path: float) -> Array:
+        """Return what holds of each figure and of each value of the path, one under the other."""
+        return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
+
+    def _error(self, figures: Array, path: Array) -> Array:
+        """Return figures and path off what is wanted, in the units of the cost."""
+        return np.concatenate([self.error(figures), self._path_factor * (path - self._plan).ravel()])
 
     @property
     def best(self) -> Trial:
@@ -120,19 +173,22 @@ class Learner:
         return bool(known.size and np.max(np.abs(known)) <= share)
 
     def _alike(self, number: int) -> list[int]:
-        """Return the swings made with the correction of swing `number`."""
-        point = self.trials[number].point
-        return [k for k, trial in enumerate(self.trials) if np.array_equal(trial.point, point)]
+        """Return the swings made with the correction of swing `number`, begun alike."""
+        one = self.trials[number]
+        return [
+            k
+            for k, trial in enumerate(self.trials)
+            if trial.settled == one.settled and np.array_equal(trial.point, one.point)
+        ]
 
     @property
     def confirmed(self) -> bool:
         """Whether a swing that was well within the tolerances was repeated, and so was the repetition."""
         last = len(self.trials) - 1
         alike = self._alike(last)
-        if len(alike) < 2 or not self._reached(last, self._settings.confirm):
+        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, self._settings.confirm):
             return False
-        mean = np.array([self.error(self.trials[k].figures) for k in alike]).mean(axis=0)
-        return bool(np.nanmax(np.abs(mean)) <= self._settings.enough)
+        return self._near(self._mean(last))
 
     @property
     def chosen(self) -> int:
@@ -146,8 +202,8 @@ class Learner:
                 costs[k] = _STOPPED * (2.0 - float(np.isfinite(errors).mean()))
                 continue
             mean = errors[:, :4].mean(axis=0)[known]
-            noise = np.array(self._settings.scatter)[known] / np.sqrt(len(alike))
-            costs[k] = float(np.sum(mean**2) + np.sum(noise**2))
+            variance = (self._noise[:4] ** 2 + self._begun(k) ** 2)[known] / len(alike)
+            costs[k] = float(np.sum(mean**2) + np.sum(variance))
         return min(costs, key=lambda k: (costs[k], -k))
 
     @property
@@ -167,47 +223,76 @@ class Learner:
 
     def note(self, trial: Trial) -> None:
         """Take note of the swing made with `trial.point` and set the next `point`."""
-        path = self._path_factor * (trial.path - self._plan)
         self.trials.append(trial)
-        self._errors.append(np.concatenate([self.error(trial.figures), path.ravel()]))
+        self._errors.append(self._error(trial.figures, trial.path))
         last, s = len(self.trials) - 1, self._settings
         if last and self._cost(last) >= self._cost(self._best):
-            self._radius = max(0.5 * self._radius, s.least_radius)
+            # One that only began otherwise tells nothing of the step.
+            if trial.settled or np.isnan(trial.figures).all():
+                self._radius = max(0.5 * self._radius, s.least_radius)
         else:
             self._best = last
             self._radius = min(1.5 * self._radius, s.greatest_radius) if last else self._radius
-        again = self._reached(last, s.enough) and len(self._alike(last)) == 1
-        self.point = trial.point if again else self._next()
+        at, matrix = self._prediction()
+        near = self._near(at[:4]) and (len(self._alike(self._best)) < 2 or self._near(self._mean(self._best)))
+        self.point = self.best.point if near else self._next(at, matrix)
+
+    def _near(self, figures: Array) -> bool:
+        """Whether errors (4,) are well within the tolerances; one that is not known is not asked."""
+        known = figures[np.isfinite(figures)]
+        return bool(known.size and np.abs(known).max() <= self._settings.enough)
+
+    def _mean(self, number: int) -> Array:
+        """Return the mean error (4,) of the swings alike to swing `number`."""
+        errors = [self._errors[k][:4] for k in self._alike(number)]
+        return np.asarray(np.mean(errors, axis=0))
+
+    def _begun(self, number: int) -> Array:
+        """Return the standard deviation (4,) of a swing's figures that comes from how it began."""
+        return np.zeros(4) if self.trials[number].settled else self._unsettled[:4]
 
     def _cost(self, number: int) -> float:
         errors, point = self._errors[number], self.trials[number].point
         known = np.isfinite(errors)
         missing = 0.0 if known[:4].any() else _STOPPED * float(2.0 - known.mean())
-        return float(np.sum(errors[known] ** 2) + self._settings.effort**2 * np.sum(point**2) + missing)
+        begun = float(np.sum(self._begun(number) ** 2))
+        return float(
+            np.sum(errors[known] ** 2) + self._settings.effort**2 * np.sum(point**2) + missing + begun
+        )
+
+    def _start(self) -> Array:
+        """Return the weights that the next step is made from."""
+        return self.best.point if self.trials else self._origin
 
     def _prediction(self) -> tuple[Array, Array]:
         """Return errors at the best point and their derivatives, NaN where nothing is known yet."""
-        s, start = self._settings, self.best.point
-        points = np.array([trial.point for trial in self.trials]) - start
+        s, origin, start = self._settings, self._origin, self._start() - self._origin
+        at, matrix = self._expected + self._prior @ start, self._prior.copy()
+        if not self._known:
+            at[:] = np.nan
+        if not self.trials:
+            return at, matrix
+        points = np.array([trial.point for trial in self.trials]) - origin
+        unsettled = np.array([not trial.settled for trial in self.trials])
         errors = np.array(self._errors)
-        products, distance = points @ points.T, np.sum(points**2, axis=1)
-        at, matrix = np.full(len(self._noise), np.nan), self._prior.copy()
+        products, distance = points @ points.T, np.sum((points - start) ** 2, axis=1)
         for k, size in enumerate(self._size):
             known = np.isfinite(errors[:, k])
             if not known.any():
                 continue
-            spread = (s.doubt * size) ** 2 / len(start)
+            seen, spread = points[known], (self._doubt * size) ** 2 / len(start)
             noise = self._noise[k] ** 2 + (s.bend * size * distance[known]) ** 2
-            covariance = _OFFSET**2 + spread * products[np.ix_(known, known)] + np.diag(noise)
-            surprise = errors[known, k] - points[known] @ self._prior[k]
+            noise += unsettled[known] * self._unsettled[k] ** 2
+            offset = self._offset[k] ** 2
+            covariance = offset + spread * products[np.ix_(known, known)] + np.diag(noise)
+            surprise = errors[known, k] - self._expected[k] - seen @ self._prior[k]
             weights = np.linalg.solve(covariance, surprise)
-            at[k] = _OFFSET**2 * weights.sum()
-            matrix[k] += spread * points[known].T @ weights
+            matrix[k] += spread * seen.T @ weights
+            at[k] = self._expected[k] + offset * weights.sum() + matrix[k] @ start
         return at, matrix
 
-    def _next(self) -> Array:
-        s, start = self._settings, self.best.point
-        errors, matrix = self._prediction()
+    def _next(self, errors: Array, matrix: Array) -> Array:
+        s, start = self._settings, self._start()
         known = np.isfinite(errors)
         errors, matrix = errors[known], matrix[known]
         unit, damping = np.eye(len(start)), 0.01

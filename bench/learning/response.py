@@ -64,6 +64,11 @@ class Model:
         corrected = self._basis.correction(point).applied_to(self._bench.profile)
         return self._series.swing_from(self._mark, corrected, self._ticks)
 
+    def free(self) -> Array:
+        """Swing without correction and without a ball; return the angles (k, 3) tick by tick, rad."""
+        swing = self._series.swing_from(self._mark, self._bench.profile, self._ticks, ball=False)
+        return np.array(swing.cycles["plant_angle"])
+
     def response(
         self, point: Array | None = None, progress: Callable[[float], None] = lambda part: None
     ) -> Response:
@@ -80,7 +85,7 @@ class Model:
             place, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
             raise BenchError(place, found, wanted, "Identify the plant, or design the swing anew.")
         figures, path = self._seen(swing)
-        free = self._series.swing_from(self._mark, self._bench.profile, self._ticks, ball=False)
+        free = self.free()
         by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
         for i in range(m):
             sides = []
@@ -97,7 +102,7 @@ class Model:
                 by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
                 by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
             progress((i + 1) / m)
-        return Response(figures, path, self.rows, by_figures, by_path, free.cycles["plant_angle"].copy())
+        return Response(figures, path, self.rows, by_figures, by_path, free)
 
     def _seen(self, swing: Swing) -> tuple[Array, Array]:
         return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]

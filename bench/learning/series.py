@@ -48,6 +48,8 @@ class Swing(NamedTuple):
     """What stopped the robot; NONE when nothing did."""
     air_used: float
     """kg taken from the supply from address to the profile's end."""
+    settled: bool
+    """Whether it began with the air that a swing had left, not with that of arming."""
 
 
 class Bench(NamedTuple):
@@ -83,6 +85,7 @@ class Series:
         self._arm()
 
     def _arm(self) -> None:
+        self._settled = False
         if not self._stepper.arm():
             raise self._no_address()
 
@@ -173,7 +176,8 @@ class Series:
                 contact.head, contact.head_velocity, (site.ball_x, site.ball_y), robot.club, robot.lie
             )
         used = float(stepper.plant_state["air_used"][0]) - before
-        return Swing(cycles, delivery, time, self._cause, used)
+        settled, self._settled = self._settled, True
+        return Swing(cycles, delivery, time, self._cause, used, settled)
 
     @property
     def _cause(self) -> Cause:

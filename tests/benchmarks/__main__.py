@@ -51,6 +51,7 @@ LONG = (
     "campaign_examples",
     "campaign_show",
     "learning",
+    "identified",
     "swing_design",
 )
 """Their `run` takes the rest of the command line."""

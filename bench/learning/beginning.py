@@ -1,0 +1,118 @@
+"""Where learning begins on an identified robot: what that one learns in simulation, and what it still missed.
+
+An identified robot swings nearly as the recorded one did. What was delivered beyond that, by the same
+measuring chain, is known from the swings that it was identified from. It changes little from one correction
+to the next, so the identified robot learns a target that is as much lower, and the first swing of the robot
+itself has neither the model's error nor the identification's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from bench.learning.correction import basis_of
+from bench.learning.figures import Figures, Tolerance, figures_of
+from bench.learning.learn import Lecture, learn, on_series
+from bench.learning.learner import Beginning, LearningSettings
+from bench.learning.measured import delivery_from_encoders
+from bench.learning.response import Model
+from bench.learning.series import Bench, Series, quiet
+from bench.swing.profile import Profile
+from sim.plant import Encoders, PlantParameters
+
+Array = NDArray[np.float64]
+Cycles = np.ndarray[Any, Any]
+
+OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
+"""How far robots delivered off what was expected of them at first, tolerances and rad, and the share by which
+their response differed from the identified one: drawn ones and a worn one, see the benchmark `identified`."""
+_MOST_LEFT_OVER = 5.0
+"""Tolerances that identification may leave over: it was one at the most where it had found the robot."""
+_ANYTHING = (1e4,) * 4
+"""Instead of the first where no recorded swing tells."""
+_SWINGS = 3
+"""Simulated ones that are averaged, as one may be lucky; one before them begins with the air of arming."""
+
+
+class Recorded(NamedTuple):
+    """A swing that the robot made, not its first after arming."""
+
+    profile: Profile
+    """As it was swung, a correction included."""
+    cycles: Cycles
+    """CYCLE records from its first tick."""
+    encoders: Encoders
+    """With the calibration that held."""
+
+
+def begun_on(lecture: Lecture, plant: PlantParameters, recorded: Sequence[Recorded] = ()) -> Lecture:
+    """Return `lecture` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
+
+    Without them what the identification left over is not known: the first swing only begins nearer.
+
+    Raises:
+        BenchError: its swing is stopped or misses the ball with what it learned, so did a recorded one, or
+            it is not the robot that made them.
+        Refused: it does not reach its address.
+    """
+    bench = lecture.bench
+    beyond = left_over(bench, plant, recorded) if recorded else np.zeros(4)
+    require_identified(beyond / Tolerance().scale(lecture.target))
+    swing = on_series(lecture, Series(bench, quiet(plant)))
+    aim = lecture._replace(target=Figures(*map(float, lecture.target.array - beyond)))
+    weights = learn(aim, swing).weights
+    response = Model(bench, lecture.basis, plant).response(weights)
+    swings = [swing(weights) for _ in range(_SWINGS)]
+    figures = np.mean([swung.figures.array for swung in swings], axis=0) + beyond
+    path = np.mean([swung.cycles["angle"][response.rows] for swung in swings], axis=0)
+    about = response._replace(figures=figures, path=path)
+    if recorded:
+        known = Beginning(weights, about, OFFSET, PATH_OFFSET, DOUBT, RADIUS)
+    else:
+        s = LearningSettings()
+        known = Beginning(weights, about, _ANYTHING, max(_ANYTHING), s.doubt, s.radius)
+    return lecture._replace(beginning=known)
+
+
+def require_identified(beyond: Array) -> None:
+    """Refuse a robot that delivers otherwise than recorded by (4,) too many tolerances.
+
+    Raises:
+        BenchError: it does.
+    """
+    if np.abs(beyond).max() > _MOST_LEFT_OVER:
+        raise BenchError(
+            "--identified", f"a robot that delivers {np.abs(beyond).max():.0f} tolerances beside the records",
+            f"at most {_MOST_LEFT_OVER:g}", "Identify it again, from swings of this robot.",
+        )  # fmt: skip
+
+
+def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:
+    """Return what the swings `recorded` delivered (4,) beyond what `plant` does with their profile.
+
+    Raises:
+        BenchError: one was stopped or missed the ball, on the robot or on `plant`.
+    """
+    bench = bench._replace(profile=recorded[0].profile)
+    free = Model(bench, basis_of(bench.profile)).free()
+
+    def figures(cycles: Cycles, encoders: Encoders) -> Array:
+        # Seen as the learner sees it, by the same model on both sides of the difference.
+        seen = delivery_from_encoders(cycles, replace(bench.model, encoders=encoders), free)
+        if seen is None:
+            raise BenchError(
+                "a recorded swing", "no contact with the ball", "one that strikes it", "Leave it out."
+            )
+        return figures_of(seen).array
+
+    series = Series(bench, quiet(plant))
+    series.swing(bench.profile)
+    simulated = [series.swing(bench.profile).cycles for _ in range(_SWINGS)]
+    before = np.mean([figures(cycles, bench.model.encoders) for cycles in simulated], axis=0)
+    return np.asarray(np.mean([figures(one.cycles, one.encoders) for one in recorded], axis=0) - before)
