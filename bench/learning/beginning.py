@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,9 @@ from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learn import Lecture, learn, on_series
 from bench.learning.learner import Beginning, LearningSettings
 from bench.learning.measured import delivery_from_encoders
+from bench.learning.recorded import Recorded
 from bench.learning.response import Model
 from bench.learning.series import Bench, Series, quiet
-from bench.swing.profile import Profile
 from sim.plant import Encoders, PlantParameters
 
 Array = NDArray[np.float64]
@@ -38,17 +38,6 @@ _ANYTHING = (1e4,) * 4
 """Instead of the first where no recorded swing tells."""
 _SWINGS = 3
 """Simulated ones that are averaged, as one may be lucky; one before them begins with the air of arming."""
-
-
-class Recorded(NamedTuple):
-    """A swing that the robot made, not its first after arming."""
-
-    profile: Profile
-    """As it was swung, a correction included."""
-    cycles: Cycles
-    """CYCLE records from its first tick."""
-    encoders: Encoders
-    """With the calibration that held."""
 
 
 def begun_on(lecture: Lecture, plant: PlantParameters, recorded: Sequence[Recorded] = ()) -> Lecture:

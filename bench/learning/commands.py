@@ -46,6 +46,13 @@ def learn(
             help="What golfbench identify has written: learning begins where that robot ends in simulation.",
         ),
     ] = None,
+    records: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RECORD",
+            help="A swing it was identified from, once for each: what identification missed is made up for.",
+        ),
+    ] = None,
     source: Annotated[
         Source | None,
         typer.Option(help="What tells of the delivery on a running bench: encoders+model unless said."),
@@ -67,10 +74,12 @@ def learn(
 
     from bench.config import load_configuration
     from bench.errors import BenchError, ExitCode
-    from bench.learning.learn import begun_on, on_series, prepare
+    from bench.learning.beginning import begun_on
     from bench.learning.learn import learn as learned
+    from bench.learning.learn import on_series, prepare
     from bench.learning.learner import LearningSettings
     from bench.learning.live import LiveSwinger, require_bench
+    from bench.learning.recorded import read_recorded
     from bench.learning.series import Bench, Series
     from bench.learning.store import Conditions, keep, stored
     from bench.learning.variation import drawn
@@ -88,6 +97,12 @@ def learn(
             "learn", option, f"{'with' if not sim else 'without'} --sim only",
             "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here."),
         )  # fmt: skip
+
+    if records and identified is None:
+        raise BenchError(
+            "learn", "--records", "with --identified only", "Name the robot that they identified."
+        )
+    recorded = read_recorded(records or [])
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
@@ -115,10 +130,9 @@ def learn(
         task = bar.add_task("the model's response", total=1.0)
         lecture = prepare(bench, lambda part: bar.update(task, completed=part))
         bar.update(task, completed=1.0)
-        begin = None
         if identified is not None:
             task = bar.add_task("the identified robot learns", total=None)
-            lecture, begin = begun_on(lecture, load_configuration(identified).plant)
+            lecture = begun_on(lecture, load_configuration(identified).plant, recorded)
             bar.update(task, total=1.0, completed=1.0)
         task = bar.add_task("learning swings", total=swings + 1)
         live = None
@@ -127,7 +141,7 @@ def learn(
         swinger = live or on_series(lecture, Series(bench, truth))
         lesson = learned(
             lecture, swinger, LearningSettings(swings=swings),
-            told=lambda attempt: bar.update(task, advance=1), start=begin,
+            told=lambda attempt: bar.update(task, advance=1),
         )  # fmt: skip
         if live is not None:
             live.correct(lesson.weights)

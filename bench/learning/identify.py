@@ -18,10 +18,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.errors import BenchError, Refused
-from bench.learning.correction import digest_of
 from bench.learning.series import Bench, Series, quiet
 from bench.learning.variation import Variation
-from bench.lifecycle import Phase
 from bench.swing.profile import Profile
 from sim.robot import Club
 
@@ -97,31 +95,6 @@ def head_factor(inertia: float, bench: Bench) -> float:
 def club_inertia(club: Club) -> float:
     """Return the club's moment of inertia about the wrist, kg m2."""
     return float(club.inertia + club.mass * club.centre_of_mass**2)
-
-
-def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
-    """Return the records of a swing from its first tick on.
-
-    Raises:
-        BenchError: they hold no swing up to the impact window.
-    """
-    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
-    first = int(begun[0]) - profile.begins[1] if begun.size else -1
-    swing = cycles[max(first, 0) :]
-    if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
-        raise BenchError(place, "no whole swing", "one from the address to the ball", "Record another one.")
-    return swing
-
-
-def require_alike(one: Profile, other: Profile, place: str) -> None:
-    """Refuse swings that were not planned alike, a correction included; `place` names the other's record.
-
-    Raises:
-        BenchError: they were not.
-    """
-    if digest_of(one) != digest_of(other):
-        found = f"a swing of {other.name}" + (", corrected otherwise" if one.name == other.name else "")
-        raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")
 
 
 def identify(

@@ -31,30 +31,31 @@ def identify(
     from rich.table import Table
 
     from bench.errors import BenchError
-    from bench.learning.identify import NAMES, from_first_tick, require_alike
+    from bench.learning.identify import NAMES
     from bench.learning.identify import identify as identified
     from bench.learning.plant_file import plant_file, write_plant_file
+    from bench.learning.recorded import read_recorded
     from bench.learning.series import Bench
     from bench.progress import progress_bar
-    from bench.telemetry.recorder import read_swing
-    from bench.telemetry.swing_metadata import read_profile
 
     configuration = context.ensure_object(Session).configuration()
-    swings, profile = [], None
-    for path in records:
-        cycles, metadata = read_swing(path)
-        swung = read_profile(metadata, str(path))
-        require_alike(profile or swung, swung, str(path))
-        profile = swung
-        swings.append(from_first_tick(cycles, swung, str(path)))
-    if profile is None:
+    recorded = read_recorded(records)
+    if not recorded:
         raise BenchError("identify", "no record", "at least one", "Name some.")
     bench = Bench(
-        configuration.plant, profile, configuration.control, configuration.envelope, configuration.estimator
+        configuration.plant,
+        recorded[0].profile,
+        configuration.control,
+        configuration.envelope,
+        configuration.estimator,
     )
     with progress_bar() as bar:
         task = bar.add_task("simulated robots", total=1.0)
-        found = identified(bench, swings, progress=lambda part: bar.update(task, completed=part))
+        found = identified(
+            bench,
+            [swing.cycles for swing in recorded],
+            progress=lambda part: bar.update(task, completed=part),
+        )
         bar.update(task, completed=1.0)
     if output is not None:
         robot = found.variation(bench).applied_to(bench.model)
@@ -65,7 +66,7 @@ def identify(
         told = [dict(zip(fields, row, strict=True)) for row in rows]
         typer.echo(json.dumps({"parameters": told, "before": found.before, "after": found.after}, indent=2))
         return
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"identified from {len(swings)} swings")
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"identified from {len(recorded)} swings")
     for column in ("parameter", "value", "standard error", ""):
         table.add_column(column, justify="left" if column in ("parameter", "") else "right")
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):

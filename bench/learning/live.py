@@ -71,7 +71,7 @@ class LiveSwinger:
         self._client, self._lecture, self._source = client, lecture, source
         self._say, self._ask_mark, self._with_ball = say, ask_mark, with_ball
         self._stack, self._lease = ExitStack(), ExitStack()
-        self._held = False
+        self._held = self._settled = False
         self._digest = digest_of(lecture.bench.profile)
         status = client.status()
         self.simulated = status["driver"] == "sim"
@@ -96,8 +96,9 @@ class LiveSwinger:
         for _ in range(_AGAIN):
             record = self._swing(weights)
             swung, whole = self._seen(record)
+            settled, self._settled = self._settled, not swung.cause
             if whole:
-                return swung
+                return swung._replace(settled=settled)
             self._say("the record has gaps before the ball: the swing is made again")
         found = f"{_AGAIN} records with gaps before the ball"
         raise self._refused(found, "whole ones", "Look at the loop's timing: golfbench status.")
@@ -204,6 +205,7 @@ class LiveSwinger:
             return
         match status["state"]:
             case "READY":
+                self._settled = False
                 self._client.arm()
             case "ESTOP" | "FAULT":
                 self._client.reset()

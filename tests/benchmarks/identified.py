@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from bench.config import Configuration, load_configuration
 from bench.errors import BenchError, Refused
-from bench.learning.beginning import Recorded, begun_on
+from bench.learning.beginning import begun_on
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.identify import identify
 from bench.learning.learn import Lecture, learn, on_series, prepare
 from bench.learning.plant_file import plant_file, write_plant_file
+from bench.learning.recorded import Recorded
 from bench.learning.series import Bench, Series
 from bench.learning.variation import WORN, Variation, drawn
 from bench.swing.design import Demand, DesignFailed, design_swing

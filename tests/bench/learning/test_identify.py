@@ -14,12 +14,11 @@ from bench.errors import BenchError
 from bench.learning.identify import (
     NAMES,
     Identified,
-    from_first_tick,
     identify,
-    require_alike,
     variation_of,
 )
 from bench.learning.plant_file import plant_file, write_plant_file
+from bench.learning.recorded import from_first_tick, require_alike
 from bench.learning.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
