@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -18,14 +17,15 @@ from bench.learning.identify import (
     variation_of,
 )
 from bench.learning.plant_file import plant_file, write_plant_file
-from bench.learning.recorded import from_first_tick, require_alike
 from bench.learning.series import Bench, Series
+from bench.learning.variation import drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 
 STEADY = load_configuration(Path("steady"))
 BENCH = Bench(STEADY.plant, load_profile(find_profile("steady")), STEADY.control)
 FLOW, INERTIA = NAMES.index("flow of the shoulder's valve"), NAMES.index("club inertia")
+SUPPLY, VANE = NAMES.index("supply pressure"), NAMES.index("vane area")
 
 
 def nominal() -> np.ndarray:
@@ -61,21 +61,17 @@ def test_the_identified_robot_is_a_configuration(tmp_path: Path) -> None:
     assert again.control == STEADY.control
 
 
-def test_a_record_without_a_whole_swing_is_refused() -> None:
-    from bench.telemetry.cycle_record import CYCLE
-    from sim.compiled import new_record
-
-    with pytest.raises(BenchError, match="no whole swing"):
-        from_first_tick(new_record(CYCLE, 100), BENCH.profile, "record")
+def test_nothing_is_identified_from_nothing() -> None:
     with pytest.raises(BenchError, match="no swing"):
         identify(BENCH, [])
 
 
-def test_swings_with_another_correction_are_not_alike() -> None:
-    profile = load_profile(find_profile("default"))
-    require_alike(profile, replace(profile, text="the same"), "b")
-    other = replace(profile, valve=profile.valve + 1e-3)
-    with pytest.raises(BenchError, match="corrected otherwise"):
-        require_alike(profile, other, "b")
-    with pytest.raises(BenchError, match="a swing of steady"):
-        require_alike(profile, load_profile(find_profile("steady")), "b")
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+def test_the_search_begins_with_the_measured_supply() -> None:
+    """The search from the nominal one was led to a robot with too little air to swing, and ended there."""
+    truth = drawn(6, BENCH.model)
+    series = Series(BENCH, truth.applied_to(BENCH.model))
+    series.swing(BENCH.profile)
+    found = identify(BENCH, [series.swing(BENCH.profile).cycles], (NAMES[SUPPLY], NAMES[VANE]))
+    assert found.values[SUPPLY] == pytest.approx(truth.supply, abs=0.01)
+    assert found.after < 0.5 * found.before

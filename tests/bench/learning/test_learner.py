@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.learning.figures import Figures, Tolerance
-from bench.learning.learner import Learner, LearningSettings, Trial
+from bench.learning.learner import Beginning, Learner, LearningSettings, Trial
 from bench.learning.response import Response
 
 Array = NDArray[np.float64]
@@ -123,3 +123,71 @@ def test_the_best_is_kept_whatever_came_later() -> None:
     for part in (0.5, 0.8, 0.9):
         learner.note(Trial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path))
     assert learner.trials[learner.chosen].point is good.point
+
+
+def begun(robot: Robot, point: Array) -> Beginning:
+    """What is known of a robot whose figures without correction are known to be `robot.offset` off."""
+    figures = TARGET.array + robot.offset + robot.model.by_figures @ point
+    path = robot.model.path + (robot.model.by_path @ point).reshape(ROWS, 3)
+    about = robot.model._replace(figures=figures, path=path)
+    return Beginning(point, about, (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
+
+
+def test_the_first_swing_after_arming_confirms_nothing_and_is_not_kept() -> None:
+    robot = Robot(1, offset=0.0, scatter=0.0)
+    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    for settled in (False, False, True):
+        learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
+        assert not learner.confirmed
+    assert learner.chosen == 2
+    learner.note(robot.swing(np.zeros(WEIGHTS)))
+    assert learner.confirmed
+
+
+def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() -> None:
+    """It is ten tolerances of head speed off what the same weights deliver later."""
+    used = {}
+    for told in (True, False):
+        used[told] = 0
+        for seed in range(6):
+            robot = Robot(seed, doubt=0.1)
+            learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+            first = robot.swing(learner.point)
+            first.figures[1] += 10 * robot.scale[1]
+            learner.note(first._replace(settled=not told))
+            while not learner.confirmed:
+                learner.note(robot.swing(learner.point))
+            used[told] += len(learner.trials)
+    assert used[True] < used[False]
+
+
+def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
+    robot = Robot(2, offset=0.1, scatter=0.0)
+    zero = np.zeros(WEIGHTS)
+    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
+    assert np.array_equal(learner.point, zero)
+    unlucky = Trial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
+    learner.note(unlucky)
+    assert np.array_equal(learner.point, zero)
+    alone = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    alone.note(unlucky)
+    assert not np.array_equal(alone.point, zero)
+
+
+def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> None:
+    robot = Robot(3, offset=3.0, doubt=0.05)
+    known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
+    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), known)
+    robot.scatter = 0.0
+    off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
+    assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
+
+
+def test_a_mean_beside_the_target_is_stepped_from_not_repeated_for_ever() -> None:
+    robot = Robot(4, offset=0.0, scatter=0.0)
+    zero = np.zeros(WEIGHTS)
+    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
+    for _ in range(4):
+        learner.note(Trial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
+    assert not learner.confirmed
+    assert not np.array_equal(learner.point, zero)

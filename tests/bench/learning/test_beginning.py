@@ -1,0 +1,81 @@
+"""Beginning on an identified robot: what identification left over is made up for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.config import load_configuration
+from bench.errors import BenchError
+from bench.learning.beginning import begun_on, left_over
+from bench.learning.figures import Tolerance
+from bench.learning.learn import Lecture, on_series, prepare
+from bench.learning.recorded import Recorded
+from bench.learning.series import Bench, Series
+from bench.learning.variation import Variation
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+STEADY = load_configuration(Path("steady"))
+PLANT = STEADY.plant
+BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
+ROBOT = Variation(friction=(1.1, 0.95, 1.05), flow=(0.97, 1.02, 0.98), supply=0.99)
+TRUTH = ROBOT.applied_to(PLANT)
+IDENTIFIED = replace(ROBOT, flow=(0.96, 1.02, 0.98), supply=0.985).applied_to(PLANT)
+"""Not quite it."""
+
+
+@pytest.fixture(scope="module")
+def lecture() -> Lecture:
+    return prepare(BENCH)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[Recorded]:
+    series = Series(BENCH, TRUTH)
+    series.swing(BENCH.profile)
+    swings = [series.swing(BENCH.profile).cycles for _ in range(2)]
+    return [Recorded(BENCH.profile, cycles, PLANT.encoders) for cycles in swings]
+
+
+def first_settled(lecture: Lecture) -> float:
+    """Return how far the second swing is off, worst figure in tolerances: the first begins with other air."""
+    assert lecture.beginning is not None
+    swing = on_series(lecture, Series(BENCH, TRUTH))
+    assert not swing(lecture.beginning.point).settled
+    swung = swing(lecture.beginning.point)
+    assert swung.settled
+    off = (swung.figures.array - lecture.target.array) / Tolerance().scale(lecture.target)
+    return float(np.abs(off).max())
+
+
+def test_the_first_swings_are_near_with_what_identification_left_over(
+    lecture: Lecture, recorded: list[Recorded]
+) -> None:
+    scale = Tolerance().scale(lecture.target)
+    assert 0.7 < np.abs(left_over(BENCH, IDENTIFIED, recorded) / scale).max() < 2.0
+    known, unknown = begun_on(lecture, IDENTIFIED, recorded), begun_on(lecture, IDENTIFIED)
+    assert first_settled(known) < 1.0
+    assert first_settled(known) < 0.7 * first_settled(unknown)
+    assert known.beginning is not None
+    expected = (known.beginning.response.figures - lecture.target.array) / scale
+    assert np.abs(expected).max() < 1.0
+
+
+def test_nothing_is_left_over_of_the_robot_itself(lecture: Lecture, recorded: list[Recorded]) -> None:
+    off = left_over(BENCH, TRUTH, recorded) / Tolerance().scale(lecture.target)
+    assert np.abs(off).max() < 0.7
+
+
+def test_another_robot_than_the_recorded_one_is_refused(lecture: Lecture, recorded: list[Recorded]) -> None:
+    other = Variation(supply=0.93).applied_to(PLANT)
+    with pytest.raises(BenchError, match="beside the records"):
+        begun_on(lecture, other, recorded)
