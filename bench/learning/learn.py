@@ -119,17 +119,21 @@ def learn(
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
     told: Callable[[Attempt], None] = lambda attempt: None,
+    start: Array | None = None,
 ) -> Lesson:
     """Swing until the target is reached and confirmed, or the swings are used up.
 
     It is reached when swings with the same correction lie well within every tolerance in the mean, two at the
-    least, and so does the last of them.
+    least, and so does the last of them. The first swing is made with the weights `start` (m,), if they are
+    given; else where the lecture begins.
 
     Raises:
         Refused: the robot does not come back to its address.
     """
     settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
     learner = Learner(lecture.response, lecture.target, tolerance, settings, lecture.beginning)
+    if start is not None:
+        learner.point = start
     attempts: list[Attempt] = []
     for _ in range(settings.swings + 1):
         trial, attempt = _attempt(lecture, swing, learner)
