@@ -25,6 +25,7 @@ from bench.swing.design import (
     _problem,
     _swing_up,
     address_pose,
+    design_downswing,
     design_swing,
     highest_speed,
     slope_of,
@@ -220,6 +221,22 @@ def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) ->
     assert problem.slope - 1e-5 <= np.arctan2(vy, vx) <= problem.slope + problem.concessions.rise + 1e-5
     assert plan.time[-1] <= problem.time[1] + problem.concessions.time + 1e-6
     assert np.all(plan.carried <= np.array(problem.cushions) + 1e-3)
+
+
+def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
+    monkeypatch.setattr("bench.swing.design._INTERVALS", 14)
+    bench = _bench("steady", "steady")
+    demand = Demand(head_speed=38.0, attack=radians(2.0))
+    told = list[tuple[str, float]]()
+    begun = _swing_up(bench, demand)
+    found, _ = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
+    ratings = [[a.stop.energy] for a in bench.plant.actuators]
+    assert found.trial.struck
+    assert np.hypot(*found.trial.head[3:5]) == pytest.approx(38.0, abs=0.1)
+    assert np.all(found.trial.missed_energy <= ratings)
+    assert told[0] == ("a first swing", 0.0)
+    assert told[-1] == ("downswing", 1.0)
 
 
 def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
