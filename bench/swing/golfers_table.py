@@ -119,7 +119,7 @@ def reach_table(rows: list[Row], plant: PlantParameters) -> Table:
             "" if speed is None else f"{speed:.1f}",
             "" if row.short < _SHORT else f"{row.short:.1f}",
             f"{row.human.time[-1]:.2f} {row.swing.downswing_time:.2f}",
-            "" if attack is None else f"{attack:+.1f}",
+            "" if attack is None else f"{round(attack, 1) + 0.0:+.1f}",  # no minus before nothing
             " ".join(f"{value:.2f}" for value in out_of_reach(plant, row.human)),
         )
     return table
