@@ -32,7 +32,7 @@ Cycles = np.ndarray[Any, Any]
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
 """How far robots delivered off what was expected of them at first, tolerances and rad, and the share by which
 their response differed from the identified one: drawn ones and a worn one, see the benchmark `identified`."""
-_MOST_LEFT_OVER = 5.0
+_MOST_LEFT_OVER = 10.0
 """Tolerances that identification may leave over: it was one at the most where it had found the robot."""
 _ANYTHING = (1e4,) * 4
 """Instead of the first where no recorded swing tells."""
