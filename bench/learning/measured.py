@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import cos, radians, sin
 from typing import Any
 
@@ -27,6 +28,8 @@ strike may begin so far before the face's centre is there."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 12
 """Before the contact, through which a parabola goes: of the angles themselves, or of what they are off the
 modelled swing, which changes more slowly."""
+_LATE = 60
+"""Ticks by which a robot may come later or earlier than the modelled one."""
 _SEARCHED = (-0.0015, 0.0035)
 """s around the last reading."""
 _DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
@@ -39,8 +42,9 @@ def delivery_from_encoders(
 
     The angles of the last readings are carried on by a parabola to where face and ball touch: an estimator
     that has to be ready for the impact's jump says less. With `plan` (k, 3), the modelled swing without a
-    ball tick by tick, the parabola is that of the difference to it. A latency that all encoders share does
-    not matter.
+    ball tick by tick, the parabola is that of the difference to it, laid where its head is where the robot's
+    is: a robot that comes later is not compared with a model that has run into its cushions. A latency that
+    all encoders share does not matter.
     """
     robot, site, encoders = plant.robot, plant.site, plant.encoders
     per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
@@ -54,15 +58,12 @@ def delivery_from_encoders(
     if not crossings.size or crossings[0] < readings:
         return None
     last = int(crossings[0]) + 1
-    before = np.arange(last - readings, last)
-    window = np.arange(last - readings, last + 4)
-    planned = np.zeros((len(window), 3)) if plan is None else plan[window[0] : window[-1] + 1]
-    if len(planned) < len(window):
+    curve = _nothing if plan is None else _beside(plan, plant, last, float(head[last - 1, 0]))
+    if curve is None:
         return None
-    curve = CubicSpline((window - last + 1) * plant.tick, planned)
-    angles = angle[before] - planned[:readings]
-    powers = np.vander((before - last + 1) * plant.tick, 3, increasing=True)
-    line = np.linalg.lstsq(powers, angles, rcond=None)[0]
+    times: Array = plant.tick * np.arange(1 - readings, 1, dtype=np.float64)
+    powers = np.vander(times, 3, increasing=True)
+    line = np.linalg.lstsq(powers, angle[last - readings : last] - curve(times), rcond=None)[0]
     face = impact_parameters(robot.club, plant.ball, robot.lie)
 
     def pose(at: float) -> Any:
@@ -84,6 +85,32 @@ def delivery_from_encoders(
         )  # fmt: skip
     except ValueError:
         return None
+
+
+def _nothing(time: Array | float) -> Array:
+    return np.zeros((*np.shape(time), 3))
+
+
+def _beside(
+    plan: Array, plant: PlantParameters, last: int, x: float
+) -> Callable[[Array | float], Array] | None:
+    """Return the angles of `plan` (k, 3) by the time (s) from where its head comes to `x` (m) on.
+
+    That is looked for around row `last`; None where it does not come, or where the plan ends too early.
+    """
+    first = max(last - _LATE - _READINGS_BESIDE_PLAN, 0)
+    near = plan[first : last + _LATE]
+    head = forward_kinematics(plant.robot, near)
+    low = head[:, 1] < plant.site.ball_y + 0.1
+    crossings = np.flatnonzero((head[:-1, 0] <= x) & (x < head[1:, 0]) & low[1:])
+    if not crossings.size:
+        return None
+    k = int(crossings[0])
+    row = k + (x - head[k, 0]) / (head[k + 1, 0] - head[k, 0])
+    if row < _READINGS_BESIDE_PLAN or row + _SEARCHED[1] / plant.tick > len(near):
+        return None
+    spline = CubicSpline(np.arange(len(near)), near)
+    return lambda time: np.asarray(spline(row + np.asarray(time) / plant.tick))
 
 
 def strike_from_mark(toe_mm: float, high_mm: float, plant: PlantParameters) -> float:
