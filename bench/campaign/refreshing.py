@@ -1,8 +1,8 @@
 """When a swing is learned anew: between blocks, when its delivery has drifted from what it was.
 
-A block's deliveries of one swing and club are compared with those of the first whole block after it was
-learned last, by the same measuring chain: what the chain sees wrongly it sees wrongly in both. The ball's
-results are never looked at.
+A block's deliveries of one swing and club are compared with those of the first block after it was learned
+last, small blocks taken together, by the same measuring chain: what the chain sees wrongly it sees wrongly
+in both. The ball's results are never looked at.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Arm = tuple[str, str]
 """Swing and club."""
 
 _LEAST = 3
-"""Shots of a swing and club in a block, without which it says nothing."""
+"""Shots of a swing and club that say something: smaller blocks wait for the next one."""
 _NAMES = ("head speed", "attack angle", "shaft lean", "strike heel to toe", "strike low to high")
 
 
@@ -57,9 +57,9 @@ class Drifts:
         block, arm = (step.trial.section, step.trial.block), step.trial.arm
         if block != self._block:
             self._block = block
-            seen, self._seen = self._seen, defaultdict(list)
-            for drift in filter(None, map(self._judged, seen, seen.values())):
-                self._open[drift.arm] = drift
+            for seen in [key for key, shots in self._seen.items() if len(shots) >= _LEAST]:
+                if (drift := self._judged(seen, self._seen.pop(seen))) is not None:
+                    self._open[seen] = drift
         return self._open.pop((arm.swing, arm.club), None)
 
     def note(self, shot: Shot) -> None:
@@ -72,8 +72,6 @@ class Drifts:
             self._seen[shot.swing, shot.club].append(figures)
 
     def _judged(self, arm: Arm, shots: list[Array]) -> Drift | None:
-        if len(shots) < _LEAST:
-            return None
         now, before = np.array(shots), self._baseline.get(arm)
         if before is None:
             self._baseline[arm] = now

@@ -97,7 +97,14 @@ def test_shots_that_do_not_count_say_nothing(plan: Plan, changes: dict[str, Any]
 
 def test_too_few_shots_say_nothing(plan: Plan) -> None:
     blocks = Blocks(plan)
-    assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number, shots=2))
+    assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number, shots=1))
+
+
+def test_small_blocks_are_taken_together(plan: Plan) -> None:
+    blocks = Blocks(plan)
+    speeds = (*[42.0] * 4, *[42.5] * 6)
+    told = [list(blocks.block(number, speed, shots=2)) for number, speed in enumerate(speeds, 1)]
+    assert [drift[0] is not None for drift in told] == [False] * 6 + [True] + [False] * 3
 
 
 def test_a_plan_that_does_not_ask_for_it_is_left_alone(plan: Plan) -> None:
