@@ -38,7 +38,7 @@ from sim.ball import Ball
 from sim.compiled import new_record
 from sim.driver import SimDriver, hanging_pose
 from sim.flight import Flight, Wind, fly
-from sim.impact import Delivery, delivery_from_plane, impact_parameters
+from sim.impact import Delivery, impact_parameters
 from sim.plant import Plant, PlantParameters, build_plant, initial_state
 from sim.truth import Contact, contact_in
 from sim.turf import Turf
@@ -416,9 +416,7 @@ class _Rig:
         if self.cycle is not None and (error := self.cycle.read_error or self.cycle.publish_error):
             reason += f" ({error})"
         if contact is not None and ball is not None:
-            delivery = delivery_from_plane(
-                contact.head, contact.head_velocity, (site.ball_x, site.ball_y), club, robot.lie
-            )
+            delivery = contact.delivery(robot, (site.ball_x, site.ball_y))
             launch = contact.launch
             around = self.bench.surroundings
             try:

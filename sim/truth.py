@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 from drivers.base import Launch
 from sim.compiled import compiled
-from sim.impact import launch_from_motion
+from sim.impact import Delivery, delivery_from_plane, launch_from_motion
+from sim.robot import RobotParameters
 from sim.vectors import Vector
 
 
@@ -41,6 +42,10 @@ class Contact(NamedTuple):
     def launch(self) -> Launch:
         """What a launch monitor would report."""
         return launch_from_motion(self.ball_velocity, self.ball_spin)
+
+    def delivery(self, robot: RobotParameters, ball_position: tuple[float, float]) -> Delivery:
+        """Return how the club of `robot` came to the ball at `ball_position` (m, in the swing plane)."""
+        return delivery_from_plane(self.head, self.head_velocity, ball_position, robot.club, robot.lie)
 
 
 def contact_in(plant_state: Any) -> Contact | None:

@@ -196,31 +196,32 @@ def running_bench(
 
 
 @contextmanager
+def command_beside(file: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run `golfbench` with the configuration `file` beside the test; its stderr can be read."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "bench", "--config", str(file), *arguments], stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
 def played_nodes(file: Path, *arguments: str) -> Iterator[None]:
     """Play the devices of the configuration `file` as `golfbench nodes` does."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "nodes", *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    with command_beside(file, "nodes", *arguments) as process:
         try:
             assert process.stderr is not None
             assert any("live on local_socket" in line for line in iter(process.stderr.readline, ""))
             yield
         finally:
             process.terminate()
+            process.wait()
 
 
 @contextmanager
 def simulated_monitor(file: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Run `golfbench launch-monitor` beside the test."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "launch-monitor", *options],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with command_beside(file, "launch-monitor", *options) as process:
         yield process
-    finally:
-        process.kill()
-        process.communicate()

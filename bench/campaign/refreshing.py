@@ -57,9 +57,9 @@ class Drifts:
         block, arm = (step.trial.section, step.trial.block), step.trial.arm
         if block != self._block:
             self._block = block
-            for seen in [key for key, shots in self._seen.items() if len(shots) >= _LEAST]:
-                if (drift := self._judged(seen, self._seen.pop(seen))) is not None:
-                    self._open[seen] = drift
+            for told in [key for key, shots in self._seen.items() if len(shots) >= _LEAST]:
+                if (drift := self._judged(told, self._seen.pop(told))) is not None:
+                    self._open[told] = drift
         return self._open.pop((arm.swing, arm.club), None)
 
     def note(self, shot: Shot) -> None:

@@ -103,14 +103,13 @@ def play(
     """
     from bench.interrupt import wish_to_end
     from sim.contact_watch import ContactWatch, warm_up
-    from sim.impact import delivery_from_plane
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
     from sim.shared_record import SharedMemoryError
 
     warm_up()
     watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
     where = f"{address[0]} port {address[1]}"
-    robot, place = plant.robot, (plant.site.ball_x, plant.site.ball_y)
+    place = plant.site.ball_x, plant.site.ball_y
     balls, attach_at = 0, -1.0
     told: tuple[bool, bool] | None = None
     try:
@@ -123,9 +122,7 @@ def play(
                 if (contact := watch.look()) is not None:
                     balls += 1
                     launch = contact.launch
-                    came = delivery_from_plane(
-                        contact.head, contact.head_velocity, place, robot.club, robot.lie
-                    )
+                    came = contact.delivery(plant.robot, place)
                     monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle))
                     say(f"ball {balls}: {launch.speed:.2f} m/s, {'told' if monitor.waiting else 'not told'}")
                 monitor.step(now)

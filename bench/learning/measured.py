@@ -25,6 +25,8 @@ Cycles = np.ndarray[Any, Any]
 _BEFORE = 0.004
 """Distance (m) of face and ball at which the last reading before the contact is looked for: an off-centre
 strike may begin so far before the face's centre is there."""
+_LOW = 0.1
+"""m above the ball below which the head is at the bottom of the swing."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 12
 """Before the contact, through which a parabola goes: of the angles themselves, or of what they are off the
 modelled swing, which changes more slowly."""
@@ -52,7 +54,7 @@ def delivery_from_encoders(
     angle += 2 * np.pi * np.round((cycles["angle"] - angle) / (2 * np.pi))
     head = forward_kinematics(robot, angle)
     # The first crossing forwards at the bottom of the swing; the club also comes by above.
-    ahead, low = site.ball_x - head[:, 0] > _BEFORE, head[:, 1] < site.ball_y + 0.1
+    ahead, low = site.ball_x - head[:, 0] > _BEFORE, head[:, 1] < site.ball_y + _LOW
     crossings = np.flatnonzero(ahead[:-1] & ~ahead[1:] & low[1:] & np.isin(cycles["phase"], _DOWN)[1:])
     readings = _READINGS if plan is None else _READINGS_BESIDE_PLAN
     if not crossings.size or crossings[0] < readings:
@@ -101,7 +103,7 @@ def _beside(
     first = max(last - _LATE - _READINGS_BESIDE_PLAN, 0)
     near = plan[first : last + _LATE]
     head = forward_kinematics(plant.robot, near)
-    low = head[:, 1] < plant.site.ball_y + 0.1
+    low = head[:, 1] < plant.site.ball_y + _LOW
     crossings = np.flatnonzero((head[:-1, 0] <= x) & (x < head[1:, 0]) & low[1:])
     if not crossings.size:
         return None

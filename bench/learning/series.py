@@ -20,7 +20,7 @@ from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.lockstep import Lockstep
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
-from sim.impact import Delivery, delivery_from_plane
+from sim.impact import Delivery
 from sim.plant import Plant, PlantParameters, build_plant
 from sim.truth import contact_in
 
@@ -168,13 +168,11 @@ class Series:
         # As bytes: numpy joins records field by field and leaves their padding to chance.
         parts = [part.view(np.uint8) for part in (first, stepper.advance(ticks - 1))]
         cycles = np.concatenate(parts).view(CYCLE)
-        contact, robot, site = contact_in(stepper.plant_state), self.bench.model.robot, self.bench.model.site
+        contact, site = contact_in(stepper.plant_state), self.bench.model.site
         delivery, time = None, float("nan")
         if contact is not None:
             time = contact.time - float(cycles["time"][0])
-            delivery = delivery_from_plane(
-                contact.head, contact.head_velocity, (site.ball_x, site.ball_y), robot.club, robot.lie
-            )
+            delivery = contact.delivery(self.bench.model.robot, (site.ball_x, site.ball_y))
         used = float(stepper.plant_state["air_used"][0]) - before
         settled, self._settled = self._settled, True
         return Swing(cycles, delivery, time, self._cause, used, settled)

@@ -170,9 +170,7 @@ def _collector() -> _Item:
 def _huge_pages() -> _Item:
     # Locked memory moves all the same: the kernel gathers small pages into huge ones while the loop waits.
     def ask(undo: ExitStack) -> None:
-        before = _call("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0)
-        _call("prctl", _PR_SET_THP_DISABLE, 1, 0, 0, 0)
-        undo.callback(_call, "prctl", _PR_SET_THP_DISABLE, before, 0, 0, 0)
+        _set_to_one(_PR_GET_THP_DISABLE, _PR_SET_THP_DISABLE, undo)
 
     def read() -> tuple[str, bool]:
         off = _call("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0) != 0
@@ -214,9 +212,7 @@ def _processor(cpu: int) -> _Item:
 
 def _timer_slack() -> _Item:
     def ask(undo: ExitStack) -> None:
-        before = _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
-        _call("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)
-        undo.callback(_call, "prctl", _PR_SET_TIMERSLACK, before, 0, 0, 0)
+        _set_to_one(_PR_GET_TIMERSLACK, _PR_SET_TIMERSLACK, undo)
 
     def read() -> tuple[str, bool]:
         slack = _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
@@ -270,6 +266,13 @@ def _restore_scheduling(policy: int, parameter: os.sched_param) -> None:
         os.sched_setscheduler(0, policy, parameter)
     except PermissionError:  # without CAP_SYS_NICE the flag stays; it harms nobody
         os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameter)
+
+
+def _set_to_one(get: int, put: int, undo: ExitStack) -> None:
+    """Set what `prctl` gets by `get` and sets by `put` to 1, and back to what it was by `undo`."""
+    before = _call("prctl", get, 0, 0, 0, 0)
+    _call("prctl", put, 1, 0, 0, 0)
+    undo.callback(_call, "prctl", put, before, 0, 0, 0)
 
 
 def _call(name: str, *arguments: int) -> int:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +13,7 @@ from bench.errors import BenchError, ExitCode
 from bench.nodes_command import nodes_plan
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
+from tests.running_bench import command_beside
 
 LONGEST = 100.0
 """s; the first start compiles."""
@@ -33,23 +30,10 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-@contextmanager
-def played(file: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(
-        [sys.executable, "-m", "bench", "--config", str(file), "nodes", *options],
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
 def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path, tmp_path: Path) -> None:
     arguments = load_configuration(file).driver_arguments()
     driver = choose_driver("canopen", find_drivers())(**arguments)
-    with played(file, "--folder", str(tmp_path)) as process:
+    with command_beside(file, "nodes", "--folder", str(tmp_path)) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
         assert any("nodes 21, 22, 23, 40 live on local_socket" in line for line in lines)
@@ -65,7 +49,7 @@ def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path
 
 def test_nodes_without_an_interface_say_what_to_do(file: Path) -> None:
     file.write_text(file.read_text().replace("local_socket", "no_such_interface"))
-    with played(file) as process:
+    with command_beside(file, "nodes") as process:
         _, told = process.communicate(timeout=LONGEST)
     assert process.returncode == ExitCode.DEVICE
     assert "error: nodes on no_such_interface" in told
