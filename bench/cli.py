@@ -15,23 +15,23 @@ from typing import Annotated, Literal, NoReturn
 
 import typer
 
-from bench.calibration.commands import app as calibration_app
-from bench.campaign.commands import app as campaign_app
+from bench.commands.calibrate import app as calibration_app
+from bench.commands.campaign import app as campaign_app
+from bench.commands.certificates import certificates
+from bench.commands.compare import compare
+from bench.commands.export import export
+from bench.commands.faults import app as faults_app
+from bench.commands.identify import identify
+from bench.commands.launch_monitor import launch_monitor
+from bench.commands.learn import learn
+from bench.commands.nodes import nodes
+from bench.commands.operate import app as control_app
+from bench.commands.run import run
+from bench.commands.session import Session
+from bench.commands.swing import app as swing_app
+from bench.commands.tune import tune
+from bench.commands.view import view
 from bench.errors import BenchError, ExitCode
-from bench.export.commands import export
-from bench.faults.commands import app as faults_app
-from bench.launch.command import launch_monitor
-from bench.learning.commands import learn
-from bench.learning.compare_command import compare
-from bench.learning.identify_command import identify
-from bench.network.certificates_command import certificates
-from bench.network.control_commands import app as control_app
-from bench.nodes_command import nodes
-from bench.run_command import run
-from bench.session import Session
-from bench.swing.commands import app as swing_app
-from bench.tuning.command import tune
-from bench.viewer.commands import view
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -114,8 +114,8 @@ def doctor(
 
     from rich.console import Console
 
-    from bench.doctor import examine, probes, report, table, usable
-    from bench.progress import progress_bar
+    from bench.commands.doctor import examine, probes, report, table, usable
+    from bench.commands.progress import progress_bar
 
     if data_dir is None:
         data_dir = context.ensure_object(Session).configuration().bench.data_dir
@@ -154,11 +154,11 @@ def demo(
     """
     configuration = context.ensure_object(Session).configuration()
     if engine == "bench":
-        from bench.demonstration.live import run_live_demo
+        from bench.commands.demo.live import run_live_demo
 
         valid = run_live_demo(configuration, output, swings, seed)
     else:
-        from bench.demonstration.lock_step import run_lock_step_demo
+        from bench.commands.demo.lock_step import run_lock_step_demo
 
         valid = run_lock_step_demo(configuration, output, swings, seed)
     if not valid:
@@ -179,7 +179,7 @@ def check(
     """
     from rich.console import Console
 
-    from bench.check_report import check_all
+    from bench.commands.check import check_all
 
     check_all(context.ensure_object(Session), profile, Console())
 
@@ -196,7 +196,7 @@ def replay(
 
     Ends with 1 when a field differs.
     """
-    from bench.replay_report import replay_command
+    from bench.commands.replay import replay_command
 
     if not replay_command(record, tolerance, json_):
         raise typer.Exit(ExitCode.REFUSED)

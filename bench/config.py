@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from ipaddress import ip_address
 from math import asin, ceil, hypot, isnan, pi
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from bench.control.settings import (
     MODEL_PHASES,
@@ -28,6 +28,7 @@ from bench.control.settings import (
 )
 from bench.errors import BenchError
 from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
+from drivers.base.ranges import Range, short
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.settings import DaqSettings
 from drivers.launch_monitor.settings import LaunchMonitorSettings
@@ -36,9 +37,11 @@ from sim.ball import Ball
 from sim.faults import LONGEST_DELAY, Fault
 from sim.flight import Wind
 from sim.plant import HISTORY, PlantParameters
-from sim.ranges import Range, short
 from sim.robot import Club
 from sim.turf import Turf
+
+if TYPE_CHECKING:
+    from sqlalchemy import URL
 
 SHIPPED = "shipped"
 VARIANTS = Path(__file__).with_name("configurations")
@@ -368,6 +371,32 @@ def _plain(value: Any) -> Any:
 
 # What several keys must hold together ----------------------------------------------------------------
 
+DATABASE_FILE = "golfbench.sqlite"
+
+
+def database_url(database: str, data_dir: Path) -> URL:
+    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
+
+    Raises:
+        BenchError: `database` is no URL of a database that several processes can open.
+    """
+    from sqlalchemy import URL, make_url  # slow to import, and needed only here
+    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+
+    if not database:
+        return URL.create("sqlite", database=str(data_dir / DATABASE_FILE))
+    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
+    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
+    try:
+        url = make_url(database)
+        url.get_dialect()
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise BenchError("bench.database", "no URL that SQLAlchemy knows", wanted, cure) from None
+    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
+        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
+    return url
+
+
 Mistake = tuple[str, str, str, str]
 """Key, found, expected, cure."""
 
@@ -381,8 +410,6 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             "It is part of addresses.",
         )
     if c.bench.database:
-        from bench.store.database import database_url
-
         try:
             database_url(c.bench.database, c.bench.data_dir)
         except BenchError as error:

@@ -21,11 +21,9 @@ import numpy as np
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.config import Configuration
+from bench.design.validate import beyond_range
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import Wish, wish_to_end
-from bench.launch.shot_join import ShotJoin
-from bench.launch.shot_message import SHOT_VERSION
-from bench.learning.correction import basis_of, digest_of
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
 from bench.network.command_plane import CommandPlane
 from bench.network.desk import DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply, Status
@@ -43,13 +41,15 @@ from bench.processes.service_notify import ServiceNotifier, watchdog_interval
 from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, status_of
 from bench.processes.support import Supporter
 from bench.processes.tick_timing import TimingReader, summary
+from bench.shot.shot_join import ShotJoin
+from bench.shot.shot_message import SHOT_VERSION
+from bench.swing.correction import basis_of, digest_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.swing.validate import beyond_range
 from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
-from sim.plant_exchange import PlantPlan
-from sim.plant_process import start_plant
+from sim.live.exchange import PlantPlan
+from sim.live.process import start_plant
 
 _log = logging.getLogger("golfbench")
 

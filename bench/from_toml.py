@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, ge
 from annotated_types import Ge, Gt, Le, Lt
 
 from bench.errors import BenchError, did_you_mean
-from sim.ranges import Range, short
+from drivers.base.ranges import Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
 """Suffix of a key -> unit of its field -> what the value is multiplied by."""

@@ -31,7 +31,7 @@ from drivers.base import (
     pack_readings,
     unpack_command,
 )
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE."""
@@ -200,7 +200,7 @@ class CycleArray:
 
 
 class Stepper(Protocol):
-    """What runs ticks: this module's `Loop`, or the compiled `bench.lockstep.Lockstep`."""
+    """What runs ticks: this module's `Loop`, or the compiled `bench.simulation.lockstep.Lockstep`."""
 
     state: ControlState
 

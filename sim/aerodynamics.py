@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import IntEnum
 from math import pi, sin
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 
 class Aerodynamics(IntEnum):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import exp, sqrt
 from typing import Annotated
 
-from sim.ranges import Range, check_ranges
+from drivers.base.ranges import Range, check_ranges
 
 _ZERO_CELSIUS = 273.15
 _STANDARD_PRESSURE = 101325.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from sim.ranges import Range, check_ranges
+from drivers.base.ranges import Range, check_ranges
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from drivers.base import (
     pack_command,
     unpack_readings,
 )
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.faults import (
     Fault,
     Faults,

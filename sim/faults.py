@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from drivers.base import CHAMBERS, COMMAND, JOINTS, READINGS
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
+from drivers.base.ranges import Range
 from sim.plant import Plant
 from sim.random_stream import uniform
-from sim.ranges import Range
 from sim.sensors import sense
 
 Kind = Literal[

@@ -16,11 +16,11 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from drivers.base import Launch
+from drivers.base.compiled import compiled, new_record
+from drivers.base.ranges import Range, check_ranges
 from sim.aerodynamics import SPIN_DECAY, Aerodynamics, coefficients
 from sim.air import Air
 from sim.ball import Ball
-from sim.compiled import compiled, new_record
-from sim.ranges import Range, check_ranges
 from sim.turf import Turf, bounce, roll
 from sim.vectors import Vector, added, norm, unit
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from math import exp
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 _SWEEPS = 500
 _CONVERGED = 1e-14

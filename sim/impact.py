@@ -35,8 +35,8 @@ from typing import Any, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from drivers.base import Launch
+from drivers.base.compiled import compiled, new_record
 from sim.ball import Ball
-from sim.compiled import compiled, new_record
 from sim.robot import Club
 from sim.vectors import Vector, added, cross, dot, norm, scaled, unit
 

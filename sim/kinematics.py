@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.robot import RobotParameters
 
 Array = NDArray[np.float64]

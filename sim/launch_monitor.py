@@ -18,7 +18,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from drivers.base import Launch
-from sim.ranges import Range, check_ranges
+from drivers.base.ranges import Range, check_ranges
 
 MPH, RPM = 0.44704, pi / 30.0
 """m/s; rad/s."""

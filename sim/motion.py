@@ -17,7 +17,7 @@ from __future__ import annotations
 from math import cos, inf, sin, sqrt
 from typing import Any
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.friction import friction_bound, friction_impulse
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force

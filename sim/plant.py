@@ -15,8 +15,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from drivers.base.compiled import compiled, new_record
+from drivers.base.ranges import Range
 from sim.ball import Ball
-from sim.compiled import compiled, new_record
 from sim.impact import impact_parameters
 from sim.motion import (
     SCRATCH,
@@ -27,7 +28,6 @@ from sim.motion import (
     stop_depth,
 )
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
-from sim.ranges import Range
 from sim.robot import Club, Length, RobotParameters
 from sim.sensors import HISTORY, sense
 from sim.tee import find_contact, strike_ball

@@ -12,8 +12,8 @@ from typing import Annotated
 
 import numpy as np
 
-from sim.compiled import compiled
-from sim.ranges import Range
+from drivers.base.compiled import compiled
+from drivers.base.ranges import Range
 
 REFERENCE_TEMPERATURE = 293.15
 GAS_CONSTANT = 287.05

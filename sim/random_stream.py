@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 
 @compiled

@@ -16,8 +16,8 @@ from typing import Annotated
 
 import numpy as np
 
-from sim.compiled import new_record
-from sim.ranges import Range
+from drivers.base.compiled import new_record
+from drivers.base.ranges import Range
 
 _INCH = 0.0254
 _POUND_PER_CUBIC_INCH = 0.45359237 / 0.00001639  # as in the thesis, kg/m3

@@ -6,7 +6,7 @@ from math import cos, floor, log, pi, sqrt
 from typing import Any
 
 from drivers.base import ABSENT
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.random_stream import uniform
 
 HISTORY = 64

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 from typing import Any
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.impact import face_gap, impact_in_plane, meets_face, strike_point
 from sim.kane import kane_terms, solve_symmetric
 from sim.motion import head_geometry, head_jacobian, move

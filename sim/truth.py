@@ -6,7 +6,7 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 from drivers.base import Launch
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.impact import Delivery, delivery_from_plane, launch_from_motion
 from sim.robot import RobotParameters
 from sim.vectors import Vector

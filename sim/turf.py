@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from math import acos, cos, hypot, radians, sin
 from typing import Annotated
 
-from sim.compiled import compiled
-from sim.ranges import Range, check_ranges
+from drivers.base.compiled import compiled
+from drivers.base.ranges import Range, check_ranges
 from sim.vectors import Vector, added, cross, dot, norm, scaled, unit
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 Vector = tuple[float, float, float]
 

@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.bench_folder import bench_folder
 from bench.config import Configuration, load_configuration
 from bench.errors import Refused
 from bench.lifecycle import Phase, State
@@ -22,6 +21,7 @@ from bench.network.client import BenchClient, CommandRefused
 from bench.network.desk import Status
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
+from bench.processes.bench_folder import bench_folder
 from bench.processes.plan import RING_FILE
 from bench.telemetry.ring import RingReader
 

@@ -9,9 +9,9 @@ from sqlalchemy.exc import IntegrityError
 
 from bench.calibration.calibration import Calibration, Entry
 from bench.calibration.values import KINDS, Kind, Values, content_of, values_of
-from bench.config import Configuration
+from bench.config import Configuration, database_url
 from bench.errors import BenchError
-from bench.store.database import database_url, is_there, open_database
+from bench.store.database import is_there, open_database
 from bench.store.tables import CalibrationRow
 
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree
 from drivers.base import Triple
+from drivers.base.ranges import Range
 from sim.plant import Sign, ZeroCount
-from sim.ranges import Range
 
 Coordinate = Annotated[float, Range(-3.0, 3.0, "m")]
 Centre = Annotated[float, Range(-0.2, 0.2, "")]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.driver import hanging_pose
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
 

@@ -15,12 +15,12 @@ from bench.campaign.plan import Plan
 from bench.campaign.refreshing import Arm, Drift
 from bench.campaign.swings import Profiles
 from bench.config import Configuration
+from bench.design.planned_openings import require_planned_openings
 from bench.learning.learn import Lecture, Swinger, learn, prepare
 from bench.learning.learner import LearningSettings
-from bench.learning.series import Bench
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
+from bench.simulation.series import Bench
 from bench.store.campaigns import CampaignEntry
-from bench.swing.planned_openings import require_planned_openings
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 

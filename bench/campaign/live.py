@@ -20,7 +20,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from bench.bench_folder import bench_folder
 from bench.campaign.corrections import Swung
 from bench.campaign.course import Step
 from bench.campaign.fitting import Kind, Wish
@@ -31,24 +30,25 @@ from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
 from bench.from_toml import shown
-from bench.launch.book import told_figures
-from bench.launch.shot_message import ShotMessage, launch_to_json
-from bench.learning.correction import digest_of
 from bench.learning.learn import Lecture
 from bench.learning.live import LiveSwinger
-from bench.live_swing import HOLD, LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.desk import Status as BenchStatus
+from bench.network.live_swing import HOLD, LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
+from bench.processes.bench_folder import bench_folder
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, Status
+from bench.shot.shot_matcher import told_figures
+from bench.shot.shot_message import ShotMessage, launch_to_json
+from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
+from drivers.base.shared_record import SharedMemoryError
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery, strike
+from sim.live.surroundings import Surroundings as PlantSurroundings
 from sim.robot import Club
-from sim.shared_record import SharedMemoryError
-from sim.surroundings import Surroundings as PlantSurroundings
 
 HOLDER = "campaign "
 """Begin of the name with which a campaign holds the bench."""

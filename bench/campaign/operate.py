@@ -25,10 +25,10 @@ from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
-from bench.file_lock import try_lock
 from bench.network.client import BenchClient
 from bench.network.desk import Status
 from bench.network.lease import LONGEST_HOLDER
+from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air

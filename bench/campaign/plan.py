@@ -12,8 +12,8 @@ from hashlib import sha256
 from math import pi
 from typing import Annotated, Any, Literal
 
+from drivers.base.ranges import Range
 from sim.ball import Ball
-from sim.ranges import Range
 from sim.robot import Club
 
 Quantity = Literal[

@@ -20,12 +20,12 @@ from bench.campaign.plan import Plan, Simulation
 from bench.campaign.refreshing import Drift
 from bench.campaign.simulated_monitor import Heard, hear
 from bench.config import Configuration
-from bench.launch.book import told_figures
 from bench.learning.learn import Lecture, Swinger, on_series
-from bench.learning.series import Series
-from bench.learning.variation import Variation
 from bench.shot.shot import Shot, Status
-from bench.simulate import ArmedBench, SimulatedBench, Surroundings, SwingResult
+from bench.shot.shot_matcher import told_figures
+from bench.simulation.series import Series
+from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, Surroundings, SwingResult
+from bench.simulation.variation import Variation
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import Flight, fly

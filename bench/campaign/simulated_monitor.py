@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from bench.launch.book import NOT_TOLD
+from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation
 from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match

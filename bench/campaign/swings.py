@@ -8,10 +8,10 @@ from itertools import product
 
 from bench.campaign.plan import Plan
 from bench.config import Configuration
+from bench.design.validate import require_possible
 from bench.errors import BenchError
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from bench.swing.validate import require_possible
 from sim.robot import Club
 
 Profiles = Mapping[tuple[str, str], Profile]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.envelope import joint_coordinates
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 
 FRESH = 0
 """A new, plausible sample."""

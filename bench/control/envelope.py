@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import Cause, Phase
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 PHASES = len(Phase)
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 
 ESTIMATOR_PARAMETERS = np.dtype(
     [

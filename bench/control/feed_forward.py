@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.air import actuator_force, actuator_motion
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.pneumatics import flow
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import Cause
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 RAMP = 0.3
 """s from rest to the search's speed."""

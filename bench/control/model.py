@@ -28,7 +28,7 @@ import numpy as np
 from bench.control.air import actuator_motion
 from bench.control.envelope import joint_coordinates
 from bench.lifecycle import Cause, Phase
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers
 

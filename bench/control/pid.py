@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 
 PID_PARAMETERS = np.dtype(
     [

@@ -6,7 +6,7 @@ from typing import Any
 
 from bench.control.envelope import interlock_cause
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 
 _ACCEPTED, _REFUSED = int(Answer.ACCEPTED), int(Answer.REFUSED)
 _SWING, _RESET, _STOP = int(Request.SWING), int(Request.RESET), int(Request.STOP)

@@ -28,7 +28,7 @@ from bench.lifecycle import (
 )
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.driver import hanging_pose, joint_travel
 from sim.plant import PlantParameters, build_plant
 

@@ -37,7 +37,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 from sim.kinematics import head_motion
 
 ARM, SWING, DISARM = int(Request.ARM), int(Request.SWING), int(Request.DISARM)

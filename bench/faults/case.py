@@ -19,8 +19,8 @@ from bench.control.settings import SIMULATED, build_controller
 from bench.control.step import ARM, STOP, SWING, ControlParameters, new_control_state
 from bench.faults.catalogue import EVENT_AFTER, Breakage
 from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, Refusal, Request, State
-from bench.lockstep import Lockstep
 from bench.loop import Cycles
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import PHASES as SWING_PHASES
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE

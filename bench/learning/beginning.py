@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.learning.correction import basis_of
 from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learn import Lecture, learn, on_series
 from bench.learning.learner import Beginning, LearningSettings
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.recorded import Recorded
 from bench.learning.response import Model
-from bench.learning.series import Bench, Series, quiet
+from bench.simulation.series import Bench, Series, quiet
+from bench.swing.correction import basis_of
 from sim.plant import Encoders, PlantParameters
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from bench.control.step import ControlParameters
 from bench.errors import BenchError, Refused
 from bench.learning.figures import UNKNOWN, Figures, figures_of
 from bench.learning.learn import Lecture, learn, on_series, prepare
-from bench.learning.series import Bench, Series, Swing
 from bench.lifecycle import Cause, Phase
+from bench.simulation.series import Bench, Series, Swing
 from bench.swing.profile import Profile
 from bench.swing.thesis_experiment import ThesisParameters
 from sim.kinematics import forward_kinematics

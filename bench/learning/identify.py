@@ -18,8 +18,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.errors import BenchError, Refused
-from bench.learning.series import Bench, Series, quiet
-from bench.learning.variation import Variation
+from bench.simulation.series import Bench, Series, quiet
+from bench.simulation.variation import Variation
 from bench.swing.profile import Profile
 from sim.robot import Club
 

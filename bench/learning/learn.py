@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.learning.correction import Basis, Correction, basis_of
 from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learner import Beginning, Learner, LearningSettings, Trial
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
-from bench.learning.series import Bench, Series
 from bench.lifecycle import Cause
+from bench.simulation.series import Bench, Series
+from bench.swing.correction import Basis, Correction, basis_of
 
 Array = NDArray[np.float64]
 

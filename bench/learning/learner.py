@@ -28,9 +28,9 @@ from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from bench.learning.correction import GREATEST_WEIGHT
 from bench.learning.figures import Figures, Tolerance
 from bench.learning.response import Response
+from bench.swing.correction import GREATEST_WEIGHT
 
 Array = NDArray[np.float64]
 

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import Refused
-from bench.learning.correction import digest_of
 from bench.learning.figures import UNKNOWN
 from bench.learning.learn import Lecture, Swung
 from bench.learning.measured import figures_from
 from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request
-from bench.live_swing import HOLD, LOOK, ShotNews, SwingRecord, in_words, tee_up
 from bench.network.client import LATCHED, BenchClient, CommandRefused
 from bench.network.desk import Status
+from bench.network.live_swing import HOLD, LOOK, ShotNews, SwingRecord, in_words, tee_up
 from bench.shot.recorded_shot import plant_of
+from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.errors import BenchError
-from bench.learning.correction import digest_of
 from bench.lifecycle import Phase
 from bench.shot.recorded_shot import plant_of
+from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.swing_metadata import read_profile

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.learning.correction import Basis
 from bench.learning.figures import figures_of
-from bench.learning.series import Bench, Swing, quiet, settled
 from bench.lifecycle import CAUSE_TEXT
+from bench.simulation.series import Bench, Swing, quiet, settled
+from bench.swing.correction import Basis
 from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ import numpy as np
 from sqlalchemy import Engine, func, insert, select
 
 from bench.errors import BenchError
-from bench.learning.correction import Correction, basis_of, digest_of
 from bench.learning.learn import Lesson
 from bench.store.tables import LearnedSwingRow
+from bench.swing.correction import Correction, basis_of, digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 

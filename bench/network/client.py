@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 import zenoh
 
 from bench.errors import BenchError, Refused
-from bench.launch.shot_message import ShotMessage, read_shot_message
 from bench.lifecycle import ACCEPTED_IN
 from bench.network.command import (
     REQUESTS,
@@ -35,6 +34,7 @@ from bench.network.command import (
 from bench.network.desk import STATUS_VERSION, Status
 from bench.network.lease import DEFAULT
 from bench.network.zenoh_session import NoAnswer, open_client
+from bench.shot.shot_message import ShotMessage, read_shot_message
 
 if TYPE_CHECKING:
     from bench.config import Configuration, NetworkSettings

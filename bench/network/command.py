@@ -15,9 +15,9 @@ from math import isfinite
 from typing import Any, NamedTuple, NoReturn
 
 from bench.errors import BenchError
-from bench.learning.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 from bench.lifecycle import Request
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_duration, is_holder
+from bench.swing.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 
 VERSION = 1
 """Of every message."""

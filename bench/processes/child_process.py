@@ -20,7 +20,7 @@ import numpy as np
 
 from bench.errors import BenchError, ExitCode
 from drivers.base import DriverError
-from sim.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 FOR_PARENT = (signal.SIGINT, signal.SIGABRT)
 """Signals that come to all processes at once and are the parent's: SIGINT from a shared terminal or as

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.learning.correction import MOST_WEIGHTS, basis_of
+from bench.swing.correction import MOST_WEIGHTS, basis_of
 from bench.swing.profile import Profile
-from sim.compiled import new_record
-from sim.shared_record import SharedRecord
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
 
 CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
 

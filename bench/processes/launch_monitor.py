@@ -5,7 +5,7 @@ each; it passes launches on to GSPro where that is configured. Plan: a pickled L
 Told on stdout, one JSON line each:
 
 `ready`      it reads the ring; whether it listens, `link` tells
-`shot`       `message`: a settled outcome, as `bench.launch.shot_message` describes it, without its record
+`shot`       `message`: a settled outcome, as `bench.shot.shot_message` describes it, without its record
 `link`       `link`: how the connections are (`LaunchMonitorStatus`); on change and every second
 `trouble`    `text`: it cannot listen; it tries again
 `relieved`   that is over
@@ -24,18 +24,18 @@ from datetime import UTC, datetime
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
-from bench.launch.book import LaunchBook, Told
-from bench.launch.shot_message import SHOT_VERSION, launch_to_json, shortened
-from bench.launch.swing_watch import SwingWatch
 from bench.network.desk import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
 from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.shot.recorded_shot import Surroundings, shot_to_json, warm_up_shots
+from bench.shot.shot_matcher import LaunchBook, Told
+from bench.shot.shot_message import SHOT_VERSION, launch_to_json, shortened
+from bench.shot.swing_watch import SwingWatch
 from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
+from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.server import LaunchMonitorServer
-from sim.shared_record import SharedMemoryError
 
 POLL = 0.01
 """s between two looks."""

@@ -26,7 +26,7 @@ from bench.processes.correction import (
 from bench.processes.plan import RING_FILE
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE
 from bench.telemetry.ring import RingReader
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
 

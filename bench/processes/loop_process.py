@@ -37,11 +37,11 @@ from bench.processes.tick_timing import TickTiming, check_budget, create_timing,
 from bench.telemetry.ring import RingWriter
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from drivers.base import Driver, DriverError
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
-from sim.compiled import new_record
-from sim.paced_driver import PacedPlantDriver
-from sim.process_driver import ProcessPlantDriver
-from sim.shared_record import SharedMemoryError, SharedRecord
+from sim.live.driver import ProcessPlantDriver
+from sim.live.paced_driver import PacedPlantDriver
 
 WARM_UP = 200
 """Ticks before READY can be reached: everything is compiled, paged in and measured in them."""

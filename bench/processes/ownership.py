@@ -19,9 +19,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from bench.bench_folder import MEMORY, bench_folder
 from bench.errors import BenchError, ExitCode, Refused
-from bench.file_lock import try_lock
+from bench.processes.bench_folder import MEMORY, bench_folder
+from bench.processes.file_lock import try_lock
 
 OWNER = "owner"
 """Name of the locked file."""

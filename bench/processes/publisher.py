@@ -33,7 +33,7 @@ from bench.processes.child_process import Condition, Heart, Parent, read_plan, t
 from bench.processes.tick_timing import TimingReader, summary
 from bench.telemetry.batches import LONGEST_BATCH, encode_batch
 from bench.telemetry.ring import RingReader
-from sim.shared_record import SharedMemoryError
+from drivers.base.shared_record import SharedMemoryError
 
 PERIOD = 0.02
 """s between two batches."""

@@ -28,17 +28,17 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError, ExitCode
-from bench.learning.correction import basis_of
 from bench.lifecycle import State
 from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
 from bench.processes.correction import CORRECTED, weights_of
+from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.record_queue import Record, RecordQueue, folder_trouble, record_path, remove_partial
 from bench.telemetry.ring import RingReader
 from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
 from bench.telemetry.swing_metadata import Surroundings, begin_of, profile_entry, since, swing_metadata
-from sim.shared_record import SharedMemoryError, SharedRecord
+from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 POLL = 0.01
 """s between two looks into the ring."""

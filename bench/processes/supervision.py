@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import Request
-from sim.compiled import new_record
-from sim.shared_record import SharedRecord
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
 
 SUPERVISION_FILE = "supervision"
 

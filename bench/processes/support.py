@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.processes.child import Child
 from bench.processes.child_process import HEARTBEAT, Condition
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 _log = logging.getLogger("golfbench")
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from bench.clock import LATE
 from bench.errors import Refused
-from sim.compiled import compiled
-from sim.mapped_slots import SharedMemoryError
+from drivers.base.compiled import compiled
+from drivers.base.mapped_slots import SharedMemoryError
 
 STAMPS = ("begin", "read", "estimate", "decide", "limit", "write", "publish")
 """What a tick stamps (ns of CLOCK_MONOTONIC): its begin, then the end of each of its segments."""

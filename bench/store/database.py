@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, make_url, select
-from sqlalchemy.exc import ArgumentError, DatabaseError, IntegrityError, NoSuchModuleError
+from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select
+from sqlalchemy.exc import DatabaseError, IntegrityError
 
 from bench.errors import BenchError
 from bench.store.tables import VERSION_2, VERSION_3, VERSION_4, VERSION_5, Row, SchemaVersionRow
@@ -52,30 +52,8 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
 }
 """Version -> what turns its tables into those of the next one."""
 
-FILE = "golfbench.sqlite"
-
 BUSY_TIMEOUT = 5.0
 """s to wait for another process' write."""
-
-
-def database_url(database: str, data_dir: Path) -> URL:
-    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
-
-    Raises:
-        BenchError: `database` is no URL of a database that several processes can open.
-    """
-    if not database:
-        return URL.create("sqlite", database=str(data_dir / FILE))
-    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
-    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
-    try:
-        url = make_url(database)
-        url.get_dialect()
-    except (ArgumentError, NoSuchModuleError, ValueError):
-        raise BenchError("bench.database", "no URL that SQLAlchemy knows", wanted, cure) from None
-    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
-        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
-    return url
 
 
 def is_there(url: URL) -> bool:

@@ -29,7 +29,7 @@ from bench.swing.hunt import (
     shoulder_turn,
 )
 from bench.swing.profile import Profile
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.kinematics import forward_kinematics, theta2_from_right_arm
 from sim.plant import PlantParameters

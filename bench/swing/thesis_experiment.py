@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.swing.tables import TOP, Address, ThesisSwing, joint_reference, thesis_swing
-from sim.compiled import compiled
+from drivers.base.compiled import compiled
 from sim.kane import inverse_dynamics, kane_terms, solve_symmetric
 from sim.kinematics import forward_kinematics, head_motion, right_arm_length
 from sim.robot import Body, RobotParameters, thesis_robot

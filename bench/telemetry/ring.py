@@ -1,7 +1,7 @@
 """The ring of cycle records between the loop and the processes that read it.
 
-One writer, any readers, records numbered from 1 on (`sim.mapped_slots`). The writer never waits: a reader
-too slow loses the oldest records, knows exactly how many, and goes on with the oldest still there.
+One writer, any readers, records numbered from 1 on (`drivers.base.mapped_slots`). The writer never waits: a
+reader too slow loses the oldest records, knows exactly how many, and goes on with the oldest still there.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.errors import BenchError, ExitCode
 from bench.telemetry.cycle_record import CYCLE
-from sim.mapped_slots import MappedSlots, SharedMemoryError
+from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
 
 CAPACITY = 16384
 """Records; over 16 s of a loop at 1 kHz."""

@@ -19,8 +19,8 @@ from scipy.linalg import expm
 from bench.control.estimator import design_estimator
 from bench.control.settings import EstimatorSettings
 from bench.errors import BenchError
-from bench.learning.series import Bench, Series, quiet
 from bench.lifecycle import CAUSE_TEXT
+from bench.simulation.series import Bench, Series, quiet
 from bench.tuning.gains import Gains
 from bench.tuning.margins import Margins, margins_of
 from sim.kane import accelerations, kane_terms

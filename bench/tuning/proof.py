@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import Refused
-from bench.learning.series import Bench, Series
 from bench.lifecycle import CAUSE_TEXT
+from bench.simulation.series import Bench, Series
 from bench.tuning.gains import Gains
 from sim.plant import PlantParameters
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, build_controller
-from bench.learning.series import Bench, Mark, Series, quiet, settled
+from bench.simulation.series import Bench, Mark, Series, quiet, settled
 from bench.swing.profile import Profile
 from bench.tuning.gains import Gains
 

@@ -22,7 +22,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
 from bench.telemetry.snapshot import SNAPSHOT
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
 HURRY = 10.0

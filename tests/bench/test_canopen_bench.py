@@ -13,10 +13,10 @@ from bench.lifecycle import Cause, State
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.desk import DeviceStatus
 from drivers.base import PASSIVE, Command, unpack_command
+from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.counters import CLASSES
-from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
-from sim.shared_record import SharedRecord
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.running_bench import played_nodes, running_bench, write_configuration
 
 pytestmark = pytest.mark.timeout(400)  # the first start compiles

@@ -49,7 +49,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
         def fail(*_: object) -> None:
             raise error
 
-        monkeypatch.setattr("bench.doctor.probes", fail)
+        monkeypatch.setattr("bench.commands.doctor.probes", fail)
         with pytest.raises(SystemExit) as end:
             main([*arguments, "doctor"])
         assert isinstance(end.value.code, int)

@@ -17,13 +17,13 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import BallPosition
-from bench.config import load_configuration
+from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
-from bench.learning.correction import basis_of, digest_of
 from bench.lifecycle import Cause, Phase, Request, State
 from bench.network.client import CommandRefused
-from bench.replay import replay_record
-from bench.store.database import database_url, open_database
+from bench.simulation.replay import replay_record
+from bench.store.database import open_database
+from bench.swing.correction import basis_of, digest_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.recorder import read_swing

@@ -22,8 +22,8 @@ from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command, DriverError, Readings
+from drivers.base.compiled import new_record
 from drivers.mock import MockDriver
-from sim.compiled import new_record
 from sim.plant import PlantParameters
 
 ADDRESS = np.array([0.1, 4.05, 6.1])

@@ -24,13 +24,13 @@ from bench.campaign.operate import course_of, new_entry, runner_lock
 from bench.campaign.plan import Plan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Runner, Watcher
-from bench.campaign.shot_table import shot_table_text
 from bench.campaign.simulated import BEGIN, SimulatedShots
 from bench.campaign.swings import require_swings
-from bench.config import Configuration, load_configuration
-from bench.simulate import never
+from bench.config import Configuration, database_url, load_configuration
+from bench.shot.shot_table import shot_table_text
+from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from tests.benchmarks.row import Row
 
 SEED = 20261121

@@ -25,15 +25,15 @@ from typing import Any
 from bench.campaign.operate import ask
 from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import all_trials
-from bench.config import Configuration, load_configuration
-from bench.launch.book import NOT_TOLD
+from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port
 from bench.shot.shot import Shot, Status
+from bench.shot.shot_matcher import NOT_TOLD
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing
-from sim.surroundings import Surroundings
+from sim.live.surroundings import Surroundings
 from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 

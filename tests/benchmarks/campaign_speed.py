@@ -24,11 +24,11 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.simulated import BEGIN, SimulatedShots
 from bench.campaign.swings import require_swings
-from bench.config import load_configuration
+from bench.config import database_url, load_configuration
 from bench.shot.shot import Shot
-from bench.simulate import never
+from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 from tests.benchmarks.row import Row
 

@@ -24,7 +24,7 @@ from drivers.can_bus import FRAME, LocalSocketBus
 from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.node_plan import NodesPlan
+from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 from tests.benchmarks.bus_witness import COMMAND, MARK, POSITIONS, SYNC
 from tests.benchmarks.driver_loop import DriverLoop, in_real_time, times
@@ -50,7 +50,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             settings.interface, settings.channel, settings.bitrate, settings.encoders.nodes,
             settings.valve_node.node, plant, folder, priority=PRIORITY - 1,
         )  # fmt: skip
-        nodes = Child.start("nodes", "sim.nodes", plan)
+        nodes = Child.start("nodes", "sim.nodes.process", plan)
         stack.callback(nodes.end, 5.0)
         nodes.wait_until_ready(200.0)
         witness = subprocess.Popen(

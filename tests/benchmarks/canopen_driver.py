@@ -26,7 +26,7 @@ from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import frame
 from drivers.canopen.link import FrameLink
 from drivers.canopen.settings import CanopenSettings
-from sim.node_plan import NodesPlan
+from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 from tests.benchmarks.can_bits import bits_of
 from tests.benchmarks.naive_canopen import NaiveTick
@@ -105,7 +105,7 @@ def run() -> list[Row]:
             settings.interface, settings.channel, settings.bitrate, settings.encoders.nodes,
             settings.valve_node.node, PlantParameters(), folder, priority=PRIORITY - 1,
         )  # fmt: skip
-        nodes = Child.start("nodes", "sim.nodes", plan)
+        nodes = Child.start("nodes", "sim.nodes.process", plan)
         stack.callback(nodes.end, 5.0)
         nodes.wait_until_ready(200.0)
         bus = can.Bus(

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.base.compiled import compiled
 from sim import kane
-from sim.compiled import compiled
 from sim.robot import RobotParameters
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ import numpy as np
 from bench.control.feed_forward import CODES
 from bench.control.settings import ControlSettings, build_controller
 from bench.control.step import ControlParameters, ControlState, step
-from bench.lockstep import Lockstep
-from bench.simulate import SimulatedBench, begin_swing
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.simulated_bench import SimulatedBench, begin_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 from sim.plant import sense
 from tests.benchmarks.row import Row
 from tests.benchmarks.stopwatch import Work, in_turn

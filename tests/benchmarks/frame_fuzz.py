@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from drivers.base import PASSIVE, READINGS, pack_readings
+from drivers.base.compiled import new_record
 from drivers.can_bus import FRAME
 from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.compiled import new_record
 from tests.benchmarks.row import Row
 
 PERIOD = 0.001

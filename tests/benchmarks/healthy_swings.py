@@ -23,7 +23,7 @@ from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step import SWING, ControlParameters, new_control_state
 from bench.lifecycle import Cause, Phase, Request, State
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import Configuration, load_configuration
+from bench.design.designer import Demand, DesignFailed, design_swing
 from bench.errors import BenchError, Refused
 from bench.learning.beginning import begun_on
 from bench.learning.figures import Tolerance, figures_of
@@ -25,9 +26,8 @@ from bench.learning.identify import identify
 from bench.learning.learn import Lecture, learn, on_series, prepare
 from bench.learning.plant_file import plant_file, write_plant_file
 from bench.learning.recorded import Recorded
-from bench.learning.series import Bench, Series
-from bench.learning.variation import WORN, Variation, drawn
-from bench.swing.design import Demand, DesignFailed, design_swing
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import WORN, Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from sim.plant import PlantParameters

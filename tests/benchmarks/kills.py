@@ -24,8 +24,8 @@ from rich.table import Table
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, State
 from bench.network.client import CommandRefused
-from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 

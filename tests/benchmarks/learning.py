@@ -22,8 +22,8 @@ from bench.config import load_configuration
 from bench.errors import Refused
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
-from bench.learning.series import Bench, Series
-from bench.learning.variation import WORN, Variation, drawn
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import WORN, Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

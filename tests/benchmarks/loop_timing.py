@@ -27,9 +27,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from bench.commands.progress import progress_bar
 from bench.processes.real_time import PRIORITY
 from bench.processes.tick_timing import SEGMENTS, TIMING, percentile, summary
-from bench.progress import progress_bar
 from tests.benchmarks.cyclictest import Latencies, run_cyclictest
 from tests.benchmarks.row import Row
 from tests.benchmarks.running_loop import configured, running_loop

@@ -13,11 +13,11 @@ import numpy as np
 from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step import SWING
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import COMMAND, READINGS
-from sim.compiled import compiled, new_record
+from drivers.base.compiled import compiled, new_record
 from sim.driver import hanging_pose
 from sim.plant import advance, build_plant, initial_state, sense
 from tests.benchmarks.row import Row

@@ -19,8 +19,8 @@ from bench.processes.plan import TIMING_FILE, LoopPlan
 from bench.processes.tick_timing import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.plant_exchange import PlantPlan
-from sim.plant_process import start_plant
+from sim.live.exchange import PlantPlan
+from sim.live.process import start_plant
 
 START = 180.0
 """s that compiling may take."""

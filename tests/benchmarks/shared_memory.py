@@ -21,11 +21,11 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from bench.bench_folder import MEMORY
 from bench.network.free_port import free_port
+from bench.processes.bench_folder import MEMORY
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingWriter
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 from tests.benchmarks.row import Row
 
 PERIOD = 0.001
@@ -44,7 +44,7 @@ import numpy as np
 import zenoh
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingReader
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 folder, key = Path(sys.argv[1]), sys.argv[3]
 ring, record = RingReader(folder / "ring"), SharedRecord.open(folder / "record", CYCLE)

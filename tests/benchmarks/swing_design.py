@@ -16,10 +16,10 @@ from time import process_time
 
 import numpy as np
 
+from bench.commands.progress import progress_bar
 from bench.config import load_configuration
-from bench.progress import progress_bar
-from bench.simulate import SimulatedBench, simulate_swings
-from bench.swing.design import Demand, DesignFailed, design_swing
+from bench.design.designer import Demand, DesignFailed, design_swing
+from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
 from tests.benchmarks.row import Row

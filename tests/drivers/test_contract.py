@@ -25,18 +25,18 @@ from drivers.base import (
     pack_readings,
     unpack_command,
 )
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.driver import DaqDriver
 from drivers.mock import MockDriver
-from sim.compiled import new_record
 from sim.driver import SimDriver
-from sim.node_plan import NodesPlan
+from sim.live.driver import ProcessPlantDriver
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE, PlantPlan
+from sim.live.process import start_plant
+from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
-from sim.plant_exchange import PLANT_REPORT, REPORT_FILE, PlantPlan
-from sim.plant_process import start_plant
-from sim.process_driver import ProcessPlantDriver
-from sim.shared_record import SharedRecord
 from tests.drivers.canopen.in_step import Wire, make
 from tests.drivers.daq.system import System, command_of, driver_on
 
@@ -90,7 +90,7 @@ class NodesProcess:
             self.settings.encoders.nodes, self.settings.valve_node.node, PlantParameters(), folder,
             angle=(0.2, 4.3, 6.0),
         )  # fmt: skip
-        self.process = Child.start("nodes", "sim.nodes", plan)
+        self.process = Child.start("nodes", "sim.nodes.process", plan)
         try:
             self.process.wait_until_ready(100.0)
         except BaseException:

@@ -8,8 +8,8 @@ import pytest
 
 from bench.control.encoder import ENCODER_STATE, decode_encoders, design_encoders
 from drivers.base import READINGS, Command, pack_readings
+from drivers.base.compiled import new_record
 from drivers.mock import ATMOSPHERE, MockDriver
-from sim.compiled import new_record
 
 PERIOD = 1e-3
 TRAVEL = ((-2.5, 2.5), (math.pi, 1.5 * math.pi), (4.8, 2.0 * math.pi))

@@ -13,8 +13,8 @@ from bench.clock import FreeClock
 from bench.control.settings import build_controller
 from bench.control.step import ARM, SWING
 from bench.lifecycle import Cause, Phase
-from bench.lockstep import Lockstep
 from bench.loop import Cycle, CycleArray
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
 from sim.driver import SimDriver, hanging_pose
 from sim.faults import Fault

@@ -17,15 +17,15 @@ import pytest
 from typer.testing import CliRunner
 
 import bench.faults.matrix
+from bench.commands.faults import app
+from bench.commands.faults_page import matrix_page, matrix_table
+from bench.commands.session import Session
 from bench.config import load_configuration, shipped_configuration
 from bench.faults.case import Instant, Outcome, Workbench, instants_of
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
-from bench.faults.commands import app
 from bench.faults.hazards import hazard_table
 from bench.faults.matrix import CaseStore, Plan, digest_of, plan_matrix, run_matrix
-from bench.faults.show import matrix_page, matrix_table
 from bench.faults.summary import PHASES, compare, summarise
-from bench.session import Session
 from bench.swing.profile import Profile
 from sim.faults import KINDS, SIGNALS, sort_of
 

@@ -12,8 +12,8 @@ import pytest
 import bench.swing
 from bench.clock import FreeClock
 from bench.control.settings import ControlSettings, build_controller
-from bench.lockstep import Lockstep
 from bench.loop import Cycle, Loop
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile, load_profile
 from sim.driver import SimDriver, hanging_pose
 from sim.plant import PlantParameters, advance, build_plant

@@ -13,7 +13,7 @@ import pytest
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.control.step import ARM, new_control_state
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.driver import hanging_pose, joint_travel
 from sim.plant import Encoders, PlantParameters, build_plant

@@ -18,7 +18,7 @@ import sys
 import numpy as np
 from bench.control.settings import build_controller
 from bench.control.step import ARM
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 

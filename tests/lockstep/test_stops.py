@@ -13,9 +13,9 @@ import pytest
 
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step import ACCEPTED, RESET, SWING
+from bench.design.check import TRIALS, Outcome, SwingCheck
 from bench.lifecycle import Cause, Phase, Reaction
-from bench.lockstep import Lockstep
-from bench.swing.check import TRIALS, Outcome, SwingCheck
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.lifecycle import Phase, Reaction
-from bench.replay import MEASURED
-from bench.simulate import SimulatedBench, SwingResult, simulate_swing
+from bench.simulation.replay import MEASURED
+from bench.simulation.simulated_bench import SimulatedBench, SwingResult, simulate_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.recorder import write_swing

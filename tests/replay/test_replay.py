@@ -21,14 +21,14 @@ from bench.control.step import ControlParameters
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
-from bench.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
-from bench.simulate import SimulatedBench, simulate_swings
+from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
+from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.telemetry.cycle_record import FIELDS
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from drivers.base import PASSIVE, Command, DriverError, Readings
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.driver import SimDriver
 from tests.replay.renew import STOP, SWING, reference_bench
 
@@ -127,7 +127,7 @@ def test_a_changed_controller_shows(name: str, monkeypatch: pytest.MonkeyPatch) 
         change(parameters)
         return parameters
 
-    monkeypatch.setattr("bench.replay.build_controller", changed)
+    monkeypatch.setattr("bench.simulation.replay.build_controller", changed)
     assert field in wrong(replay_record(path))
 
 

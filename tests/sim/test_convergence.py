@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import Plant, PlantParameters, Shaft, Site, advance, build_plant, initial_state
 
 pytestmark = pytest.mark.skipif(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, Command, DriverError, pack_command
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.driver import SimDriver, hanging_pose
 from sim.kane import bias_forces
 from sim.plant import Encoders, PlantParameters, advance, build_plant, initial_state

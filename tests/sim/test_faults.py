@@ -9,7 +9,7 @@ import pytest
 
 from bench.lifecycle import Phase
 from drivers.base import COMMAND, READINGS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.faults import (
     MEANINGS,
     PHASES,

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.kane import bias_forces, mass_matrix
 from sim.kinematics import joint_positions, theta2_from_right_arm
 from sim.motion import STATES, _derivative

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
 

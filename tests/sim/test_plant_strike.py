@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.kinematics import inverse_kinematics
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
 

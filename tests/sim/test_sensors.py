@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.base import COMMAND, READINGS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import Encoders, Plant, PlantParameters, advance, build_plant, initial_state, sense
 
 POSE = np.array([0.2, 4.3, 6.0])

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.base import COMMAND
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.impact import face_gap, golf_to_plane
 from sim.kane import mass_matrix
 from sim.kinematics import inverse_kinematics, joint_positions

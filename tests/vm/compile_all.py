@@ -15,8 +15,8 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
 from drivers.mock import MockDriver
-from sim.node_plan import NodesPlan
-from sim.nodes import run_nodes
+from sim.nodes.plan import NodesPlan
+from sim.nodes.process import run_nodes
 
 
 def main() -> None:

@@ -14,20 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.bench_folder import bench_folder
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused
+from bench.processes.bench_folder import bench_folder
 from bench.processes.plan import RING_FILE, TIMING_FILE
 from bench.processes.tick_timing import TimingReader
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from bench.telemetry.ring import RingReader
-from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.vm.guest import CARDS, CONFIGURATIONS, NODES_FOLDER, SYSTEM, UNITS, configuration, run, say
 
 UNIT = "golfbench@bench1"

@@ -28,9 +28,9 @@ from bench.calibration.values import (
     content_of,
     values_of,
 )
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 
 DAY = timedelta(days=1)
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

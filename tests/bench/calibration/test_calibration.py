@@ -27,7 +27,7 @@ from bench.config import Configuration, load_configuration
 from bench.control.settings import build_controller
 from bench.control.step import ControlParameters
 from bench.errors import BenchError
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.driver import hanging_pose

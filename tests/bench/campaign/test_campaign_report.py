@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 
-from bench.campaign.baseline import Band, check_baseline, read_baseline
 from bench.campaign.campaign_report import CampaignRecord, render_campaign_report, write_campaign_report
 from bench.campaign.findings import findings, findings_record
-from bench.campaign.junit import junit_xml
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome
+from bench.commands.campaign_baseline import Band, check_baseline, read_baseline
+from bench.commands.campaign_junit import junit_xml
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.shot.shot import Status

@@ -19,11 +19,11 @@ from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
 from bench.campaign.swings import require_swings
-from bench.config import load_configuration
-from bench.learning.correction import basis_of
+from bench.config import database_url, load_configuration
 from bench.learning.learn import Lecture, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
+from bench.swing.correction import basis_of
 
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 CONFIGURATION = load_configuration(Path("shipped"))

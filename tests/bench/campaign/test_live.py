@@ -28,18 +28,18 @@ from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.sequence import Arm, Role, Trial
 from bench.campaign.swings import require_swings
-from bench.config import load_configuration
+from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
-from bench.launch.shot_message import ShotMessage
 from bench.learning.store import learned_swings
 from bench.lifecycle import Phase, State
-from bench.live_swing import SwingRecord
 from bench.network.client import CommandRefused
 from bench.network.command import Answer, Verb
+from bench.network.live_swing import SwingRecord
 from bench.shot.shot import Status
-from bench.simulate import SimulatedBench, never, simulate_swing
+from bench.shot.shot_message import ShotMessage
+from bench.simulation.simulated_bench import SimulatedBench, never, simulate_swing
 from bench.store.campaigns import CampaignState, CampaignStore
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import Outcome
 from drivers.launch_monitor.record import LaunchRecord
@@ -252,7 +252,7 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -
 def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.live_swing.FEED", 0.1)
+    monkeypatch.setattr("bench.network.live_swing.FEED", 0.1)
     monkeypatch.setattr("bench.campaign.live.HOLD", 0.0)
     bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
     taken = take(plan, bench, simulated=True)

@@ -28,13 +28,13 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Outcome, Runner, Watcher
 from bench.campaign.sequence import Arm, Role, Trial, all_trials
 from bench.campaign.swings import require_swings
-from bench.campaign.terminal import TerminalOperator
-from bench.config import load_configuration
+from bench.commands.campaign_terminal import TerminalOperator
+from bench.config import database_url, load_configuration
 from bench.errors import Refused
 from bench.shot.shot import Shot, Status
-from bench.simulate import never
+from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from tests.bench.campaign.test_runner import NOW, Scripted
 
 CONFIGURATION = load_configuration(Path("shipped"))

@@ -32,16 +32,16 @@ from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, NotNow, Outcome, Runner, Watcher
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, Status
-from bench.simulate import never
+from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 

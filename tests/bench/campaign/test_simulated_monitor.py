@@ -6,7 +6,7 @@ from math import degrees
 import pytest
 
 from bench.campaign.simulated_monitor import Heard, hear
-from bench.launch.book import NOT_TOLD
+from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchWindow
 from drivers.launch_monitor.plausibility import PlausibleFigures

@@ -22,7 +22,7 @@ from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import PlantParameters
 
 Array = np.ndarray[Any, Any]

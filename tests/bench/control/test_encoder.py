@@ -20,7 +20,7 @@ from bench.control.encoder import (
     design_encoders,
 )
 from drivers.base import READINGS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 
 PERIOD = 1e-3
 COUNTS = 2**16

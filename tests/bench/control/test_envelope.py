@@ -25,7 +25,7 @@ from bench.control.envelope import (
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.lifecycle import Cause, Phase
 from drivers.base import READINGS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.kinematics import forward_kinematics, right_arm_length
 from sim.robot import thesis_robot
 

@@ -19,10 +19,10 @@ from bench.control.estimator import (
 from bench.control.settings import build_controller
 from bench.control.step import SWING
 from bench.lifecycle import Phase
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import PlantParameters, build_plant
 
 PERIOD = 1e-3

@@ -18,10 +18,10 @@ from bench.control.air import actuator_force
 from bench.control.demand import actuator_forces, demand_of
 from bench.control.feed_forward import FeedForward, force_rates, kane_gains, opening_for
 from bench.control.settings import ControlSettings
-from bench.learning.series import Bench, Series
-from bench.learning.variation import WORN
 from bench.lifecycle import Cause, Phase
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import WORN
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.kane import inverse_dynamics

@@ -16,10 +16,10 @@ from bench.control.model import MODEL_LIMITS, MODEL_STATE, model_cause, observe
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step import SWING
 from bench.lifecycle import Cause, Phase
-from bench.lockstep import Lockstep
+from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
 from drivers.base import READINGS
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import PlantParameters, build_plant
 from sim.robot import RobotParameters
 

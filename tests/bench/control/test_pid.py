@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.control.pid import PID_STATE, control, design_pid, reset_integral
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 
 PERIOD = 1e-3
 Array = np.ndarray[Any, Any]

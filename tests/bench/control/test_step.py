@@ -43,7 +43,7 @@ from bench.lifecycle import (
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, unpack_command
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from tests.bench.control.puppet import (
     ADDRESS,
     BEGINS,

@@ -15,8 +15,8 @@ from bench.learning.beginning import begun_on, left_over
 from bench.learning.figures import Tolerance
 from bench.learning.learn import Lecture, on_series, prepare
 from bench.learning.recorded import Recorded
-from bench.learning.series import Bench, Series
-from bench.learning.variation import Variation
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

@@ -19,8 +19,8 @@ from bench.learning.compare import (
     strayed,
     thesis_gains,
 )
-from bench.learning.series import Bench
 from bench.lifecycle import Cause, Phase
+from bench.simulation.series import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE

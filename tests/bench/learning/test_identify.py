@@ -17,11 +17,11 @@ from bench.learning.identify import (
     variation_of,
 )
 from bench.learning.plant_file import plant_file, write_plant_file
-from bench.learning.series import Bench, Series
+from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 
 STEADY = load_configuration(Path("steady"))
 BENCH = Bench(STEADY.plant, load_profile(find_profile("steady")), STEADY.control)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.learning import variation
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
-from bench.learning.series import Bench, Series
-from bench.learning.variation import Variation, drawn
 from bench.lifecycle import Cause
+from bench.simulation import variation
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

@@ -16,7 +16,7 @@ from bench.swing.profile import Profile, load_profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.swing_metadata import profile_entry
-from sim.compiled import new_record
+from drivers.base.compiled import new_record
 from sim.plant import PlantParameters
 
 PROFILE = load_profile(find_profile("default"))

@@ -15,10 +15,10 @@ import pytest
 
 from bench.config import load_configuration
 from bench.errors import ExitCode
-from bench.launch.shot_message import ShotMessage
 from bench.learning.measured import strike_from_mark
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
+from bench.shot.shot_message import ShotMessage
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, simulated_monitor, write_configuration
 

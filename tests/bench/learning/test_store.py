@@ -11,9 +11,10 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 
-from bench.learning.correction import basis_of
+from bench.config import database_url
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
+from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

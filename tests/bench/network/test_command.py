@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.learning.correction import MOST_WEIGHTS
 from bench.lifecycle import NEEDS_LEASE, Request
 from bench.network.command import (
     FORMS,
@@ -34,6 +33,7 @@ from bench.network.command import (
     parse_error,
 )
 from bench.network.lease import new_key
+from bench.swing.correction import MOST_WEIGHTS
 
 KEY = new_key()
 KEYED = json.dumps({"version": 1, "key": KEY, "sequence": 1})

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.learning.correction import basis_of
 from bench.processes.correction import (
     CORRECTED,
     CORRECTED_FILE,
@@ -18,9 +17,10 @@ from bench.processes.correction import (
     pack_correction,
     weights_of,
 )
+from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 PROFILE = load_profile(find_profile("default"))
 BASIS = basis_of(PROFILE)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.bench_folder import MEMORY, bench_folder
 from bench.errors import BenchError, Refused
+from bench.processes.bench_folder import MEMORY, bench_folder
 from bench.processes.ownership import NoBenchFolder, adopt, take_bench
 
 DAEMON = """

@@ -28,7 +28,7 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.tick_timing import TickTiming, create_timing
 from bench.telemetry.batches import Batch, decode_batch
 from bench.telemetry.ring import RingWriter
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]

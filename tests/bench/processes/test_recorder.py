@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.learning.correction import basis_of
 from bench.lifecycle import Cause, State
 from bench.processes.child_process import HEARTBEAT, Condition
+from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE

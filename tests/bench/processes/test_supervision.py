@@ -9,8 +9,8 @@ import pytest
 from bench.control.step import CONTROL_STATE
 from bench.lifecycle import Request
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
-from sim.compiled import new_record
-from sim.shared_record import SharedRecord
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
 
 SILENCE = 0.25
 

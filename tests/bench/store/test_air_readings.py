@@ -5,8 +5,9 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from bench.config import database_url
 from bench.store.air_readings import AirReading, add_reading, newest_reading
-from bench.store.database import database_url, open_database
+from bench.store.database import open_database
 from sim.air import Air
 
 NOON = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
+from bench.config import database_url
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, Status
 from bench.store.campaigns import (
@@ -28,7 +29,7 @@ from bench.store.campaigns import (
     Prompt,
     StoredShot,
 )
-from bench.store.database import SCHEMA_VERSION, database_url, open_database
+from bench.store.database import SCHEMA_VERSION, open_database
 from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

@@ -13,9 +13,10 @@ import pytest
 from sqlalchemy import Connection, insert, select, text
 from sqlalchemy.exc import IntegrityError, StatementError
 
+from bench.config import database_url
 from bench.errors import BenchError
 from bench.store import database as module
-from bench.store.database import SCHEMA_VERSION, database_url, is_there, open_database
+from bench.store.database import SCHEMA_VERSION, is_there, open_database
 from bench.store.tables import CalibrationRow, Row, SchemaVersionRow
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

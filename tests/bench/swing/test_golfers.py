@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.swing.design import Demand, top_pose
-from bench.swing.follow import demand_like, gave_way
+from bench.design.designer import Demand, top_pose
+from bench.design.follow import demand_like, gave_way
 from bench.swing.golfers import GOLFERS, Golfer, HumanDownswing, deviation, free_wrist, human_downswing
 from bench.swing.profile import Profile
 from sim.kane import inverse_dynamics

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 from scipy.integrate import solve_ivp
 
+from bench.commands.thesis_report import as_record, draw, show, simulate_thesis, statements
 from bench.swing.tables import Address, joint_reference, thesis_swing
 from bench.swing.thesis_experiment import (
     QUARTER_DECAY,
@@ -20,7 +21,6 @@ from bench.swing.thesis_experiment import (
     run_thesis_experiment,
     variants,
 )
-from bench.swing.thesis_report import as_record, draw, show, simulate_thesis, statements
 from sim.kane import bias_forces, mass_matrix
 from sim.kinematics import right_arm_length
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingReader, RingWriter
-from sim.shared_record import SharedRecord
+from drivers.base.shared_record import SharedRecord
 
 CAPACITY = 16
 

@@ -13,7 +13,7 @@ import pytest
 from bench.cli import main
 from bench.config import load_configuration
 from bench.control.settings import ControlSettings
-from bench.learning.series import Bench, settled
+from bench.simulation.series import Bench, settled
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.tuning.by_margins import Wanted, met_share, reaches_address, tune_by_margins

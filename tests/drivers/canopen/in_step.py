@@ -16,8 +16,8 @@ from drivers.base import Command, Readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.node_plan import NodesPlan
-from sim.nodes import BenchNodes
+from sim.nodes.plan import NodesPlan
+from sim.nodes.process import BenchNodes
 from sim.plant import PlantParameters
 
 PERIOD = 0.001

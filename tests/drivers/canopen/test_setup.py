@@ -13,7 +13,7 @@ from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load, greatest_rate, traffic, worst_bits
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
-from sim.node_device import CanopenDevice
+from sim.nodes.device import CanopenDevice
 from tests.drivers.canopen.in_step import SETTINGS, Wire, make
 
 RELAY = replace(SETTINGS.valve_node, watchdog_relay="K7")

@@ -16,14 +16,14 @@ import pytest
 
 from bench.processes.child import Child
 from drivers.base import PASSIVE, Command, DriverError, unpack_command
+from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.node_plan import NodesPlan
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.live.surroundings import Surroundings
+from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
-from sim.plant_exchange import PLANT_REPORT, REPORT_FILE
-from sim.shared_record import SharedRecord
-from sim.surroundings import Surroundings
 
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True)
 LONGEST = 20.0
@@ -56,7 +56,7 @@ class Nodes:
         plan = NodesPlan(
             s.interface, s.channel, s.bitrate, s.encoders.nodes, s.valve_node.node, PlantParameters(), folder
         )
-        self.child = Child.start("nodes", "sim.nodes", plan)
+        self.child = Child.start("nodes", "sim.nodes.process", plan)
         try:
             self.child.wait_until_ready(100.0)
         except BaseException:
@@ -211,7 +211,7 @@ def test_somebody_else_on_the_bus(driver: CanopenDriver, nodes: Nodes) -> None:
 
 def test_nodes_without_a_bus_tell_why_they_failed(tmp_path: Path) -> None:
     plan = NodesPlan("no_such", "x", 125_000, (1, 2, 3), 10, PlantParameters(), tmp_path)
-    child = Child.start("nodes", "sim.nodes", plan)
+    child = Child.start("nodes", "sim.nodes.process", plan)
     try:
         with pytest.raises(Exception, match="no_such"):
             child.wait_until_ready(100.0)

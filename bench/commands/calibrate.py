@@ -1,0 +1,410 @@
+"""`golfbench calibrate ...`: write down what was measured of this machine, and look at what is in force."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from bench.calibration.values import Kind
+    from bench.config import Configuration
+
+app = typer.Typer(
+    help="Write down what was measured of this machine. Nothing is overwritten: a newer one supersedes.",
+    no_args_is_help=True,
+)
+
+Three = tuple[float, float, float]
+
+Days = Annotated[
+    int | None,
+    typer.Option(
+        "--expires-days",
+        min=1,
+        max=3650,
+        help="Days for which it holds [default: encoders 365, ball 30, club 90, valves 180].",
+    ),
+]
+By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured [default: the user's name].")]
+Method = Annotated[str, typer.Option(metavar="TEXT", help="How and with which tool.")]
+Note = Annotated[str, typer.Option(metavar="TEXT", help="What else is to be said.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+@app.command()
+def encoders(
+    context: typer.Context,
+    uncertainty_deg: Annotated[
+        float, typer.Option(metavar="DEG", help="Standard uncertainty of each angle zero.")
+    ],
+    zero_counts: Annotated[
+        Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Counts at joint angle zero.")
+    ] = None,
+    from_pose: Annotated[
+        Three | None,
+        typer.Option(
+            metavar="SHOULDER ARM WRIST",
+            help="Angles (deg) at which the robot is locked, at its mechanical reference.",
+        ),
+    ] = None,
+    counts: Annotated[
+        tuple[int, int, int] | None,
+        typer.Option(
+            metavar="SHOULDER ARM WRIST",
+            help="What the encoders show at that pose [default: read from the running bench].",
+        ),
+    ] = None,
+    sign: Annotated[
+        tuple[int, int, int] | None,
+        typer.Option(
+            metavar="SHOULDER ARM WRIST",
+            help="-1 where the count falls as the angle rises [default: as in force].",
+        ),
+    ] = None,
+    method: Method = "",
+    by: By = None,
+    expires_days: Days = None,
+    note: Note = "",
+    json_: Json = False,
+) -> None:
+    """Set the encoders' zeros: counts at angle zero, or the pose at which the robot is locked now."""
+    from math import radians
+
+    from bench.calibration.values import Kind
+    from bench.calibration.values import zero_counts as zeros_at
+    from bench.errors import BenchError
+
+    place = "calibrate encoders"
+    configuration = _calibrated(context)
+    here = configuration.plant.encoders
+    sign = sign or here.sign
+    content: dict[str, Any] = {
+        "sign": sign,
+        "counts_per_revolution": here.counts_per_revolution,
+        "uncertainty": radians(uncertainty_deg),
+    }
+    if (zero_counts is None) == (from_pose is None) or (counts is not None and from_pose is None):
+        raise BenchError(
+            place,
+            "--zero-counts and --from-pose" if zero_counts and from_pose else "no measurement",
+            "--zero-counts, or --from-pose with or without --counts",
+            "Give one of the two.",
+        )
+    if zero_counts is None:
+        angles = tuple(map(radians, from_pose or ()))
+        _require_pose(configuration, angles)
+        method = method or "locked at the mechanical reference, counts " + ("entered" if counts else "read")
+        counts = counts or _live_counts(configuration)
+        _require_counts(counts, here.counts_per_revolution)
+        a, b, c = angles
+        content["zero_count"] = zeros_at(counts, (a, b, c), sign, here.counts_per_revolution)
+    else:
+        content["zero_count"] = zero_counts
+    _add(context, Kind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_)
+
+
+@app.command()
+def ball(
+    context: typer.Context,
+    x: Annotated[float, typer.Option(metavar="M", help="Ball's centre towards the target, from R1.")],
+    y: Annotated[float, typer.Option(metavar="M", help="Ball's centre up the swing plane, from R1.")],
+    uncertainty_mm: Annotated[float, typer.Option(metavar="MM", help="Standard uncertainty of both.")],
+    method: Method = "position entered",
+    by: By = None,
+    expires_days: Days = None,
+    note: Note = "",
+    json_: Json = False,
+) -> None:
+    """Set where the ball's centre is on its tee, in the swing plane."""
+    from bench.calibration.values import Kind
+
+    content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3}
+    _add(context, Kind.BALL, content, method, by, expires_days, note, json_)
+
+
+@app.command()
+def club(
+    context: typer.Context,
+    length: Annotated[float, typer.Option(metavar="M", help="Wrist axis R3 to the centre of the face.")],
+    loft_deg: Annotated[float, typer.Option(metavar="DEG", help="Loft in the mount.")],
+    lie_deg: Annotated[float, typer.Option(metavar="DEG", help="Lie in the mount.")],
+    length_uncertainty_mm: Annotated[
+        float, typer.Option(metavar="MM", help="Standard uncertainty of the length.")
+    ],
+    angle_uncertainty_deg: Annotated[
+        float, typer.Option(metavar="DEG", help="Standard uncertainty of the angles.")
+    ],
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[CLUB]", help="Club of the configuration [default: the mounted one]."),
+    ] = None,
+    method: Method = "values entered",
+    by: By = None,
+    expires_days: Days = None,
+    note: Note = "",
+    json_: Json = False,
+) -> None:
+    """Set a club's length to the face, loft and lie as it sits in the mount."""
+    from math import radians
+
+    from bench.calibration.values import Kind
+
+    content = {
+        "club": name or context.ensure_object(Session).configuration().swing.club,
+        "length_to_face": length,
+        "loft": radians(loft_deg),
+        "lie": radians(lie_deg),
+        "length_uncertainty": length_uncertainty_mm / 1e3,
+        "angle_uncertainty": radians(angle_uncertainty_deg),
+    }
+    _add(context, Kind.CLUB, content, method, by, expires_days, note, json_)
+
+
+@app.command()
+def valves(
+    context: typer.Context,
+    centre: Annotated[
+        Three | None,
+        typer.Option(metavar="SHOULDER ARM WRIST", help="Commands (-1 to 1) that centre the spools."),
+    ] = None,
+    dead_band: Annotated[
+        Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Overlap to either side of the centre.")
+    ] = None,
+    uncertainty: Annotated[
+        float | None, typer.Option(metavar="OPENING", help="Standard uncertainty of both.")
+    ] = None,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Ramp each valve of the software plant and find them.")
+    ] = False,
+    method: Method = "",
+    by: By = None,
+    expires_days: Days = None,
+    note: Note = "",
+    json_: Json = False,
+) -> None:
+    """Set the valves' centres and dead bands, entered or found by a slow ramp."""
+    from bench.calibration.values import Kind
+    from bench.errors import BenchError
+
+    place = "calibrate valves"
+    given = (centre, dead_band, uncertainty)
+    if measure == any(v is not None for v in given) or (not measure and None in given):
+        raise BenchError(
+            place,
+            "--measure and values" if measure else "values missing",
+            "--measure, or --centre, --dead-band and --uncertainty",
+            "Give one or the other.",
+        )
+    content: dict[str, Any] = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
+    if measure:
+        content = _measured_valves(context.ensure_object(Session).configuration())
+        method = method or "slow ramp on the software plant"
+    _add(context, Kind.VALVES, content, method or "values entered", by, expires_days, note, json_)
+
+
+@app.command("list")
+def list_all(context: typer.Context, json_: Json = False) -> None:
+    """Show all calibrations of this bench, also superseded ones."""
+    import json
+
+    from rich.console import Console
+
+    from bench.calibration.archive import calibration_of, list_calibrations
+    from bench.commands.calibration_tables import listing
+    from bench.config import database_url
+    from bench.store.database import is_there, open_database
+
+    configuration, now = context.ensure_object(Session).configuration(), _now()
+    bench = configuration.bench
+    entries = []
+    if is_there(url := database_url(bench.database, bench.data_dir)):
+        with open_database(url, now) as database:
+            entries = list_calibrations(database, bench.id)
+    if json_:
+        typer.echo(json.dumps([entry.record() for entry in entries], indent=2))
+    elif entries:
+        Console().print(listing(entries, calibration_of(configuration, now), now))
+    else:
+        typer.echo(
+            f"bench {bench.id} was never calibrated: all values are nominal, as the configuration has them"
+        )
+
+
+@app.command()
+def show(context: typer.Context, json_: Json = False) -> None:
+    """Show what is in force now, and what of it has expired.
+
+    Ends with 1 when nothing may be armed for want of calibration.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.calibration.archive import calibration_of
+    from bench.commands.calibration_tables import overview
+    from bench.errors import ExitCode
+
+    configuration, now = context.ensure_object(Session).configuration(), _now()
+    calibration = calibration_of(configuration, now)
+    problems = calibration.problems(now)
+    if json_:
+        typer.echo(json.dumps(calibration.record() | {"problems": problems}, indent=2))
+    else:
+        console = Console()
+        console.print(f"bench {calibration.bench}, club {calibration.club}", highlight=False)
+        console.print(overview(calibration, now))
+        for problem in problems:
+            console.print(f"not to be armed: {problem}", style="red", highlight=False, soft_wrap=True)
+    if problems:
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def _user() -> str:
+    """Return the name of this process' user; empty, which is refused, when it has none."""
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""
+
+
+def _now() -> datetime:
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC)
+
+
+def _calibrated(context: typer.Context) -> Configuration:
+    from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import apply
+
+    configuration = context.ensure_object(Session).configuration()
+    return apply(calibration_of(configuration, _now()), configuration)
+
+
+def _add(
+    context: typer.Context,
+    kind: Kind,
+    content: dict[str, Any],
+    method: str,
+    by: str | None,
+    expires_days: int | None,
+    note: str,
+    json_: bool,
+) -> None:
+    """Check `content` against its ranges and this bench, store it, and say so."""
+    import json
+    from datetime import timedelta
+
+    from bench.calibration.archive import add_calibration
+    from bench.calibration.plausible import require_plausible
+    from bench.calibration.values import VALID_DAYS, values_of
+    from bench.commands.calibration_tables import in_words
+    from bench.config import database_url
+    from bench.store.database import open_database
+
+    values = values_of(kind, content, f"calibrate {kind}")
+    configuration, now = context.ensure_object(Session).configuration(), _now()
+    require_plausible(values, configuration)
+    bench = configuration.bench
+    with open_database(database_url(bench.database, bench.data_dir), now) as database:
+        entry = add_calibration(
+            database,
+            bench.id,
+            values,
+            date=now,
+            expires=now + timedelta(days=expires_days or VALID_DAYS[kind]),
+            by=_user() if by is None else by,
+            method=method,
+            note=note,
+        )
+    if json_:
+        typer.echo(json.dumps(entry.record(), indent=2))
+    else:
+        typer.echo(f"{entry.name} of bench {bench.id}: {in_words(values)}; expires {entry.expires:%Y-%m-%d}")
+        typer.echo("A running bench takes it up when it is started again.")
+
+
+def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> None:
+    """Raise BenchError when a joint cannot be at its angle."""
+    from math import degrees
+
+    from bench.control.settings import angle_travel
+    from bench.errors import BenchError
+    from drivers.base import JOINTS
+
+    for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(configuration.plant), strict=True):
+        if not low <= angle <= high:
+            raise BenchError(
+                f"calibrate encoders: --from-pose, {name}",
+                f"{degrees(angle):g} deg",
+                f"{degrees(low):.1f} to {degrees(high):.1f} deg, between its stops",
+                "Give the angle of the mechanical reference.",
+            )
+
+
+def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) -> None:
+    from bench.errors import BenchError
+
+    for i, count in enumerate(counts):
+        if not 0 <= count < counts_per_revolution:
+            raise BenchError(
+                f"calibrate encoders: --counts[{i}]",
+                str(count),
+                f"0 to {counts_per_revolution - 1}",
+                "Give what the encoder shows.",
+            )
+
+
+def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
+    """Return the counts of the running bench; Refused when none runs here or the robot moves."""
+    from bench.calibration.standing_counts import standing_counts
+    from bench.errors import Refused
+    from bench.processes.bench_folder import bench_folder
+    from bench.telemetry.ring import NoRing
+
+    ring: Path = bench_folder(configuration.bench.id) / "ring"
+    try:
+        return standing_counts(ring, configuration.plant.encoders.counts_per_revolution)
+    except NoRing as error:
+        raise Refused(
+            "calibrate encoders --from-pose",
+            f"no bench {configuration.bench.id} running on this machine ({error.found})",
+            "one that reads the encoders, or --counts",
+            "Start `golfbench run --read-only`, or give what the encoders show with --counts.",
+        ) from error
+
+
+def _measured_valves(configuration: Configuration) -> dict[str, Any]:
+    from bench.calibration.valve_centre import SWEEP, find_centre, ramp_valve
+    from bench.errors import BenchError, Refused
+    from drivers.base import ACTUATORS
+
+    if configuration.driver.name != "sim":
+        raise Refused(
+            "calibrate valves --measure",
+            f"driver {configuration.driver.name}",
+            'driver "sim": the ramp runs on the software plant only',
+            "Measure by hand, and give --centre, --dead-band and --uncertainty.",
+        )
+    found = []
+    for i, name in enumerate(ACTUATORS):
+        try:
+            found.append(find_centre(*ramp_valve(configuration.plant, i)))
+        except ValueError as error:
+            raise BenchError(
+                f"calibrate valves --measure, {name}", str(error), "both edges of the overlap", "See there."
+            ) from None
+    return {
+        "centre": [valve.centre for valve in found],
+        "dead_band": [valve.dead_band for valve in found],
+        # An edge is known to about half a step of the ramp, and to the scatter around the fit.
+        "uncertainty": float(SWEEP[1] - SWEEP[0]) / 2 + max(valve.residual for valve in found),
+    }

@@ -1,0 +1,405 @@
+"""`golfbench campaign ...`: plan, run, judge and keep test series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.campaign.findings import Findings
+    from bench.campaign.plan import Plan
+    from bench.campaign.runner import Outcome
+    from bench.commands.campaign_baseline import Band, Checked
+    from bench.config import Configuration
+    from bench.store.campaigns import CampaignEntry, CampaignStore
+
+app = typer.Typer(help="Test series: plan, run, judge and keep them.", no_args_is_help=True)
+
+File = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A plan, TOML, or the name of one that comes with golfbench.")
+]
+Id = Annotated[
+    str,
+    typer.Argument(metavar="ID", help="Id of a campaign or its beginning; the newest that fits is meant."),
+]
+Ask = Annotated[
+    bool,
+    typer.Option(
+        "--ask", help="Have a person change clubs and fill the feeder also where the bench is simulated."
+    ),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+class Outputs(NamedTuple):
+    """What a run leaves beside its records."""
+
+    json: bool
+    junit: Path | None
+    report: Path | None
+    baseline: Sequence[Band]
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    file: File,
+    everything: Annotated[bool, typer.Option("--all", help="Print every block.")] = False,
+    json_: Json = False,
+) -> None:
+    """Check a plan and print its order and what it can resolve, before anything moves.
+
+    Ends with 2 and every mistake found.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.campaign.preview import preview_record, show_preview
+
+    plan, _ = _checked(context, file)
+    if json_:
+        typer.echo(json.dumps(preview_record(plan), indent=2))
+    else:
+        show_preview(plan, Console(), everything=everything)
+
+
+def _checked(context: typer.Context, file: Path) -> tuple[Plan, Configuration]:
+    """Return the plan in `file`, whose swings fit its clubs, and the configuration."""
+    from bench.campaign.plan_file import load_plan
+    from bench.campaign.swings import require_swings
+
+    configuration = context.ensure_object(Session).configuration()
+    plan = load_plan(file, configuration)
+    require_swings(plan, configuration)
+    return plan, configuration
+
+
+@contextmanager
+def _store(configuration: Configuration) -> Iterator[CampaignStore]:
+    """Open the campaigns of the configured bench."""
+    from bench.config import database_url
+    from bench.store.campaigns import CampaignStore
+    from bench.store.database import open_database
+
+    settings = configuration.bench
+    with open_database(database_url(settings.database, settings.data_dir)) as engine:
+        yield CampaignStore(engine)
+
+
+@app.command()
+def run(
+    context: typer.Context,
+    file: File,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="On the simulated bench, in lock-step, in this process.")
+    ] = False,
+    json_: Json = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
+    ] = None,
+    report_to: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE", help="Also write the report, HTML.")
+    ] = None,
+    check_: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
+    ] = None,
+    ask: Ask = False,
+) -> None:
+    """Run a campaign from its first shot to its end: on the running bench, or with --sim without one.
+
+    Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
+    """
+    from datetime import UTC, datetime
+
+    from bench.campaign.operate import new_entry
+    from bench.commands.campaign_baseline import read_baseline
+
+    plan, configuration = _checked(context, file)
+    facts = {} if sim else _bench_facts(plan, configuration)
+    bands = read_baseline(check_) if check_ else []
+    with _store(configuration) as store:
+        entry = new_entry(
+            plan, configuration, datetime.now(UTC), simulated=sim or facts["driver"] == "sim", real_time=facts
+        )
+        store.begin(entry)
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask)
+
+
+@app.command()
+def resume(
+    context: typer.Context,
+    campaign: Id,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="[FILE]", help="Its plan, which must be unchanged.")
+    ] = None,
+    json_: Json = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
+    ] = None,
+    ask_: Ask = False,
+) -> None:
+    """Go on with a campaign that was paused, stopped, suspended or cut off."""
+    from bench.campaign.operate import ask, is_running, known, require_resumable
+    from bench.campaign.plan_file import plan_from_record
+
+    configuration = context.ensure_object(Session).configuration()
+    plan = _checked(context, file)[0] if file else None
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        require_resumable(entry, store.standing(entry.id).state, configuration, plan)
+        if is_running(configuration.bench.data_dir, entry.id):
+            typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
+            return
+        if entry.real_time:
+            _bench_facts(plan_from_record(entry.plan, f"campaign {entry.id}"), configuration)
+        _run(store, entry, configuration, Outputs(json_, junit, None, []), ask=ask_)
+
+
+def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
+    """Return what there is to note of the running bench, which can swing `plan`."""
+    from bench.campaign.operate import bench_facts
+    from bench.network.client import BenchClient
+
+    with BenchClient.connect(configuration) as client:
+        return bench_facts(plan, configuration, client.status())
+
+
+def _run(
+    store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs, *, ask: bool
+) -> None:
+    """Run `entry` with a progress bar and tell what came of it."""
+    import json
+
+    from bench.campaign.campaign_report import load_record, write_campaign_report
+    from bench.campaign.findings import findings, findings_record
+    from bench.campaign.fitting import Kind
+    from bench.campaign.operate import run_live, run_simulated
+    from bench.campaign.plan_file import plan_from_record
+    from bench.commands.campaign_baseline import check_baseline
+    from bench.commands.campaign_junit import junit_xml
+    from bench.commands.campaign_screen import ProgressWatcher
+    from bench.commands.campaign_terminal import TerminalOperator
+    from bench.commands.progress import progress_bar
+    from bench.errors import ExitCode
+    from bench.interrupt import deferred_interrupt
+    from bench.store.campaigns import CampaignState
+    from bench.telemetry.whole_file import whole_file
+
+    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
+    typer.echo(f"campaign {entry.id}", err=True)
+    with deferred_interrupt() as asked, progress_bar() as bar:
+        take = run_live if entry.real_time else run_simulated
+        asked_for = frozenset(Kind) if ask or not entry.simulated else frozenset({Kind.BENCH})
+        operator = TerminalOperator(bar, entry.id, asked_for)
+        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator)
+    record = load_record(store, entry)
+    found = findings(plan, record.shots)
+    figures = findings_record(found)
+    checks = check_baseline(figures, outputs.baseline)
+    if outputs.report and record.shots:
+        write_campaign_report(outputs.report, record, found)
+    if outputs.junit:
+        with whole_file(outputs.junit) as stream:
+            stream.write(junit_xml(entry, outcome, record.shots, checks))
+    if outputs.json:
+        held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
+        typer.echo(
+            json.dumps(
+                {"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures}, indent=2
+            )
+        )
+    else:
+        _tell(outcome, found, checks)
+    if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def _tell(outcome: Outcome, found: Findings, checks: Sequence[Checked]) -> None:
+    """Print how a run ended and what it found."""
+    reason = f": {outcome.reason}" if outcome.reason else ""
+    typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
+    for verdicts in found.verdicts:
+        for verdict in verdicts:
+            typer.echo(f"{verdict.headline}\n  {verdict.detail}")
+    for check in checks:
+        typer.echo(f"{'holds' if check.holds else 'OUTSIDE'}  {check}")
+
+
+@app.command()
+def report(
+    context: typer.Context,
+    campaign: Id,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Where to [default: report.html beside the campaign's records]."),
+    ] = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
+    ] = False,
+) -> None:
+    """Write the report of a campaign: one HTML file, verdict first, for the screen and for paper."""
+    import json
+
+    from bench.campaign.campaign_report import load_record, write_campaign_report
+    from bench.campaign.findings import findings, findings_record
+    from bench.campaign.operate import known
+    from bench.errors import Refused
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        record = load_record(store, known(store, campaign))
+    entry = record.entry
+    if not record.shots:
+        raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
+    found = findings(record.plan, record.shots)
+    if json_:
+        typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
+        return
+    path = output or configuration.bench.data_dir / "campaigns" / entry.id / "report.html"
+    write_campaign_report(path, record, found)
+    typer.echo(str(path))
+
+
+def _request(context: typer.Context, campaign: str, request: str) -> None:
+    from bench.campaign.operate import ask, known
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request)}")
+
+
+@app.command()
+def answer(
+    context: typer.Context,
+    campaign: Id,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who did it [default: user@host].")] = "",
+) -> None:
+    """Say that what a campaign asks for is done: a club is mounted, the feeder is filled."""
+    from datetime import UTC, datetime
+
+    from bench.campaign.operate import answer, known
+    from bench.commands.campaign_terminal import user_name
+
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        entry = known(store, campaign)
+        now = datetime.now(UTC)
+        text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now)
+    after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
+    typer.echo(f"done: {text}\n{entry.id} {after}")
+
+
+@app.command()
+def pause(context: typer.Context, campaign: Id) -> None:
+    """Pause a running campaign after the shot under way; resume goes on."""
+    _request(context, campaign, "pause")
+
+
+@app.command()
+def stop(context: typer.Context, campaign: Id) -> None:
+    """Stop a running campaign after the shot under way; it can be resumed."""
+    _request(context, campaign, "stop")
+
+
+@app.command()
+def abort(context: typer.Context, campaign: Id) -> None:
+    """End a campaign for good."""
+    _request(context, campaign, "abort")
+
+
+@app.command()
+def air(
+    context: typer.Context,
+    temperature: Annotated[float | None, typer.Option(metavar="C", help="Degrees Celsius.")] = None,
+    pressure: Annotated[
+        float | None, typer.Option(metavar="HPA", help="Of the place, not reduced to sea level.")
+    ] = None,
+    humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative.")] = None,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who or what read it [default: user@host].")] = "",
+) -> None:
+    """Tell the air that was read at the bench, or show the newest reading.
+
+    The shots of a real bench have it from then on, for as long as the plan says ([air] valid_for).
+    """
+    from datetime import UTC, datetime
+
+    from bench.commands.campaign_terminal import user_name
+    from bench.errors import BenchError
+    from bench.store.air_readings import AirReading, add_reading, newest_reading
+    from sim.air import Air
+
+    configuration = context.ensure_object(Session).configuration()
+    bench = configuration.bench.id
+    given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
+    if missing := [name for name, value in given.items() if value is None]:
+        if len(missing) < len(given):
+            raise BenchError("air", f"no {', '.join(missing)}", "all three of them", "Read them, too.")
+    with _store(configuration) as store:
+        if temperature is not None and pressure is not None and humidity is not None:
+            try:
+                read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
+            except ValueError as error:
+                raise BenchError(
+                    "air", f"{temperature} deg C, {pressure} hPa, {humidity} %", str(error), "Correct it."
+                ) from None
+            reading = AirReading(datetime.now(UTC), read, by or user_name())
+            add_reading(store.database, bench, reading)
+        elif not (found := newest_reading(store.database, bench, datetime(1970, 1, 1, tzinfo=UTC))):
+            typer.echo("The air has not been read yet.")
+            return
+        else:
+            reading = found
+    now = reading.air
+    typer.echo(
+        f"{now.temperature - 273.15:.1f} deg C, {now.pressure / 100:.1f} hPa, "
+        f"{100 * now.relative_humidity:.0f} %; read {reading.date:%Y-%m-%d %H:%M} UTC by {reading.by}"
+    )
+
+
+@app.command("list")
+def list_campaigns(context: typer.Context, json_: Json = False) -> None:
+    """Show the campaigns of this bench, the newest first."""
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.campaign_screen import listing, listing_record
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        found = store.entries()
+    if json_:
+        typer.echo(json.dumps(listing_record(found), indent=2))
+    elif found:
+        Console().print(listing(found))
+    else:
+        typer.echo("No campaigns yet.")
+
+
+@app.command()
+def export(
+    context: typer.Context,
+    campaign: Id,
+    format_: Annotated[Literal["csv"], typer.Option("--format", help="What to write.")] = "csv",
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where to [default: standard output].")
+    ] = None,
+) -> None:
+    """Write a campaign's shots, one row each."""
+    from bench.campaign.operate import known
+    from bench.shot.shot_table import shot_table_text, write_shot_table
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        shots = [stored.shot for stored in store.shots(known(store, campaign).id)]
+    if output is None:
+        typer.echo(shot_table_text(shots), nl=False)
+    else:
+        write_shot_table(output, shots)

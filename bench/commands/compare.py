@@ -1,0 +1,178 @@
+"""`golfbench swing compare`: one swing, one robot, controllers from the thesis' PID to learning."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from bench.learning.compare import Compared
+    from bench.learning.figures import Figures
+    from sim.plant import PlantParameters
+
+
+def compare(
+    context: typer.Context,
+    profile: Annotated[
+        str | None,
+        typer.Argument(metavar="[PROFILE]", help="Name or path of a profile [default: the configuration's]."),
+    ] = None,
+    robot: Annotated[
+        Literal["nominal", "worn", "both"],
+        typer.Option(
+            help="The configured robot; or a worn one: friction +40 %, valve flow -8 %, supply -4 %, head "
+            "+10 g, vane +3 %, encoders 1 ms later."
+        ),
+    ] = "both",
+    draw: Annotated[
+        int | None,
+        typer.Option(metavar="SEED", min=0, help="Instead a robot drawn within 10 % of the configured one."),
+    ] = None,
+    swings: Annotated[int, typer.Option(min=1, max=100, help="Of each controller.")] = 3,
+    learning: Annotated[bool, typer.Option(help="Let the planned openings learn, too.")] = True,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+) -> None:
+    """Compare controllers on one swing: PIDs alone, with feed-forward by the model, and with learning.
+
+    Same swing, same simulated robot, same seeds; pressure sensors only where it is said.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.progress import progress_bar
+    from bench.design.validate import require_possible
+    from bench.learning.compare import compare as compared
+    from bench.learning.compare import controllers, lecture_of, planned_figures
+    from bench.simulation.series import Bench
+    from bench.simulation.variation import WORN, drawn
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    configuration = context.ensure_object(Session).configuration()
+    path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
+    swing = load_profile(path)
+    require_possible(swing, plant, configuration.envelope, str(path))
+    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    planned = planned_figures(bench)
+    robots: dict[str, PlantParameters] = {"nominal": plant, "worn": WORN.applied_to(plant)}
+    if draw is not None:
+        robots = {f"drawn {draw}": drawn(draw, plant).applied_to(plant)}
+    elif robot != "both":
+        robots = {robot: robots[robot]}
+    rows: dict[str, list[Compared]] = {}
+    with progress_bar() as bar:
+        lecture = None
+        if learning:
+            task = bar.add_task("the model's response", total=1.0)
+            lecture = lecture_of(bench, lambda part: bar.update(task, completed=part))
+        each = len(controllers(bench)) + bool(learning)
+        for name, truth in robots.items():
+            task = bar.add_task(name, total=each + 1)
+
+            def show(controller: str, task: Any = task, name: str = name) -> None:
+                bar.update(task, advance=1, description=f"{name}: {controller}")
+
+            rows[name] = compared(bench, truth, swings, lecture, show)
+            bar.update(task, completed=each + 1)
+    if json_:
+        told = {name: [compared_record(row) for row in found] for name, found in rows.items()}
+        record = {"profile": swing.name, "swings": swings, "planned": planned.shown, "robots": told}
+        typer.echo(json.dumps(record, indent=2))
+        return
+    console = Console()
+    for name, found in rows.items():
+        console.print(compared_table(f"{swing.name} on the {name} robot, mean of {swings} swings", found))
+        console.print(*notes(found), "", sep="\n", highlight=False)
+    console.print(_legend(planned), highlight=False)
+
+
+def compared_record(row: Compared) -> dict[str, Any]:
+    """Return `row` for JSON; None where nothing is known."""
+    from bench.learning.compare import LITRES
+    from drivers.base import JOINTS
+
+    def known(value: float) -> float | None:
+        return float(value) if isfinite(value) else None
+
+    error = row.error.shown
+    error["head_speed_share"] = known(row.error.speed)
+    del error["head_speed_mps"]
+    joints = zip(JOINTS, row.tracking, strict=True)
+    return {
+        "controller": row.controller,
+        "delivery": row.figures.shown,
+        "delivery_error": error,
+        "tracking_rad": {joint: known(value) for joint, value in joints},
+        "head_path_error_m": known(row.path),
+        "saturated_share": known(row.saturated),
+        "air_kg": known(row.air),
+        "air_litres_anr": known(row.air * LITRES),
+        "stopped_by": row.cause.name if row.cause else None,
+        "following_error": None if row.strayed is None else [JOINTS[row.strayed[0]], row.strayed[1].name],
+    }
+
+
+def compared_table(title: str, rows: list[Compared]) -> Table:
+    """Return the table of `rows`."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from bench.learning.compare import LITRES
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, title_justify="left")
+    table.add_column("controller", no_wrap=True)
+    names = ("tracking", "head", "strike", "speed", "lean", "attack", "sat.", "air")
+    units = ("mrad", "mm", "mm", "%", "°", "°", "%", "l")
+    for name, unit in zip(names, units, strict=True):
+        table.add_column(f"{name}\n{unit}", justify="right", no_wrap=True)
+    for row in rows:
+        figures = ("", "", "", "")
+        if isfinite(row.error.speed):
+            shown = row.error.shown
+            values = (shown["strike_mm"], 100 * row.error.speed, shown["shaft_lean_deg"])
+            strike, speed, lean = (f"{value:+.1f}" for value in values)
+            figures = (strike, speed, lean, f"{shown['attack_angle_deg']:+.1f}")
+        first, last = ("", ""), ("", "")
+        if isfinite(row.air):
+            tracking = "·".join(f"{1e3 * value:.0f}" for value in row.tracking)
+            first = (tracking, f"{1e3 * row.path:.0f}") if isfinite(row.path) else first
+            saturated = f"{100 * row.saturated:.0f}" if isfinite(row.saturated) else ""
+            last = (saturated, f"{LITRES * row.air:.0f}")
+        table.add_row(row.controller, *first, *figures, *last)
+    return table
+
+
+def notes(rows: list[Compared]) -> list[str]:
+    """Return a line for each of `rows` that the bench would not have let swing."""
+    return [f"{row.controller}: {note}" for row in rows if (note := _note(row))]
+
+
+def _note(row: Compared) -> str:
+    from bench.lifecycle import CAUSE_TEXT
+    from drivers.base import JOINTS
+
+    notes = [] if not row.cause else [f"stopped: {CAUSE_TEXT[row.cause]}"]
+    if row.strayed is not None:
+        joint, phase = row.strayed
+        notes.append(f"follows too far off: {JOINTS[joint]}, {phase.name.lower().replace('_', ' ')}")
+    return "; ".join(notes)
+
+
+def _legend(planned: Figures) -> str:
+    shown = planned.shown
+    return (
+        "Each row adds one thing to the one above; planned: the profile's own openings instead.\n"
+        f"Planned: strike {shown['strike_mm']:+.1f} mm, {shown['head_speed_mps']:.2f} m/s, lean "
+        f"{shown['shaft_lean_deg']:+.2f}°, attack {shown['attack_angle_deg']:+.2f}°; told is what the "
+        "delivery at the ball is off it.\n"
+        "Tracking: rms of shoulder·arm·wrist in the downswing; head: the same of its way; sat.: ticks of the "
+        "downswing with a valve at its limit; air: litres ANR a swing. Following errors stop no swing here; "
+        "where the bench would stop is told."
+    )

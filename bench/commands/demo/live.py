@@ -1,0 +1,98 @@
+"""`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, in real time.
+
+The bench is the daemon with the plant in step (`paced`); the campaign swings it over the network as any
+campaign does. Everything that is started here ends here, also after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.campaign.operate import bench_facts, new_entry, run_live
+from bench.commands.demo.bench_process import BenchPlan
+from bench.commands.demo.result import Files, ScreenWatcher, demo_plan, new_folder, write_result
+from bench.commands.demo.screen import Screen
+from bench.config import Configuration, database_url
+from bench.interrupt import deferred_interrupt
+from bench.network.client import BenchClient
+from bench.network.free_port import free_port
+from bench.processes.child import Child
+from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.database import open_database
+
+_START = 400.0
+"""s that the bench may take to start: the first time everything is compiled."""
+_END = 40.0
+"""s in which it must have brought the robot to rest."""
+
+
+def demo_configuration(configuration: Configuration, data_dir: Path) -> Configuration:
+    """Return the configuration of a simulated bench of its own, which stays armed from swing to swing."""
+    c = configuration
+    return replace(
+        c,
+        bench=replace(c.bench, id=f"demo-{os.getpid()}", data_dir=data_dir, database=""),
+        driver=replace(c.driver, name="sim", time="paced"),
+        network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
+        lifecycle=replace(c.lifecycle, series=True, local_reset=False),
+    )
+
+
+@contextmanager
+def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
+    """Run a bench for the time of a block; it has brought its robot to rest when the block ends.
+
+    Raises:
+        NotStarted: it does not come up.
+    """
+    child = Child.start("bench", "bench.commands.demo.bench_process", BenchPlan(configuration, log))
+    patience = 2.0  # nothing moves before it is ready
+    try:
+        child.wait_until_ready(_START)
+        patience = _END
+        yield
+    finally:
+        child.end(patience)
+
+
+def run_live_demo(configuration: Configuration, output: Path | None, swings: int, seed: int) -> bool:
+    """Start the bench, run the campaign, show and store; return whether it came to its end.
+
+    After Ctrl-C the swing under way is completed; the shots so far and their table are there, without report
+    and recording.
+
+    Raises:
+        BenchError: the profile does not hold, `output` cannot be used, or the bench does not start.
+        ExceptionGroup: of BenchErrors, the reasons why the profile cannot be swung here.
+        KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
+    """
+    begin = datetime.now(UTC)
+    demo_plan(configuration, swings, seed)  # refused before anything is written
+    folder = new_folder(output, configuration, begin)
+    c = demo_configuration(configuration, folder / "bench")
+    plan = demo_plan(c, swings, seed)
+    d = plan.design
+    title = f"{d.clubs[0]}, profile {d.swings[0]}, balls {' and '.join(d.balls)}"
+    shots = len(plan.design.balls) * plan.design.blocks
+    with ExitStack() as stack:
+        screen = stack.enter_context(Screen(f"{shots} swings in real time: {title}", shots))
+        store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
+        screen.say("starting the bench (the first time it is compiled: half a minute)")
+        running = stack.enter_context(ExitStack())
+        running.enter_context(own_bench(c, folder / "bench.log"))
+        with deferred_interrupt() as asked:
+            with BenchClient.connect(c) as client:
+                facts = bench_facts(plan, c, client.status())
+            entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
+            store.begin(entry)
+            screen.say("arming")
+            outcome = run_live(entry, c, store, ScreenWatcher(screen), asked.is_made)
+            screen.say("bringing the robot to rest")
+            running.close()
+            write_result(screen, store, entry, outcome, Files.within(folder), c)
+    return outcome.state is CampaignState.FINISHED

@@ -1,0 +1,142 @@
+"""What every demo shares: its plan, its folder, its screen while it runs, and what it leaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.campaign.campaign_report import load_record, write_campaign_report
+from bench.campaign.findings import findings
+from bench.campaign.plan import Plan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.runner import Outcome, Watcher
+from bench.campaign.swings import require_swings
+from bench.commands.demo.screen import Screen
+from bench.config import Configuration
+from bench.errors import BenchError, Refused
+from bench.shot.recorded_shot import read_shot
+from bench.shot.shot import Shot
+from bench.shot.shot_table import write_shot_table
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
+from bench.viewer.recording import write_recording
+
+
+class Files(NamedTuple):
+    """What a demo leaves in its folder."""
+
+    report: Path
+    recording: Path
+    shots: Path
+    swings: Path
+
+    @classmethod
+    def within(cls, folder: Path) -> Files:
+        """Return the files' paths in `folder`."""
+        return cls(folder / "report.html", folder / "demo.rrd", folder / "shots.csv", folder / "swings")
+
+
+class ScreenWatcher(Watcher):
+    """Shows the shots as they come."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._screen = screen
+
+    def shot(self, shot: Shot) -> None:
+        """Add its row."""
+        self._screen.say("swinging")
+        self._screen.add(shot)
+
+
+def demo_plan(configuration: Configuration, swings: int, seed: int) -> Plan:
+    """Return the shipped test of two balls, with the configured swing, club and ball and the next ball.
+
+    Raises:
+        ExceptionGroup: of BenchErrors; it cannot be swung here.
+    """
+    c, plan = configuration, load_plan(Path("two-balls"), configuration)
+    first = c.plant.ball.name
+    second = islice((name for name in c.balls if name != first), 1)
+    balls, club = (first, *second), c.plant.robot.club.name
+    plan = replace(
+        plan,
+        design=replace(
+            plan.design, balls=balls, clubs=(club,), swings=(c.swing.profile,),
+            blocks=-(-swings // len(balls)), seed=seed,
+        ),
+        balls={name: c.balls[name] for name in balls},
+        clubs={club: c.clubs[club]},
+    )  # fmt: skip
+    require_swings(plan, c)
+    return plan
+
+
+def new_folder(output: Path | None, configuration: Configuration, begin: datetime) -> Path:
+    """Return the folder to write to, which is made.
+
+    Raises:
+        Refused: there are files in it.
+        BenchError: it cannot be made.
+    """
+    folder = output or configuration.bench.data_dir / f"demo-{begin:%Y%m%dT%H%M%SZ}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        used = any(folder.iterdir())
+    except OSError as error:
+        raise BenchError(
+            str(folder),
+            error.strerror or str(error),
+            "a folder to write to",
+            "Name another one with --output.",
+        ) from error
+    if used:
+        raise Refused(str(folder), "files in it", "a new or empty folder", "Name another one with --output.")
+    return folder
+
+
+def write_result(
+    screen: Screen,
+    store: CampaignStore,
+    entry: CampaignEntry,
+    outcome: Outcome,
+    files: Files,
+    c: Configuration,
+) -> None:
+    """Leave report, recording and table, and show what came of it; after Ctrl-C the table only."""
+    record = load_record(store, entry)
+    found = findings(record.plan, record.shots)
+    files = files._replace(swings=c.bench.data_dir / "campaigns" / entry.id / "swings")
+    if record.shots:
+        write_shot_table(files.shots, record.shots)
+    interrupted = outcome.state is CampaignState.STOPPED
+    stopped = "Ctrl-C: the robot was brought to rest; no report, no recording"
+    if record.shots and not interrupted:
+        screen.say("writing the report")
+        write_campaign_report(files.report, record, found)
+        screen.step()
+        screen.say("writing the recording")
+        stored = [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]
+        if stored:
+            write_recording(
+                files.recording,
+                [read_shot(path).record for path in stored],
+                c.plant,
+                files.recording.parent.name,
+            )
+        screen.step()
+    s = record.plan.simulation
+    by_itself = "" if entry.real_time else f"supply pressure {100 * s.supply:g} %, "
+    scatter = (
+        f"{by_itself}restitution {100 * s.restitution:g} % from hit to hit, {100 * s.sample:g} % from ball "
+        f"to ball, launch monitor {s.ball_speed:g} m/s and {s.spin_rpm:g} rpm (standard deviations)"
+    )
+    written = [path for path in files if path.exists()]
+    screen.finish(
+        scatter,
+        entry.seed,
+        written,
+        stopped if interrupted else outcome.reason,
+        found,
+    )

@@ -1,0 +1,108 @@
+"""`golfbench export` at the command line: records for other programs."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from bench.export.record import Record
+
+
+class Format(StrEnum):
+    """What is written."""
+
+    CSV = "csv"
+    RRD = "rrd"
+    MCAP = "mcap"
+    MAT = "mat"
+
+
+def export(
+    records: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORD...", help="Records of swings, .parquet, or folders of them."),
+    ],
+    format_: Annotated[Format, typer.Option("--format", help="What to write.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="File for one record, folder for several [default: beside each]."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+) -> None:
+    """Write records of swings for other programs, with the unit of every column.
+
+    csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove, mat for MATLAB.
+    """
+    from bench.commands.progress import progress_bar
+    from bench.export.record import read_record
+    from bench.viewer.recorded_series import record_files
+
+    targets = planned(record_files(records), format_, output, force)
+    write = _writer(format_)
+    with progress_bar() as progress:
+        task = progress.add_task("exporting", total=len(targets))
+        for source, target in targets:
+            written = write(target, read_record(source))
+            progress.advance(task)
+            typer.echo("\n".join(map(str, written)))
+
+
+def planned(
+    sources: list[Path], format_: Format, output: Path | None, force: bool
+) -> list[tuple[Path, Path]]:
+    """Return each record with the file it is written to.
+
+    Raises:
+        Refused: a file exists, and `force` is not given.
+        BenchError: two records would be written to one file.
+    """
+    from bench.errors import BenchError, Refused
+
+    suffix = f".{format_.value}"
+    if output is not None and len(sources) == 1 and not output.is_dir():
+        targets = [(sources[0], output)]
+    else:
+        if output is not None:
+            output.mkdir(parents=True, exist_ok=True)
+        targets = [(s, (output or s.parent) / f"{s.stem}{suffix}") for s in sources]
+    names = [target for _, target in targets]
+    for target in names:
+        if names.count(target) > 1:
+            raise BenchError(
+                str(target),
+                "several records of that name",
+                "a file for each record",
+                "Export them one by one.",
+            )
+        if target.exists() and not force:
+            raise Refused(
+                str(target), "a file", "a name that is free", "Name another --output, or add --force."
+            )
+    return targets
+
+
+def _writer(format_: Format) -> Callable[[Path, Record], list[Path]]:
+    """Return what writes `format_`; only its own library is imported."""
+    match format_:
+        case Format.CSV:
+            from bench.export.csv_table import write_csv
+
+            return write_csv
+        case Format.RRD:
+            from bench.export.rrd_file import write_rrd
+
+            return write_rrd
+        case Format.MCAP:
+            from bench.export.mcap_file import write_mcap
+
+            return write_mcap
+        case Format.MAT:
+            from bench.export.mat_file import write_mat
+
+            return write_mat

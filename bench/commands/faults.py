@@ -1,0 +1,171 @@
+"""`golfbench faults ...`: what becomes of robot and bench when something breaks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from bench.faults.case import Outcome
+    from bench.faults.matrix import Plan
+    from bench.swing.profile import Profile
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def faults() -> None:
+    """Break every signal and part in every phase on the simulated robot, and judge how it ends."""
+
+
+@app.command()
+def run(
+    context: typer.Context,
+    profile: Annotated[str, typer.Argument(metavar="[PROFILE]", help="Name or path.")] = "default",
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of results [default: DATA_DIR/faults].")
+    ] = None,
+    signal: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Only faults with this in their name; again for more."),
+    ] = None,
+    phase: Annotated[
+        list[str] | None, typer.Option(metavar="PHASE", help="Only from this phase; again for more.")
+    ] = None,
+    model_check: Annotated[
+        bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
+    ] = True,
+    compare: Annotated[
+        bool, typer.Option("--compare", help="Run encoders, valves and supply without that check as well.")
+    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One instant a phase.")] = False,
+    processes: Annotated[int, typer.Option(min=0, help="0: one a core.")] = 0,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+) -> None:
+    """Run the matrix of faults, signals and phases; what was run before with the same sources is kept.
+
+    Leaves matrix.html, matrix.json and cases.jsonl. Ends with 1 when a case ends unsafe.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.faults_page import matrix_page, matrix_table, reasons_table
+    from bench.errors import BenchError, ExitCode
+    from bench.faults.matrix import plan_matrix
+    from bench.faults.summary import PHASES
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+    from bench.telemetry.whole_file import whole_file
+
+    if unknown := sorted(set(phase or ()) - set(PHASES)):
+        raise BenchError("--phase", ", ".join(unknown), f"of {', '.join(PHASES)}", "Correct it.")
+    configuration = context.ensure_object(Session).configuration()
+    swing = load_profile(find_profile(profile))
+    folder = output or configuration.bench.data_dir / "faults"
+    folder.mkdir(parents=True, exist_ok=True)
+    plan = plan_matrix(
+        swing, model_check=model_check, signals=signal or (), phases=phase or (), one_instant=quick
+    )
+    summary = _matrix(configuration, swing, folder, plan, model_check, compare, processes)
+    texts = {
+        "matrix.json": json.dumps(summary, indent=1) + "\n",
+        "matrix.html": matrix_page(summary, summary.get("comparison")),
+    }
+    for name, text in texts.items():
+        with whole_file(folder / name) as file:
+            file.write(text.encode())
+    if json_:
+        typer.echo(texts["matrix.json"], nl=False)
+    else:
+        console = Console()
+        console.print(matrix_table(summary))
+        if summary["verdicts"]["unsafe"]:
+            console.print(reasons_table(summary))
+        console.print(f"{folder / 'matrix.html'}", highlight=False)
+    if summary["verdicts"]["unsafe"]:
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def _matrix(
+    configuration: Configuration,
+    profile: Profile,
+    folder: Path,
+    plan: Plan,
+    model_check: bool,
+    compare: bool,
+    processes: int,
+) -> dict[str, Any]:
+    from bench.faults.summary import compare as compared
+    from bench.faults.summary import summarise
+
+    store = folder / "cases.jsonl"
+    outcomes, seconds = _outcomes(configuration, profile, plan, store, model_check, processes)
+    summary = summarise(
+        outcomes, plan.skipped, model_check=model_check, profile=profile.name, seconds=seconds
+    )
+    if compare:
+        rest = tuple(case for case in plan.cases if _is_compared(case[0].fault.signal))
+        without, _ = _outcomes(
+            configuration, profile, type(plan)(rest, ()), folder / "without.jsonl", not model_check, processes
+        )
+        pair = (outcomes, without) if model_check else (without, outcomes)
+        summary["comparison"] = compared(*pair)
+    return summary
+
+
+def _is_compared(signal: str) -> bool:
+    from sim.faults import sort_of
+
+    return sort_of(signal) in ("encoder", "valve", "supply", "club head")
+
+
+def _outcomes(
+    configuration: Configuration, profile: Profile, plan: Plan, path: Path, model_check: bool, processes: int
+) -> tuple[list[Outcome], float]:
+    """Return the outcomes, and the seconds that they took over all runs."""
+    from time import monotonic
+
+    from bench.commands.progress import progress_bar
+    from bench.faults.matrix import CaseStore, digest_of, run_matrix
+    from bench.interrupt import deferred_interrupt
+
+    store = CaseStore(path, digest_of(configuration, profile, model_check))
+    with deferred_interrupt() as asked, progress_bar() as bar:
+        text = f"breaking {profile.name}" + ("" if model_check else ", no model check")
+        task = bar.add_task(text, total=len(plan.cases))
+        begun = monotonic()
+        outcomes = run_matrix(
+            plan, configuration, profile, store, model_check=model_check, processes=processes,
+            progress=lambda done: bar.update(task, completed=done), stop=asked.is_made,
+        )  # fmt: skip
+        store.took(monotonic() - begun)
+    return outcomes, store.seconds
+
+
+@app.command()
+def table(
+    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="A matrix.json.")],
+    output: Annotated[Path | None, typer.Option(metavar="FILE", help="Where to; else it is printed.")] = None,
+) -> None:
+    """Make the hazard table of a matrix, as in sim/FAULTS.md."""
+    import json
+
+    from bench.errors import BenchError
+    from bench.faults.hazards import hazard_table
+
+    try:
+        text = hazard_table(json.loads(matrix.read_text()))
+    except (ValueError, KeyError, TypeError):
+        raise BenchError(
+            str(matrix), "no matrix", "what golfbench faults run leaves as matrix.json", "Run it."
+        ) from None
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        output.write_text(text)

@@ -1,0 +1,139 @@
+"""`golfbench launch-monitor` at the command line."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+from bench.errors import BenchError, ExitCode
+
+if TYPE_CHECKING:
+    from sim.launch_monitor import MonitorParameters
+    from sim.plant import PlantParameters
+
+_LOOK = 0.005
+"""s between two looks at the plant."""
+_ATTACH = 0.5
+"""s between two looks whether there is a plant."""
+
+
+def _share(of: str) -> Any:
+    return typer.Option(min=0.0, max=1.0, metavar="SHARE", help=f"Of {of}.")
+
+
+class NoPlant(BenchError):
+    """The simulated bench cannot be looked at."""
+
+    exit_code = ExitCode.DEVICE
+
+
+def launch_monitor(
+    context: typer.Context,
+    seed: Annotated[int, typer.Option(min=0, help="Of noise and faults.")] = 1,
+    drop: Annotated[
+        list[int] | None, typer.Option(min=1, metavar="N", help="Do not tell of the N-th ball; repeatable.")
+    ] = None,
+    missing: Annotated[float, _share("balls that are not told of")] = 0.0,
+    misread: Annotated[float, _share("balls of which one figure is wrong")] = 0.0,
+    double: Annotated[float, _share("balls told twice, measured anew")] = 0.0,
+    repeated: Annotated[float, _share("messages that are sent again")] = 0.0,
+    no_spin: Annotated[float, _share("balls whose spin is not seen")] = 0.0,
+    ghost: Annotated[float, _share("balls that one follows which nobody hit")] = 0.0,
+    club: Annotated[
+        bool, typer.Option("--club", help="Tell of the club, too: its speed and angle of attack.")
+    ] = False,
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Times the usual noise; 0: none.")
+    ] = 1.0,
+    delay: Annotated[
+        float, typer.Option(min=0.0, max=30.0, metavar="S", help="From the impact to the message.")
+    ] = 0.6,
+    pieces: Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")] = False,
+    text: Annotated[
+        bool, typer.Option("--text", help="Send numbers as text, and spin as components.")
+    ] = False,
+    folder: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Of the plant's shared records, as of golfbench nodes --folder."),
+    ] = None,
+) -> None:
+    """Play a launch monitor beside a simulated bench, until Ctrl-C or SIGTERM.
+
+    It sees what the plant's balls really do, measures them with noise and faults, and tells the bench of them
+    over Open Connect as a real one would: the bench needs [launch_monitor] enabled = true.
+    """
+    from bench.processes.bench_folder import bench_folder
+    from sim.launch_monitor import MonitorParameters
+
+    c = context.ensure_object(Session).configuration()
+    usual = MonitorParameters()
+    parameters = MonitorParameters(
+        speed_noise=noise * usual.speed_noise, angle_noise=noise * usual.angle_noise,
+        spin_noise=noise * usual.spin_noise, axis_noise=noise * usual.axis_noise,
+        delay=delay, missing=missing, dropped=tuple(drop or ()), misread=misread, double=double,
+        repeated=repeated, no_spin=no_spin, club=club, ghost=ghost, pieces=pieces, text_numbers=text,
+        seed=seed,
+    )  # fmt: skip
+    settings = c.launch_monitor
+    address = (settings.address, settings.port)
+    if not settings.enabled:
+        typer.echo("[launch_monitor] is not enabled here; the running bench may have it on", err=True)
+    play(
+        parameters, c.plant, folder or bench_folder(c.bench.id), address,
+        lambda text: typer.echo(text, err=True),
+    )  # fmt: skip
+
+
+def play(
+    parameters: MonitorParameters,
+    plant: PlantParameters,
+    folder: Path,
+    address: tuple[str, int],
+    say: Callable[[str], None],
+) -> None:
+    """Be the monitor of the `plant` in `folder` until SIGTERM or Ctrl-C; `say` hears what goes on.
+
+    Raises:
+        NoPlant: the plant there is of other code.
+    """
+    from bench.interrupt import wish_to_end
+    from drivers.base.shared_record import SharedMemoryError
+    from sim.launch_monitor import ClubMotion, SimulatedMonitor
+    from sim.live.contact_watch import ContactWatch, warm_up
+
+    warm_up()
+    watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
+    where = f"{address[0]} port {address[1]}"
+    place = plant.site.ball_x, plant.site.ball_y
+    balls, attach_at = 0, -1.0
+    told: tuple[bool, bool] | None = None
+    try:
+        with wish_to_end() as wish:
+            while not wish.wait(_LOOK):
+                now = time.monotonic()
+                if now >= attach_at:
+                    watch.attach()
+                    attach_at = now + _ATTACH
+                if (contact := watch.look()) is not None:
+                    balls += 1
+                    launch = contact.launch
+                    came = contact.delivery(plant.robot, place)
+                    monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle))
+                    say(f"ball {balls}: {launch.speed:.2f} m/s, {'told' if monitor.waiting else 'not told'}")
+                monitor.step(now)
+                if (standing := (watch.attached, monitor.connected)) != told:
+                    told = standing
+                    say(
+                        f"{'sees' if watch.attached else 'waits for'} the plant in {folder}, "
+                        f"{'connected to' if monitor.connected else 'not connected to'} the bench at {where}"
+                    )
+    except SharedMemoryError as error:
+        raise NoPlant(*error.args) from error
+    finally:
+        monitor.close()
+        watch.close()

@@ -1,0 +1,249 @@
+"""`golfbench status`, `home`, `arm`, ... `lease`: asking a running bench from the command line."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.network.client import BenchClient
+    from bench.network.command import Answer
+
+PANEL = "A running bench"
+
+app = typer.Typer()
+lease_app = typer.Typer(
+    help="Hold the bench: who moves it holds its lease. What stops it needs none.", no_args_is_help=True
+)
+app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+_SPARE = 10
+"""Sequence numbers set apart for one command: a command that is killed leaves none behind that it used."""
+
+
+@app.command(rich_help_panel=PANEL)
+def status(
+    context: typer.Context,
+    watch: Annotated[bool, typer.Option("--watch", help="Follow it until Ctrl-C.")] = False,
+    json_: Json = False,
+) -> None:
+    """Show the state of the bench: once, or live.
+
+    With --watch and --json one line for each state that the bench tells of.
+    """
+    import json
+
+    with _client(context) as bench:
+        if json_:
+            typer.echo(json.dumps(bench.status(), indent=None if watch else 2))
+            for heard in bench.states(1.0) if watch else ():
+                if heard is not None:
+                    typer.echo(json.dumps(heard.status))
+            return
+        from rich.console import Console
+
+        from bench.commands.status_table import status_table, watch_status
+
+        if watch:
+            watch_status(bench, Console())
+        Console().print(status_table(bench.status(), 0.0))
+
+
+@app.command(rich_help_panel=PANEL)
+def home(context: typer.Context) -> None:
+    """Prove the encoders' zeros; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.home())
+
+
+@app.command(rich_help_panel=PANEL)
+def arm(context: typer.Context) -> None:
+    """Warn, let the air on and go to the address; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.arm())
+
+
+@app.command(rich_help_panel=PANEL)
+def disarm(context: typer.Context) -> None:
+    """Go back to READY in order and vent."""
+    _ask(context, lambda bench: bench.disarm())
+
+
+@app.command(rich_help_panel=PANEL)
+def access(
+    context: typer.Context, end: Annotated[bool, typer.Option("--end", help="Lock the guard again.")] = False
+) -> None:
+    """Unlock the guard of a vented bench, to change club or ball; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.secure() if end else bench.access())
+
+
+@app.command(rich_help_panel=PANEL)
+def tee(context: typer.Context) -> None:
+    """Raise the next ball; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.tee())
+
+
+@app.command(rich_help_panel=PANEL)
+def stop(context: typer.Context) -> None:
+    """Stop the robot; anybody may."""
+    _ask(context, lambda bench: bench.stop())
+
+
+@app.command(rich_help_panel=PANEL)
+def estop(context: typer.Context) -> None:
+    """Stop the robot as the emergency stop does; anybody may. A convenience, not a safety function."""
+    _ask(context, lambda bench: bench.emergency_stop())
+
+
+@app.command(rich_help_panel=PANEL)
+def reset(context: typer.Context) -> None:
+    """Leave ESTOP or FAULT when its cause is gone; enables, never moves; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.reset())
+
+
+def swing_when_armed(context: typer.Context) -> None:
+    """Swing, if the bench is ARMED and this user holds its lease: `golfbench swing`."""
+    from bench.errors import Refused
+
+    def ask(bench: BenchClient) -> Answer:
+        state = bench.status()["state"]
+        if state != "ARMED":
+            cure = "golfbench arm, then wait until the robot is at its address."
+            raise Refused(f"swing of bench {bench.bench}", f"state {state}", "state ARMED", cure)
+        return bench.swing()
+
+    _ask_as_holder(context, ask)
+
+
+# The lease -------------------------------------------------------------------------------------------
+
+Seconds = Annotated[
+    float | None, typer.Option(metavar="N", min=5.0, max=600.0, help="How long [default: 30, or as before].")
+]
+
+
+@lease_app.command("take")
+def take_lease(
+    context: typer.Context,
+    holder: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Who holds the bench [default: user@host].")
+    ] = None,
+    seconds: Seconds = None,
+) -> None:
+    """Take the bench; the commands that follow use the lease and renew it."""
+    from bench.commands.lease_file import open_lease_file
+    from bench.network.client import CommandRefused
+    from bench.network.lease import DEFAULT
+
+    name = holder or f"{getpass.getuser()}@{socket.gethostname()}"
+    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+        kept = file.read()
+        if kept is not None and kept.holder == name:
+            bench.held = kept
+            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+            try:
+                left = bench.renew_lease(seconds)
+            except CommandRefused:
+                pass  # it was over
+            else:
+                file.write(replace(kept, sequence=kept.sequence + _SPARE))
+                typer.echo(f"bench {bench.bench}: {name} holds it for {left:g} s more")
+                return
+        held = bench.take_lease(name, DEFAULT if seconds is None else seconds)
+        file.write(held)
+        typer.echo(f"bench {bench.bench}: {name} holds it for {held.seconds:g} s")
+
+
+@lease_app.command("renew")
+def renew_lease(context: typer.Context, seconds: Seconds = None) -> None:
+    """Keep the bench."""
+    with _holding(context) as bench:
+        left = bench.renew_lease(seconds)
+        typer.echo(f"bench {bench.bench}: held for {left:g} s more")
+
+
+@lease_app.command("release")
+def release_lease(context: typer.Context) -> None:
+    """Give the bench back; an armed bench disarms."""
+    with _holding(context) as bench:
+        bench.release_lease()
+        typer.echo(f"bench {bench.bench}: given back")
+
+
+@lease_app.command("show")
+def show_lease(context: typer.Context, json_: Json = False) -> None:
+    """Show who holds the bench."""
+    import json
+
+    with _client(context) as bench:
+        held = bench.status()["lease"]
+        if json_:
+            typer.echo(json.dumps(held))
+        elif held is None:
+            typer.echo(f"bench {bench.bench}: nobody holds it")
+        else:
+            typer.echo(
+                f"bench {bench.bench}: {held['holder']} holds it for {held['seconds_left']:.0f} s more"
+            )
+
+
+# How a verb is asked ---------------------------------------------------------------------------------
+
+
+def _client(context: typer.Context) -> BenchClient:
+    from bench.network.client import BenchClient
+
+    return BenchClient.connect(context.ensure_object(Session).configuration())
+
+
+def _folder() -> Path:
+    from bench.commands.lease_file import lease_folder
+
+    return lease_folder(os.environ, Path.home())
+
+
+@contextmanager
+def _holding(context: typer.Context) -> Iterator[BenchClient]:
+    """Yield a client with the kept lease, and keep what becomes of it."""
+    from bench.commands.lease_file import open_lease_file
+
+    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+        kept = file.read()
+        if kept is not None:
+            bench.held = replace(kept)
+            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+        try:
+            yield bench
+        finally:
+            file.write(bench.held)
+
+
+def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], Answer]) -> None:
+    from bench.network.client import CommandRefused
+
+    with _holding(context) as bench:
+        answer = ask(bench)
+        _tell(bench, answer)
+        with suppress(CommandRefused):  # the command is done all the same
+            bench.renew_lease()
+
+
+def _ask(context: typer.Context, ask: Callable[[BenchClient], Answer]) -> None:
+    with _client(context) as bench:
+        _tell(bench, ask(bench))
+
+
+def _tell(bench: BenchClient, answer: Answer) -> None:
+    typer.echo(f"bench {bench.bench}: {answer.state}")
+    if answer.note:
+        typer.echo(answer.note)

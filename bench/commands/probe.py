@@ -1,0 +1,113 @@
+"""What is tried in a process of its own, because it changes the process or may end it.
+
+`python -m bench.commands.probe imports MODULE...` imports each module and prints `module TAB answer`.
+`python -m bench.commands.probe realtime` asks the kernel for what the loop needs and prints JSON.
+`python -m bench.commands.probe can` asks python-can's backends for attached channels and prints JSON.
+`python -m bench.commands.probe daq` asks NI's driver for its version and its cards and prints JSON.
+`python -m bench.commands.probe cache` prints the folder of compiled code as JSON.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from bench.clock import GridClock
+from bench.processes.real_time import real_time
+
+PERIOD_NS = 1_000_000
+TICKS = 500
+
+
+def imports(modules: Sequence[str]) -> None:
+    """Import each of `modules` and print `module TAB ok` or `module TAB error`, one line each."""
+    answers, sys.stdout = sys.stdout, sys.stderr  # a chatty import must not look like an answer
+    for module in modules:
+        try:
+            importlib.import_module(module)
+            answer = "ok"
+        except BaseException as error:  # SystemExit at import is an answer, too
+            answer = f"{type(error).__name__}: {error}".replace("\n", " ").replace("\t", " ")
+        print(module, answer, sep="\t", file=answers, flush=True)
+
+
+def wake_up_latencies(ticks: int = TICKS, period_ns: int = PERIOD_NS) -> list[float]:
+    """Return how late (s, ascending) the loop's clock wakes on its grid."""
+    clock = GridClock(period_ns)
+    latencies = []
+    for _ in range(ticks):
+        clock.wait()
+        latencies.append((clock.woke - clock.due) * 1e-9)
+    return sorted(latencies)
+
+
+def realtime() -> dict[str, Any]:
+    """Return the real-time settings the kernel grants, and the wake-up latency (us) under them."""
+    with real_time("prefer") as granted:
+        late = wake_up_latencies()
+    quantiles = {"p50_us": 0.5, "p99_us": 0.99, "max_us": 1.0}
+    return {
+        **granted.as_json(),
+        "latency": {
+            name: round(late[min(int(q * len(late)), len(late) - 1)] * 1e6, 1)
+            for name, q in quantiles.items()
+        },
+    }
+
+
+def can_channels() -> list[str]:
+    """Return the attached CAN channels as `interface:channel`; no network is searched."""
+    import can
+
+    attached = can.VALID_INTERFACES - {"virtual", "udp_multicast", "socketcand"}
+    found = can.detect_available_configs(sorted(attached))
+    return [f"{config['interface']}:{config['channel']}" for config in found]
+
+
+def daq_cards() -> dict[str, Any]:
+    """Return `package` and `runtime`, versions of what drives NI's cards ("" when missing), and `cards`.
+
+    `trouble` says what NI's own driver says where it does not answer.
+    """
+    from importlib.metadata import version
+
+    from drivers.base import DriverError
+    from drivers.daq.package import load_nidaqmx, told
+
+    found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "trouble": ""}
+    try:
+        nidaqmx = load_nidaqmx()
+        found["package"] = version("nidaqmx")
+        system = nidaqmx.system.System.local()
+        found["runtime"] = ".".join(map(str, system.driver_version))
+        found["cards"] = [f"{card.name} ({card.product_type})" for card in system.devices]
+    except DriverError as error:
+        found["trouble"] = str(error)
+    except Exception as error:  # NI's own, of which nothing can be imported where it is missing
+        found["trouble"] = told(error)
+    return found
+
+
+def compiled_code_folder() -> str:
+    """Return the folder in which this installation keeps its machine code."""
+    from drivers.base.compiled import cache_folder
+
+    return str(cache_folder())
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["imports"]:
+        imports(sys.argv[2:])
+    elif sys.argv[1:] == ["realtime"]:
+        print(json.dumps(realtime()))
+    elif sys.argv[1:] == ["can"]:
+        print(json.dumps(can_channels()))
+    elif sys.argv[1:] == ["daq"]:
+        print(json.dumps(daq_cards()))
+    elif sys.argv[1:] == ["cache"]:
+        print(json.dumps(compiled_code_folder()))
+    else:
+        sys.exit(__doc__)

@@ -1,0 +1,55 @@
+"""`golfbench run` at the command line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import typer
+
+from bench.commands.session import Session
+
+
+def run(
+    context: typer.Context,
+    driver: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What is driven [default: the configuration's].")
+    ] = None,
+    time: Annotated[
+        Literal["wall", "paced"] | None,
+        typer.Option(help="Of the simulated plant: its own clock, or in step with the loop's ticks."),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(metavar="PROFILE", help="What is swung [default: the configuration's].")
+    ] = None,
+    read_only: Annotated[
+        bool, typer.Option("--read-only", help="Observe; send nothing but the passive command.")
+    ] = False,
+) -> None:
+    """Run the bench until Ctrl-C or SIGTERM: loop, recorder, publisher, and commands over the network.
+
+    It comes up in ESTOP; go on from another terminal: golfbench lease take, reset, home, arm, swing.
+    """
+    import logging
+
+    from bench.config import contradictions, unheard_phases
+    from bench.daemon import Daemon
+
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    configuration = context.ensure_object(Session).configuration()
+    settings = configuration.driver
+    if driver is not None:
+        settings = replace(settings, name=driver)
+    if time is not None:
+        settings = replace(settings, time=time)
+    swing = configuration.swing
+    if profile is not None:
+        swing = replace(swing, profile=profile)
+    configuration = replace(configuration, swing=swing).with_driver(settings)
+    if configuration.faults:
+        if mistakes := contradictions(configuration) + unheard_phases(configuration):
+            raise ExceptionGroup("the configuration does not hold", mistakes)
+    daemon = Daemon(configuration, read_only=read_only)
+    daemon.run(
+        lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)
+    )

@@ -1,0 +1,422 @@
+"""`golfbench swing ...`: look at profiles and try them on the software plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+
+app = typer.Typer(invoke_without_command=True)
+
+Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name of a profile that is here, or a path.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+@app.callback()
+def swing(context: typer.Context) -> None:
+    """Swing, if the bench is ARMED; or look at profiles and try them on the software plant."""
+    if context.invoked_subcommand is None:
+        from bench.commands.operate import swing_when_armed
+
+        swing_when_armed(context)
+
+
+@app.command("list")
+def list_profiles(json_: Json = False) -> None:
+    """Show the profiles that come with golfbench."""
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.swing_tables import listing
+    from bench.swing.library import THESIS, find_profile, profile_names
+    from bench.swing.profile import load_profile
+
+    profiles = [(name, load_profile(find_profile(name))) for name in profile_names()]
+    if json_:
+        keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
+        found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
+        typer.echo(json.dumps(found, indent=2))
+        return
+    console = Console()
+    console.print(listing(profiles) if profiles else "No profiles here yet.")
+    console.print(f"Also: golfbench swing simulate {THESIS}, the thesis' own experiment.", highlight=False)
+
+
+@app.command()
+def show(
+    context: typer.Context,
+    profile: Name,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw it: a .png, .svg or .pdf.")
+    ] = None,
+) -> None:
+    """Show a profile: phases and times, planned delivery, limits."""
+    from rich.console import Console
+
+    from bench.commands.swing_tables import details, draw
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    _require_picture(plot)
+    path = find_profile(profile)
+    swing = load_profile(path)
+    plant = context.ensure_object(Session).configuration().plant
+    console = Console()
+    console.print(details(swing, path, plant), highlight=False)
+    if plot is not None:
+        draw(swing, plant, plot)
+        console.print(f"Picture: {plot}", highlight=False)
+
+
+@app.command()
+def simulate(
+    context: typer.Context,
+    profile: Annotated[
+        str, typer.Argument(metavar="PROFILE", help='Name or path of a profile, or "thesis": its experiment.')
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for pictures and records [default: DATA_DIR/simulations/NAME]."
+        ),
+    ] = None,
+    ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
+    json_: Json = False,
+) -> None:
+    """Swing once on the software plant, and show what came of it.
+
+    Ends with 1 when the swing gives no valid shot.
+    """
+    from bench.swing.library import THESIS
+
+    configuration = context.ensure_object(Session).configuration()
+    if output is None:
+        output = configuration.bench.data_dir / "simulations" / Path(profile).stem
+    if profile == THESIS:
+        from bench.commands.thesis_report import simulate_thesis
+
+        simulate_thesis(output, json_)
+        return
+    _simulate(configuration, profile, ball, output, json_)
+
+
+def _simulate(configuration: Configuration, name: str, ball: str | None, output: Path, json_: bool) -> None:
+    import json
+    from contextlib import nullcontext
+    from datetime import UTC, datetime
+
+    from rich.console import Console
+
+    from bench.design.outcome import outcome_record, outcome_table, write_outcome
+    from bench.design.validate import require_possible
+    from bench.errors import ExitCode
+    from bench.interrupt import deferred_interrupt
+    from bench.simulation.simulated_bench import SimulatedBench, Surroundings, simulate_swing
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    path = find_profile(name)
+    swing = load_profile(path)
+    plant = configuration.plant_with(ball=ball)
+    require_possible(swing, plant, configuration.envelope, str(path))
+    around = Surroundings(configuration.air, configuration.wind, configuration.turf)
+    bench = SimulatedBench(
+        swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
+    )
+    console = Console()
+    waiting = nullcontext() if json_ else console.status(f"swinging {swing.name}")
+    with deferred_interrupt() as asked, waiting:
+        result = simulate_swing(bench, stop=asked.is_made)
+        record = outcome_record(result, datetime.now(UTC))
+        files = write_outcome(output, result, bench.metadata(record | result.replay_metadata()))
+    if json_:
+        typer.echo(json.dumps(record | {"files": [str(file) for file in files]}, indent=2))
+    else:
+        console.print(outcome_table(result, plant, record))
+        console.print("Files: " + ", ".join(map(str, files)), highlight=False)
+    if result.reason:
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def check(
+    context: typer.Context,
+    profile: Annotated[
+        str, typer.Argument(metavar="[PROFILE]", help="Name or path of a profile.")
+    ] = "default",
+    spacing: Annotated[int, typer.Option(min=1, help="Ticks between the instants that are tried.")] = 20,
+    json_: Json = False,
+) -> None:
+    """Prove on the software plant how every stop ends, from every instant of a swing.
+
+    Each reaction, each valve stuck open or shut, a silent bench and a missing ball, against the ratings of
+    stops and chambers. Ends with 1 when a reaction of the stopping table, the silent bench or the missing
+    ball ends unsafe; a stuck valve that ends unsafe is shown too.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.check_table import check_record, check_table
+    from bench.commands.progress import progress_bar
+    from bench.design.check import SwingCheck, summarise
+    from bench.errors import ExitCode
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    configuration = context.ensure_object(Session).configuration()
+    swing = load_profile(find_profile(profile))
+    bench = SwingCheck(
+        configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
+    )
+    with progress_bar() as bar:
+        task = bar.add_task(f"checking {swing.name}", total=1.0)
+        outcomes = bench.outcomes(spacing=spacing, progress=lambda part: bar.update(task, completed=part))
+        bar.update(task, completed=1.0)
+    summaries = summarise(outcomes)
+    if json_:
+        typer.echo(json.dumps(check_record(swing.name, outcomes, summaries), indent=2))
+    else:
+        Console().print(check_table(swing.name, outcomes, summaries))
+    if any(summary.unsafe for summary in summaries if "stuck" not in summary.fault):
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+@app.command()
+def design(
+    context: typer.Context,
+    output: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE]", help="The profile to write, .toml [default: by its demand]."),
+    ] = None,
+    club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
+    golfer: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Golfer whose motion to keep close to."),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M_PER_S",
+            min=5.0,
+            max=60.0,
+            help="Head speed at the ball [default: 45, or golfer's].",
+        ),
+    ] = None,
+    attack: Annotated[
+        float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")
+    ] = 0.0,
+    lean: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEG",
+            min=-3.0,
+            max=3.0,
+            help="Shaft lean at the ball, in the swing plane [default: the easiest within 1.5 deg].",
+        ),
+    ] = None,
+    strike: Annotated[
+        float,
+        typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane."),
+    ] = 0.0,
+    margin: Annotated[
+        float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Of each valve, left to feedback.")
+    ] = 15.0,
+    backswing: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            min=0.5,
+            max=3.0,
+            help="How long the backswing takes: the tempo [default: 0.85, or the golfer's].",
+        ),
+    ] = None,
+    highest: Annotated[
+        bool, typer.Option("--highest", help="Only say how fast it can be, and what limits it.")
+    ] = False,
+    nearest: Annotated[
+        bool,
+        typer.Option(
+            "--nearest",
+            help="Where this is out of reach give way, and say by how much: time of the downswing, "
+            "rise of the path, head speed.",
+        ),
+    ] = False,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="PROFILE",
+            help='Swing to begin with, or "nothing" [default: the configuration\'s].',
+        ),
+    ] = None,
+) -> None:
+    """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
+
+    Deterministic. A demand beyond the robot is refused with what limits it; --nearest designs what comes
+    nearest and says what it gave way in.
+    """
+    import math
+    from dataclasses import replace
+
+    from rich.console import Console
+
+    from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
+    from bench.commands.progress import progress_bar
+    from bench.design.designer import Demand, DesignFailed, design_swing, highest_speed
+    from bench.design.follow import demand_like, gave_way
+    from bench.design.planned_openings import require_planned_openings
+    from bench.errors import BenchError
+    from bench.swing.golfers import find_golfer, human_downswing
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile, save_profile
+
+    configuration = context.ensure_object(Session).configuration()
+    require_planned_openings(configuration.control)
+    plant = configuration.plant_with(club=club)
+    whose = None if golfer is None else find_golfer(golfer)
+    begin = None if start == "nothing" else load_profile(find_profile(start or configuration.swing.profile))
+    demand = Demand(
+        head_speed=45.0 if speed is None else speed,
+        attack=math.radians(attack),
+        lean=None if lean is None else math.radians(lean),
+        strike=strike / 1e3,
+        margin=margin / 100,
+        nearest=nearest,
+    )
+    text = ""
+    if whose is not None:
+        human = human_downswing(plant, whose)
+        demand = demand_like(plant, whose, human, demand, speed)
+        text = f"as close to a golfer as the robot can: {whose.text}"
+    if backswing is not None:
+        demand = replace(demand, backswing_time=backswing)
+    if output is None:
+        output = Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
+    settings = (configuration.control, configuration.envelope, configuration.estimator)
+    with progress_bar() as bar:
+        tasks = {}
+
+        def show_progress(what: str, part: float) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=1.0)
+            bar.update(tasks[what], completed=part)
+
+        try:
+            if highest:
+                found = highest_speed(plant, demand, *settings, start=begin, progress=show_progress)
+                typer.echo(
+                    f"At most {found.plan.speed:.1f} m/s at the ball, {margin:g} % of each valve left to "
+                    "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
+                    f"{found.limit}."
+                )
+                for name, gain in list(found.plan.binding.items())[:5]:
+                    typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")
+                return
+            made = design_swing(
+                plant,
+                demand,
+                output.stem,
+                golfer=golfer or "robot",
+                text=text,
+                control=configuration.control,
+                envelope=configuration.envelope,
+                estimator=configuration.estimator,
+                start=begin,
+                progress=show_progress,
+            )
+        except DesignFailed as failure:
+            raise BenchError(
+                "swing design",
+                str(failure),
+                "a swing that this plant can do",
+                "Ask for less --speed or a steeper --attack angle; --highest tells how fast it can be, "
+                "--nearest gives way.",
+            ) from None
+    given = gave_way(demand, made.profile)
+    swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
+    save_profile(output, swing)
+    delivery, limits = swing.delivery, swing.limits
+    typer.echo(
+        f"{output}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
+        f"attack {delivery['attack_angle_deg']:+.2f} deg, lean {delivery['shaft_lean_deg']:+.2f} deg, "
+        f"strike {delivery['in_plane_error_mm']:+.2f} mm."
+    )
+    typer.echo(
+        f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
+        f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
+    )
+    if given:
+        typer.echo("Gave way: " + "; ".join(given) + ".")
+    if whose is not None:
+        rows = [golfer_row(plant, whose, swing)]
+        Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
+    typer.echo(f"Next: golfbench swing check {output}")
+
+
+@app.command()
+def golfers(
+    context: typer.Context,
+    profile: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[PROFILE]", help="Name or path of a profile [default: each golfer's own swing]."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw them: a .png, .svg or .pdf.")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Compare the robot's downswings with golfers': root mean square over the human's range.
+
+    Their motion is Hunt's with a free wrist, scaled in time and amplitude to their tempo and head speed.
+    """
+    import json
+
+    from rich.console import Console
+
+    from bench.commands.golfers_table import (
+        deviations_table,
+        draw_golfers,
+        golfer_record,
+        golfer_row,
+        reach_table,
+    )
+    from bench.swing.golfers import GOLFERS
+    from bench.swing.library import find_profile, profile_names
+    from bench.swing.profile import load_profile
+
+    _require_picture(plot)
+    plant = context.ensure_object(Session).configuration().plant
+    swung = [name for name in GOLFERS if profile is not None or name in profile_names()]
+    rows = [
+        golfer_row(plant, GOLFERS[name], load_profile(find_profile(name if profile is None else profile)))
+        for name in swung
+    ]
+    if plot is not None and rows:
+        draw_golfers(rows, plant, plot)
+    if json_:
+        typer.echo(json.dumps([golfer_record(plant, row) for row in rows], indent=2))
+        return
+    console = Console()
+    if not rows:
+        console.print("No golfers' swings here yet.")
+        return
+    console.print(deviations_table(rows), reach_table(rows, plant), highlight=False)
+    if plot is not None and rows:
+        console.print(f"Picture: {plot}", highlight=False)
+
+
+def _require_picture(plot: Path | None) -> None:
+    from bench.errors import BenchError
+
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")

@@ -1,0 +1,241 @@
+"""`golfbench view` at the command line: a running bench, a swing, a series, on the screen or into a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+from bench.interrupt import wish_to_end
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from bench.shot.shot_record import ShotRecord
+    from bench.viewer.recording import Layout
+    from bench.viewer.window import RerunWindow
+    from sim.plant import PlantParameters
+
+_TURN = 0.2
+"""s between two looks whether the window is still open."""
+
+
+def view(
+    context: typer.Context,
+    shot: Annotated[
+        Path | None,
+        typer.Option(metavar="RECORD", help="Show a swing's record, .parquet."),
+    ] = None,
+    campaign: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="Show a series: a folder of records, or a record; repeatable."),
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write a Rerun file, .rrd; no window unless --web."),
+    ] = None,
+    web: Annotated[bool, typer.Option("--web", help="Serve a browser of this machine.")] = False,
+    connect: Annotated[
+        str | None, typer.Option(metavar="URL", help="Send to a Rerun viewer that runs already.")
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=1024, max=65535, help="Of the web page [default: a free one]."),
+    ] = None,
+    memory_limit: Annotated[
+        str, typer.Option(metavar="SIZE", help="What the viewer may keep; then the oldest goes.")
+    ] = "2GB",
+) -> None:
+    """Show a running bench, a past swing or a series in Rerun, on this machine only.
+
+    Live it ends with Ctrl-C or when its window is closed; it goes on by itself when the bench starts anew.
+    """
+    from bench.viewer.window import checked_memory
+
+    _check(shot, campaign, save, web, connect, port)
+    checked_memory(memory_limit)
+    with ExitStack() as stack:
+        if shot is not None or campaign:
+            _view_records(stack, shot, campaign or [], save, web, connect, port, memory_limit)
+        else:
+            _view_bench(stack, context.ensure_object(Session), save, web, connect, port, memory_limit)
+
+
+def _check(
+    shot: Path | None,
+    campaign: list[Path] | None,
+    save: Path | None,
+    web: bool,
+    connect: str | None,
+    port: int | None,
+) -> None:
+    """Refuse options that contradict each other."""
+    from bench.errors import BenchError
+
+    if shot is not None and campaign:
+        raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
+    if web and connect is not None:
+        raise BenchError("--web and --connect", "both", "one of the two", "Leave one out.")
+    if port is not None and not web:
+        raise BenchError("--port", "without --web", "it with --web", "Add --web.")
+    if save is not None and save.suffix != ".rrd":
+        raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
+
+
+# Records ---------------------------------------------------------------------------------------------
+
+
+def _view_records(
+    stack: ExitStack, shot: Path | None, campaign: Sequence[Path], save: Path | None, web: bool,
+    connect: str | None, port: int | None, memory_limit: str,
+) -> None:  # fmt: skip
+    from bench.commands.progress import progress_bar
+    from bench.viewer.recording import layout_for, log_shots, write_recording
+
+    with progress_bar() as progress:
+        records, plant, name = _read(shot, campaign, progress)
+        if save is not None:
+            write_recording(save, records, plant, name)
+            typer.echo(f"written: {save}")
+            if not web and connect is None:
+                return
+        window = _window(stack, web, connect, port, memory_limit)
+        recording = _recording(stack, name, [_sink(window, connect)], layout_for(records))
+        task = progress.add_task("showing", total=len(records))
+        log_shots(recording, records, plant, lambda: progress.advance(task))
+        recording.flush(timeout_sec=60.0)
+    _say_where(window)
+    if window is not None:
+        with wish_to_end() as wish:
+            while window.alive and not wish.wait(_TURN):
+                pass
+
+
+def _read(
+    shot: Path | None, campaign: Sequence[Path], progress: Any
+) -> tuple[list[ShotRecord], PlantParameters, str]:
+    """Return the shots, the plant of the first, and a name for them."""
+    from bench.shot.recorded_shot import read_shot
+    from bench.viewer.recorded_series import record_files
+
+    files = [shot] if shot is not None else record_files(campaign)
+    task = progress.add_task("reading", total=len(files))
+    read = []
+    for number, file in enumerate(files, start=1):
+        read.append(read_shot(file, number))
+        progress.advance(task)
+    name = str(shot) if shot is not None else ", ".join(map(str, campaign))
+    return [recorded.record for recorded in read], read[0].plant, name
+
+
+# A running bench -------------------------------------------------------------------------------------
+
+
+def _view_bench(
+    stack: ExitStack, options: Session, save: Path | None, web: bool, connect: str | None, port: int | None,
+    memory_limit: str,
+) -> None:  # fmt: skip
+    import time
+
+    import rerun as rr
+
+    from bench.network.zenoh_session import open_client
+    from bench.shot.recorded_shot import Surroundings
+    from bench.viewer.feed import Feed
+    from bench.viewer.recording import live_layout
+    from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
+
+    c = options.configuration()
+    session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
+    stack.callback(session.close)
+    around = Surroundings(c.air, c.wind, c.turf)
+    warm_up(c.plant, around)
+    feed = stack.enter_context(Feed(session, c.bench.id, time.time))
+    wish = stack.enter_context(wish_to_end())
+    window = _window(stack, web, connect, port, memory_limit) if web or connect or save is None else None
+    sinks = [] if window is None and connect is None else [_sink(window, connect)]
+    if save is not None:
+        # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
+        sinks.append(rr.FileSink(_writable(save), write_footer=False))
+    recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
+    live = LiveView(recording, feed, c.bench.id, c.plant, around)
+    _say_where(window)
+    typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
+    period = FILE_PERIOD if window is None and connect is None else PERIOD
+    while not wish.is_made() and (window is None or window.alive):
+        began = time.monotonic()
+        live.turn(period)
+        wish.wait(max(0.0, period - (time.monotonic() - began)))
+    live.turn(0.0)
+    recording.flush(timeout_sec=2.0)
+    a = feed.account
+    typer.echo(
+        f"{a.batches} batches, {a.lost_batches} lost, {a.lost_cycles} cycles lost in the ring; age at the "
+        f"subscriber {live.to_subscriber.words()}, in Rerun {live.to_rerun.words()} (the last minute)",
+        err=True,
+    )
+
+
+def _writable(path: Path) -> Path:
+    """Return `path` after a look whether it can be written: Rerun does not tell.
+
+    Raises:
+        NotStored: it cannot.
+    """
+    from bench.telemetry.whole_file import NotStored
+
+    try:
+        with path.open("wb"):
+            return path
+    except OSError as error:
+        raise NotStored(
+            str(path), error.strerror or str(error), "a file that can be written", "Name another one."
+        ) from None
+
+
+# Where it is shown -----------------------------------------------------------------------------------
+
+
+def _window(
+    stack: ExitStack, web: bool, connect: str | None, port: int | None, memory_limit: str
+) -> RerunWindow | None:
+    from bench.viewer.window import RerunWindow
+
+    if connect is not None:
+        return None
+    return stack.enter_context(RerunWindow("web" if web else "window", memory_limit, web_port=port))
+
+
+def _sink(window: RerunWindow | None, connect: str | None) -> Any:
+    import rerun as rr
+
+    from bench.errors import BenchError
+
+    try:
+        return rr.GrpcSink(connect if window is None else window.url)
+    except (ValueError, RuntimeError) as error:
+        raise BenchError(
+            "--connect",
+            str(connect),
+            "an address such as rerun+http://127.0.0.1:9876/proxy",
+            f"Correct it: {error}",
+        ) from None
+
+
+def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:
+    import rerun as rr
+
+    recording = rr.RecordingStream(layout.application)
+    stack.callback(recording.disconnect)
+    recording.set_sinks(*sinks, default_blueprint=layout.blueprint)
+    recording.send_recording_name(name)
+    return recording
+
+
+def _say_where(window: RerunWindow | None) -> None:
+    if window is not None and window.page is not None:
+        typer.echo(window.page)

@@ -1,0 +1,230 @@
+"""`golfbench swing check`: proves a profile's stops on the plant, from every instant of the swing.
+
+The nominal swing is run once with and once without a ball. From each instant of both, each reaction of
+the stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent;
+each time the whole control step goes on against the plant until everything rests. What counts is how it
+ends: energy in the stops and pressure in the chambers against their ratings, club against ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
+from bench.control.step import STOP, SWING
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.simulation.lockstep import Lockstep
+from bench.swing.profile import Profile
+from drivers.base import JOINTS
+from sim.faults import Fault
+from sim.plant import Plant, PlantParameters, build_plant
+
+_TOUCH = 0.005
+"""Depth (m) to which the ground may be pressed: a club that sinks to the ground while the air leaves touches
+it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
+
+_LONG_STILL = 1.5  # s
+_STILL = 0.2  # rad/s
+_CHUNK = 100  # ticks
+_WATCHED = 14.0
+"""How long a stop is watched (s): a raised arm sinks slowly on the air that its throttled vents let go."""
+
+
+class Trial(NamedTuple):
+    """What is tried, by name: things that break, a request, a missing ball."""
+
+    name: str
+    faults: tuple[Fault, ...] = ()
+    request: int = 0
+    ball: bool = True
+
+
+_ESTOP = (Fault("emergency stop", "emergency stop", "off"),)
+_LOST = tuple(Fault(f"{joint} encoder", f"{joint} encoder", "off") for joint in JOINTS)
+_SILENT = (Fault("bench silent", "loop", "off"),)
+
+TRIALS = (
+    Trial("none"),
+    Trial("no ball", ball=False),
+    Trial("operator stop", request=STOP),
+    Trial("operator stop, no ball", request=STOP, ball=False),
+    Trial("emergency stop", _ESTOP),
+    Trial("emergency stop, no ball", _ESTOP, ball=False),
+    Trial("encoders lost", _LOST),
+    Trial("encoders lost, no ball", _LOST, ball=False),
+    Trial("bench silent", _SILENT),
+    Trial("bench silent, no ball", _SILENT, ball=False),
+    *(
+        Trial(f"{joint} valve stuck {name}", (Fault("valve", f"{joint} valve", "stuck", opening),))
+        for joint in JOINTS
+        for name, opening in (("open", 1.0), ("open in reverse", -1.0), ("shut", 0.0))
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one fault at one instant ended; shares are of the ratings, 1 is the limit."""
+
+    fault: str
+    time: float
+    """s from the start of the swing."""
+    phase: Phase
+    stop_share: float
+    stop: str
+    """The stop with that share."""
+    pressure_share: float
+    clearance: float
+    """Lowest clearance of the head over the ground, m."""
+    head_speed: float
+    """Fastest head, m/s."""
+    rest_time: float
+    """From the fault until all joints rested, s; inf if they did not."""
+    cause: Cause
+
+    @property
+    def unsafe(self) -> str:
+        """Why this end is unsafe; empty when it is safe."""
+        reasons = []
+        if not self.stop_share <= 1.0:
+            reasons.append(f"{self.stop} took {100 * self.stop_share:.0f} % of its rated energy")
+        if not self.pressure_share <= 1.0:
+            reasons.append(f"a chamber reached {100 * self.pressure_share:.0f} % of its rating")
+        if not self.clearance >= -_TOUCH:
+            reasons.append(f"the head went {-1e3 * self.clearance:.0f} mm into the ground")
+        if not np.isfinite(self.rest_time):
+            reasons.append("it did not come to rest")
+        return "; ".join(reasons)
+
+
+class SwingCheck:
+    """A plant, a profile and settings, checked fault by fault."""
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        profile: Profile,
+        control: ControlSettings | None = None,
+        envelope: EnvelopeSettings | None = None,
+        estimator: EstimatorSettings | None = None,
+    ) -> None:
+        """Build plant and controller; nothing runs yet."""
+        self.plant: Plant = build_plant(parameters)
+        self.profile = profile
+        self.parameters = build_controller(parameters, profile, control, envelope, estimator)
+        self.watched = round(_WATCHED / parameters.tick)
+
+    def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, Lockstep]]:
+        """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""
+        bench = Lockstep(self.plant, self.parameters, self.profile.angle[0])
+        if not bench.arm():
+            raise RuntimeError("the robot does not come to rest at address")
+        bench.state.control["tee"] = ball
+        for tick in range(0, len(self.profile.angle), spacing):
+            yield tick, bench
+            bench.advance(min(spacing, len(self.profile.angle) - tick), SWING if tick == 0 else 0)
+            cause = Cause(int(bench.state.control["cause"][0]))
+            if cause:
+                raise RuntimeError(f"the undisturbed swing stopped at tick {tick}: {CAUSE_TEXT[cause]}")
+
+    def outcomes(
+        self,
+        trials: tuple[Trial, ...] = TRIALS,
+        spacing: int = 10,
+        progress: Callable[[float], None] = lambda part: None,
+    ) -> list[Outcome]:
+        """Return how each of `trials` ends from every `spacing`-th tick of the swing.
+
+        Raises:
+            RuntimeError: the undisturbed swing does not run.
+        """
+        found = []
+        for part, ball in enumerate((True, False)):
+            wanted = [trial for trial in trials if trial.ball == ball]
+            for tick, bench in self._bases(spacing, ball=ball) if wanted else ():
+                found += [self._outcome(trial, tick, bench) for trial in wanted]
+                progress((part + tick / len(self.profile.angle)) / 2)
+        return found
+
+    def _outcome(self, trial: Trial, tick: int, base: Lockstep) -> Outcome:
+        bench = base.copy()
+        plant_state = bench.plant_state
+        plant_state["stop_energy"] = plant_state["stop_work"] = 0.0
+        plant_state["peak_pressure"] = plant_state["pressure"]
+        plant_state["lowest_clearance"], plant_state["peak_head_speed"] = np.inf, 0.0
+        if trial.faults:
+            bench.break_with(trial.faults, watchdog=0.0)  # at its worst it lets go at once
+        request = SWING if tick == 0 and not trial.request else trial.request
+        rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
+        actuators = self.plant.parameters.actuators
+        energies: NDArray[Any] = plant_state["stop_energy"][0] / np.array(
+            [[a.stop.energy] for a in actuators]
+        )
+        pressures = plant_state["peak_pressure"][0].reshape(3, 2) / np.array(
+            [[a.pressure_rating] for a in actuators]
+        )
+        joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
+        unrest = rest >= (self.watched - 1) * self.plant.parameters.tick
+        return Outcome(
+            fault=trial.name,
+            time=tick * self.profile.period,
+            phase=self.profile.phase_of(tick),
+            stop_share=float(energies.max()),
+            stop=f"{JOINTS[joint]} {('lower', 'upper')[side]} stop",
+            pressure_share=float(pressures.max()),
+            clearance=float(plant_state["lowest_clearance"][0]),
+            head_speed=float(plant_state["peak_head_speed"][0]),
+            rest_time=float("inf") if unrest else float(rest),
+            cause=Cause(int(bench.state.control["cause"][0])),
+        )
+
+    def _run_to_rest(self, bench: Lockstep, request: int, *, silent: bool) -> float:
+        """Run `bench`; return the time (s) after which no joint exceeded `_STILL`."""
+        period, rest, ticks = self.plant.parameters.tick, 0, 0
+        while ticks < self.watched:
+            speed = bench.advance(min(_CHUNK, self.watched - ticks), request)["plant_velocity"]
+            moving = np.flatnonzero((np.abs(speed) > _STILL).any(axis=1))
+            if len(moving):
+                rest = ticks + int(moving[-1])
+            ticks, request = ticks + len(speed), 0
+            # Standing still without energy for long enough: nothing more will come.
+            standing = silent or bench.state.control["phase"][0] == Phase.STANDING
+            if standing and (ticks - rest) * period > _LONG_STILL:
+                break
+        return rest * period
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All instants of one fault."""
+
+    fault: str
+    instants: int
+    unsafe: int
+    worst_stop: Outcome
+    worst_pressure: Outcome
+    lowest: Outcome
+    slowest: Outcome
+
+
+def summarise(outcomes: list[Outcome]) -> list[Summary]:
+    """Return one summary a fault, in the order of first appearance."""
+    names = list(dict.fromkeys(outcome.fault for outcome in outcomes))
+    groups = [[outcome for outcome in outcomes if outcome.fault == name] for name in names]
+    return [
+        Summary(
+            name,
+            len(group),
+            sum(bool(outcome.unsafe) for outcome in group),
+            max(group, key=lambda o: o.stop_share),
+            max(group, key=lambda o: o.pressure_share),
+            min(group, key=lambda o: o.clearance),
+            max(group, key=lambda o: o.rest_time),
+        )
+        for name, group in zip(names, groups, strict=True)
+    ]

@@ -1,0 +1,182 @@
+"""A downswing put into a profile so that the closed loop on the nominal plant does exactly that downswing.
+
+Openings found in the open loop are played on the plant with the whole control step listening. What its
+estimator then tells is the profile's reference, so that position and speed have no error to act on, and the
+feed-forward is the opening less what integral and damping add. On the nominal plant the feedback has nothing
+left to do, whatever its gains; its whole share of the valves is there for what differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.settings import ControlSettings
+from bench.control.step import ControlParameters, ControlState, step
+from bench.errors import Refused
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.simulation.simulated_bench import SimulatedBench, begin_swing
+from bench.swing.profile import Profile
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base.compiled import compiled, new_record
+from sim.plant import advance, sense
+from sim.truth import note_truth
+
+Array = NDArray[np.float64]
+
+_AWAY = 0.4
+"""Most that the reference's speed may differ from its slope, rad/s; feed-forward makes up for the rest."""
+
+
+class LoopFailed(RuntimeError):
+    """The swing does not run in closed loop."""
+
+
+@compiled
+def run_with_openings(
+    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
+    readings: Any, command: Any, first_tick: int, valve: Any, acceleration: Any, cycles: Any,
+) -> None:  # fmt: skip
+    """Let the control step listen while `valve` (n, 3) is applied; write CYCLE records (n,).
+
+    `acceleration` (n, 3) gets the estimator's, rad/s2.
+    """
+    period = plant[0].tick
+    for k in range(len(valve)):
+        sense(plant, plant_state, readings)
+        cycle = cycles[k : k + 1]
+        step(state, parameters, readings, (first_tick + k) * period, command, cycle)
+        note_truth(plant_state, cycle)
+        for i in range(3):
+            acceleration[k, i] = state.estimator[0].acceleration[i]
+            command[0].valve[i] = valve[k, i]
+        advance(robot, plant, impact, plant_state, command)
+
+
+class Rehearsal:
+    """A profile under closed loop on the nominal plant, just as `simulate_swing` does it, tick by tick."""
+
+    def __init__(self, bench: SimulatedBench, *, ball: bool = True) -> None:
+        """Arm the vented bench, hold, and begin the swing with the bench's profile.
+
+        Raises:
+            LoopFailed: the robot does not come to rest at address.
+        """
+        # References past the ball are what is being found: no following error to judge yet.
+        free = replace(bench, envelope=replace(bench.envelope, following={}))
+        try:
+            self.bench, self._first = begin_swing(free, bench.plant.ball if ball else None)
+        except Refused as refused:
+            raise LoopFailed(f"{refused.place}: {refused.found}") from None
+
+    def advance(self, ticks: int) -> NDArray[Any]:
+        """Return the CYCLE records of the next `ticks` ticks of the swing, its first one included.
+
+        Raises:
+            LoopFailed: the envelope stopped it.
+        """
+        first, self._first = self._first[:ticks], self._first[ticks:]
+        cycles = self.bench.advance(ticks - len(first))
+        self._require_running()
+        return np.concatenate([first, cycles]) if len(first) else cycles
+
+    def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
+        """Apply openings `valve` (n, 3), the loop listening; return records and estimated accelerations."""
+        bench, cycles = self.bench, new_record(CYCLE, len(valve))
+        acceleration = np.zeros((len(valve), 3))
+        run_with_openings(
+            *bench.plant.records, bench.plant_state, bench.state, bench.parameters, bench.readings,
+            bench.command, bench.tick, np.ascontiguousarray(valve), acceleration, cycles,
+        )  # fmt: skip
+        bench.tick += len(valve)
+        self._require_running()
+        return cycles, acceleration
+
+    def _require_running(self) -> None:
+        cause = Cause(int(self.bench.state.control["cause"][0]))
+        if cause:
+            raise LoopFailed(f"the rehearsal stopped: {CAUSE_TEXT[cause]}")
+
+
+def imprint(bench: SimulatedBench, opening: Array) -> Profile:
+    """Return the bench's profile with references and feed-forward that make the loop apply `opening` (n, 3).
+
+    `opening` begins where the phase DOWNSWING does and ends where FOLLOW_THROUGH begins.
+
+    Raises:
+        LoopFailed: the swing does not run.
+    """
+    profile, control = bench.profile, bench.control
+    top = profile.begins[3]
+    rehearsal = Rehearsal(bench)
+    rehearsal.advance(top)
+    integral = rehearsal.bench.state.pid["integral"][0].copy()
+    cycles, acceleration = rehearsal.play(opening)
+    rows = slice(top, top + len(opening))
+    angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
+    angle[rows] = cycles["angle"]
+    window = profile.begins[5] - top  # from here on the loop does not damp: the impact's jump is no motion
+    away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, control)
+    velocity[rows] = cycles["velocity"] + away
+    derivative = np.array(control.pid.derivative) * away
+    following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
+    damping = _downswing_damping(control) * ((following - velocity[rows]) / profile.period - acceleration)
+    damping[window:] = 0.0
+    valve[rows] = np.clip(opening - integral - derivative - damping, -1.0, 1.0)
+    return replace(profile, angle=angle, velocity=velocity, valve=valve)
+
+
+def _downswing_damping(control: ControlSettings) -> Array:
+    return control.downswing_damping * np.array(control.damping)
+
+
+def _silent_velocity(
+    velocity: Array, acceleration: Array, window: int, period: float, control: ControlSettings
+) -> Array:
+    """Return what to add to the estimated `velocity` (n, 3) so that derivative and damping cancel out.
+
+    The first row's reference is at rest, as the top before it: the tick before looks at it, too, and would
+    otherwise begin the downswing with a kick. The estimated acceleration lags; damping against the
+    reference's would otherwise open the valves by a good part of the stroke, more than a feed-forward at full
+    opening can take back.
+    """
+    away = np.zeros_like(velocity)
+    away[0] = -velocity[0]
+    derivative, damping = np.array(control.pid.derivative), _downswing_damping(control)
+    rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
+    for k in range(min(window, len(velocity) - 1)):
+        lag = (velocity[k + 1] - velocity[k]) / period - acceleration[k]
+        shifted = away[k] - period * (rate * away[k] + lag) * (damping > 0)
+        away[k + 1] = np.clip(shifted, -_AWAY, _AWAY)
+    for k in range(window, len(velocity) - 1):
+        away[k + 1] = away[k]
+    return away
+
+
+def with_follow_through(bench: SimulatedBench) -> tuple[Profile, NDArray[Any]]:
+    """Return the bench's profile with the braking law's follow-through, and the plant's last state.
+
+    Raises:
+        LoopFailed: the swing does not run, or misses the ball.
+    """
+    profile, rehearsal = bench.profile, Rehearsal(bench)
+    cycles = rehearsal.advance(len(profile.angle))
+    angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
+    follow = profile.begins[-1]
+    angle[follow:], velocity[follow:] = cycles["plant_angle"][follow:], cycles["plant_velocity"][follow:]
+    valve[follow:] = cycles["applied_valve"][follow:]
+    state = rehearsal.bench.plant_state
+    if not state["struck"][0]:
+        raise LoopFailed("under closed loop the head misses the ball")
+    start = float(state["time"][0]) - len(profile.angle) * profile.period
+    found = replace(
+        profile,
+        angle=angle,
+        velocity=velocity,
+        valve=valve,
+        impact_time=float(state["impact_time"][0]) - start,
+    )
+    return found, state

@@ -1,0 +1,639 @@
+"""The swing designer: optimal control on a model of arms and air, then refinement on the plant itself.
+
+1. The controller takes the nominal plant to the top, so that the downswing begins where it truly will.
+2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
+3. `refine` corrects its openings on the plant until the head passes the ball as planned. What the cushions
+   then take, ball struck, missed, or bench silent, corrects what the plan may bring them, and 2 goes on.
+4. `closed_loop` makes references and feed-forward with which the loop does just that, and lets the braking
+   law find the follow-through; `blind_brake` finds how to stop it blind.
+
+The same input gives the same profile. A demand that cannot be met is refused with the highest speed that
+can, and with what limits it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import asin, atan2, degrees, inf, pi, sin
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.design.blind_brake import SPACING, design_blind_brake
+from bench.design.casadi_package import load_casadi
+from bench.design.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
+from bench.design.optimal_control import (
+    BAR,
+    NO_CONCESSIONS,
+    STATES,
+    Concessions,
+    DownswingProblem,
+    Plan,
+    solve_downswing,
+)
+from bench.design.refine import NEAR, UNITS, NotReached, refine
+from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
+from bench.simulation.simulated_bench import SimulatedBench
+from bench.swing.profile import Profile, as_written
+from sim.impact import in_plane_error
+from sim.kinematics import head_motion, inverse_kinematics, theta2_from_right_arm
+from sim.plant import PlantParameters, build_plant
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+BEFORE_CONTACT = 3
+"""Ticks of the impact window before the planned contact."""
+_SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
+"""s before the ball at which the bench may fall silent."""
+_INTERVALS = 40
+_CORRECTED = 0.02, 0.06
+"""Share of the stroke left to the correction on the plant; the second when a motion is followed."""
+_MORE, _NEAREST = 2.0, 0.5
+"""m/s: by how much more speed is asked for, and how near what does not go must be to what does."""
+_GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
+"""Of the longest downswing, rad of attack angle, m/s: the most that a nearest swing gives way."""
+_SHORT = 0.2
+"""m/s that a nearest swing may be slower than demanded, or gain in a round, without looking on."""
+_SAG, _TURN_BACK = 0.05, 1.0
+"""rad and rad/s that a golfer's shoulder may turn back from the top, pulled while the air builds up."""
+_ROUNDS = 7
+_AIMED = 5
+"""Times the loop is aimed off at most."""
+_BROUGHT = (1.2, 0.65)
+"""Shares of their cushions' rated energies that right arm and wrist may bring, to begin with: the wrist's
+cushion also takes what the arm's hands on."""
+
+
+class DesignFailed(RuntimeError):
+    """No swing was found that meets the demand; the text says why, and what would be possible."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What the swing is to do at the ball, and how gently."""
+
+    head_speed: float | None = 45.0
+    """m/s; None: as fast as the robot can."""
+    attack: float = 0.0
+    """Angle of the head's path to the ground at the ball, rad, positive rising."""
+    lean: float | None = None
+    """Shaft lean at the ball, rad, in the swing plane; None: what is easiest within `lean_freedom`."""
+    lean_freedom: tuple[float, float] = (-0.026, 0.026)
+    strike: float = 0.0
+    """Ball off the face's centre along the cut of swing plane and face, m."""
+    margin: float = 0.15
+    """Share of each valve that is left to feedback."""
+    struck_share: float = 0.8
+    """Of the cushions' rated energy, when the ball is struck."""
+    missed_share: float = 0.97
+    """The same when it is missed or the bench falls silent."""
+    backswing_time: float = 0.85
+    top_time: float = 0.25
+    downswing_time: tuple[float, float] = (0.15, 0.25)
+    """Shortest and longest, s."""
+    address_cock: float = 0.14
+    """Wrist at address, rad short of its stop."""
+    address_shoulder: float = 0.45
+    address_extension: float = 0.200
+    top_shoulder: float = -1.30
+    top_extension: float = 0.02
+    top_cock: float = np.deg2rad(65.0).item()
+    follow_time: float = 0.7
+    """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
+    no_return_time: float = 0.06
+    """Before the impact window: later than this the ball is struck whatever is done, s."""
+    least_lever: float = 0.25
+    """|sin beta| the plan keeps to; the envelope trips at 0.15."""
+    pressure: float = 1.0e6
+    """Highest in a chamber, Pa absolute."""
+    shoulder_speed: float = 16.0
+    """rad/s that may be left at the ball, to be braked in the follow-through."""
+    follow: Array | None = None
+    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad."""
+    ranges: Array | None = None
+    """(3,) what deviations from them are counted in, rad."""
+    nearest: bool = False
+    """Where it is out of reach, may give way: the downswing's time, the path's rise, the head speed."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A swing, and how it came about."""
+
+    profile: Profile
+    plan: Plan
+    trial: Trial
+    """Of the refined openings on the plant."""
+    rounds: int
+
+
+@dataclass(frozen=True)
+class _Start:
+    """The nominal swing up to the top: where it leaves the plant, and the tables that lead there."""
+
+    plant_state: NDArray[Any]
+    command: NDArray[Any]
+    opening: Array
+    """Openings applied last."""
+    angle: Array
+    velocity: Array
+    valve: Array
+    begins: tuple[int, int, int]
+
+
+class Downswing(NamedTuple):
+    """Openings found on the plant, and what they are to do there."""
+
+    opening: Array
+    """(n, 3), one row a tick."""
+    wanted: Array
+    """Arrival at the ball as in `bench.design.refine.arrival_errors`."""
+    plan: Plan
+    trial: Trial
+
+
+def slope_of(attack: float, lie: float) -> float:
+    """Return the in-plane slope (rad) of a path with `attack` (rad) in a plane at `lie` (rad) to the ground.
+
+    Raises:
+        ValueError: the plane has no path as steep.
+    """
+    if abs(attack) >= lie:
+        raise ValueError(f"attack {attack:.3g} rad, steeper than the swing plane's {lie:.3g} rad")
+    return asin(sin(attack) / sin(lie))
+
+
+def address_pose(parameters: PlantParameters, demand: Demand) -> Array:
+    """Return the joint angles at address (rad)."""
+    robot = parameters.robot
+    return np.array(
+        [
+            demand.address_shoulder,
+            float(theta2_from_right_arm(robot, robot.l56 + demand.address_extension)),
+            parameters.wrist.upper - demand.address_cock,
+        ]
+    )
+
+
+def top_pose(parameters: PlantParameters, demand: Demand) -> Array:
+    """Return the joint angles at the top of the backswing (rad)."""
+    robot = parameters.robot
+    return np.array(
+        [
+            demand.top_shoulder,
+            float(theta2_from_right_arm(robot, robot.l56 + demand.top_extension)),
+            parameters.wrist.upper - demand.top_cock,
+        ]
+    )
+
+
+def _quintic(start: Array, end: Array, duration: float, samples: int) -> tuple[Array, Array]:
+    part = (np.arange(samples) / samples)[:, None]
+    shape = part**3 * (10 - 15 * part + 6 * part**2)
+    slope = 30 * part**2 * (1 - part) ** 2 / duration
+    return start + (end - start) * shape, (end - start) * slope
+
+
+def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Array) -> Profile:
+    """Return a provisional profile: smooth reference from address to top, then hold."""
+    n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
+    angle, velocity = _quintic(address, top, demand.backswing_time, n)
+    angle = np.vstack([angle, np.tile(top, (hold, 1))])
+    velocity = np.vstack([velocity, np.zeros((hold, 3))])
+    begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
+    return Profile(
+        "sketch", "", "", "", period, begins, angle, velocity, velocity * gain, SPACING,
+        np.zeros((len(angle) // SPACING + 1, 6)), (0.25, -1.560), n * period,
+    )  # fmt: skip
+
+
+def _swing_up(bench: SimulatedBench, demand: Demand) -> _Start:
+    """Let the controller itself take the plant to the top; what it did is the nominal motion."""
+    parameters, period = bench.plant, bench.plant.tick
+    address, top = address_pose(parameters, demand), top_pose(parameters, demand)
+    sketch = _sketch(demand, period, address, top, np.array(bench.control.move_gain))
+    n = round((demand.backswing_time + demand.top_time) / period)
+    try:
+        rehearsal = Rehearsal(replace(bench, profile=sketch))
+        cycles = rehearsal.advance(n)
+    except LoopFailed as failure:
+        raise DesignFailed(f"on the way to the top: {failure}") from None
+    return _Start(
+        rehearsal.bench.plant_state.copy(),
+        rehearsal.bench.command.copy(),
+        cycles["applied_valve"][-1].copy(),
+        sketch.angle[:n],
+        sketch.velocity[:n],
+        sketch.valve[:n],
+        (0, 1, round(demand.backswing_time / period)),
+    )
+
+
+def _first_guess(parameters: PlantParameters, state: Array, demand: Demand) -> tuple[float, Array]:
+    """Return time and states of a downswing that speeds up evenly from the top to the ball."""
+    site, time = parameters.site, sum(demand.downswing_time) / 2
+    ball = inverse_kinematics(parameters.robot, (site.ball_x, site.ball_y, SHAFT_DOWN))
+    part = np.linspace(0.0, 1.0, _INTERVALS + 1)[:, None]
+    guess = np.tile(state, (_INTERVALS + 1, 1))
+    guess[:, :3] += part**2 * (ball - state[:3])
+    guess[:, 3:6] = 2 * part * (ball - state[:3]) / time
+    guess[:, 13:] = 0.3
+    return time, guess
+
+
+def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tuple[float, Array]:
+    """Return time and states of the downswing of another profile."""
+    begin, end = start.begins[3], start.impact_time / start.period
+    at, samples = np.linspace(begin, end, intervals + 1), np.arange(len(start.angle))
+    guess = np.tile(state, (intervals + 1, 1))
+    for i in range(3):
+        guess[:, i] = np.interp(at, samples, start.angle[:, i])
+        guess[:, 3 + i] = np.interp(at, samples, start.velocity[:, i])
+        guess[:, 13 + i] = np.interp(at, samples, start.valve[:, i])
+    return (end - begin) * start.period, guess
+
+
+def _problem(
+    parameters: PlantParameters, demand: Demand, envelope: EnvelopeSettings, state: Array
+) -> DownswingProblem:
+    lean = demand.lean_freedom if demand.lean is None else (demand.lean, demand.lean)
+    speeds = envelope.greatest_speed
+    return DownswingProblem(
+        start=state,
+        top_freedom=np.stack([state[:3], state[:3]], axis=1),
+        speed=demand.head_speed,
+        slope=slope_of(demand.attack, parameters.robot.lie),
+        theta_t=(SHAFT_DOWN + lean[0], SHAFT_DOWN + lean[1]),
+        time=demand.downswing_time,
+        opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
+        slew=150.0,
+        shoulder=(_furthest_back(parameters, demand), parameters.shoulder.upper),
+        shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * speeds[0],
+        stop_speed=envelope.stop_speed,
+        stop_deceleration=envelope.stop_deceleration,
+        committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
+        wrist=(max(parameters.wrist.lower, 1.5 * pi + asin(demand.least_lever)), parameters.wrist.upper),
+        speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
+        cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
+        shoulder_speed=demand.shoulder_speed,
+        pressure=demand.pressure,
+        follow=demand.follow,
+        ranges=demand.ranges,
+        concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
+    )
+
+
+def _furthest_back(parameters: PlantParameters, demand: Demand) -> float:
+    """Return the least theta1 of the downswing, rad: a golfer does not swing back again from the top."""
+    if demand.follow is None:
+        return parameters.shoulder.lower
+    return demand.top_shoulder - _SAG
+
+
+def _concessions(parameters: PlantParameters, demand: Demand) -> Concessions:
+    lie, longest = parameters.robot.lie, demand.downswing_time[1]
+    rise = slope_of(demand.attack + _GIVES_WAY.rise, lie) - slope_of(demand.attack, lie)
+    return Concessions(_GIVES_WAY.time * longest, rise, _GIVES_WAY.speed)
+
+
+def _openings(plan: Plan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
+    """Return openings tick by tick, and on past the ball, with which the plant keeps near the plan.
+
+    They are the plan's, early by the spools' lag, with the loop's own feedback on its joints.
+    """
+    valve, period = shooter.plant.parameters.shoulder.valve, shooter.plant.parameters.tick
+    lag = 2 * valve.damping_ratio / valve.natural_frequency
+    at = np.arange(round(plan.time[-1] / period) + 40) * period
+
+    def rows(first: int, ahead: float = 0.0) -> Array:
+        return np.column_stack([np.interp(at + ahead, plan.time, plan.state[:, first + i]) for i in range(3)])
+
+    # Past the ball the plan ends, the motion does not.
+    angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
+    return shooter.follow(rows(13, lag), angle, rows(3), control.pid, highest)
+
+
+def _wanted(plan: Plan, parameters: PlantParameters, demand: Demand) -> Array:
+    """Return what `refine` is to reach: the plan's arrival, at the demanded strike point."""
+    head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
+    return np.array([demand.strike, *head[2:6]])
+
+
+def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
+    """Return how the head of a struck ball's plant `state` arrived, as in `_wanted`."""
+    head, site, impact = state["impact_head"][0], parameters.site, build_plant(parameters).impact
+    error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, impact)
+    return np.array([error, *head[2:6]])
+
+
+def _loads(trial: Trial, parameters: PlantParameters, demand: Demand) -> Array:
+    """Return the upper cushions' energies of right arm and wrist over what they may take, J."""
+    ratings = np.array([a.stop.energy for a in parameters.actuators])
+    worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
+    struck = trial.struck_energy[:, 1] - demand.struck_share * ratings
+    return np.asarray(np.maximum(worst - demand.missed_share * ratings, struck)[1:])
+
+
+def _shooter(bench: SimulatedBench, begun: _Start) -> Shooter:
+    return Shooter(build_plant(bench.plant), begun.plant_state, begun.command, bench.control, _SILENCES)
+
+
+def design_downswing(
+    bench: SimulatedBench, demand: Demand, start: Profile | None, begun: _Start, progress: Progress
+) -> tuple[Downswing, int]:
+    """Return a downswing whose openings meet `demand` on the plant, and in how many rounds it came.
+
+    Raises:
+        DesignFailed: no plan, or none that the plant can follow within its cushions.
+    """
+    parameters = bench.plant
+    state = _model_state(begun)
+    problem = _problem(parameters, demand, bench.envelope, state)
+    shooter = _shooter(bench, begun)
+    if start is None:
+        time, guess = _first_guess(parameters, state, demand)
+        # The fastest swing is found most surely; a demanded speed is then found from it.
+        progress("a first swing", 0.0)
+        plan = solve_downswing(parameters, replace(problem, speed=None, follow=None), time, guess, _INTERVALS)
+        time, guess = float(plan.time[-1]), plan.state
+        progress("a first swing", 1.0)
+    else:
+        time, guess = _guess_from(start, state)
+    best: tuple[tuple[float, float], Downswing] | None = None
+    tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
+    brought: Array | None = None
+    reason = ""
+    for count in range(_ROUNDS):
+        progress("downswing", count / _ROUNDS)
+        plan = solve_downswing(parameters, problem, time, guess, _INTERVALS)
+        if not plan.solved:
+            reason = reason or f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
+            if brought is None:
+                break
+            # Asked for too little: half way back to what was possible.
+            problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
+            continue
+        time, guess = float(plan.time[-1]), plan.state
+        wanted = _wanted(plan, parameters, demand)
+        try:
+            played = _openings(plan, shooter, bench.control, 1.0 - demand.margin)
+            opening = refine(shooter, played, wanted, 1.0 - demand.margin)
+        except NotReached as missed:
+            reason = str(missed)
+            break
+        trial = shooter.shoot(opening)
+        over = _loads(trial, parameters, demand)
+        short = 0.0 if demand.head_speed is None else demand.head_speed - plan.speed
+        worth = max(float(over.max()), 0.0), short
+        gained = inf if best is None or best[0][0] > 0.0 else best[0][1] - short
+        if best is None or worth < best[0]:
+            best = worth, Downswing(opening, wanted, plan, trial)
+        if over.max() <= 0.0 and min(short, gained) < _SHORT:
+            break
+        reason = (
+            f"the cushions of right arm and wrist would take {over[0]:+.1f} and {over[1]:+.1f} J "
+            "beside what they may when the ball is missed"
+        )
+        brought = np.minimum(problem.cushions, plan.carried)
+        tried = tried.learned(brought, over)
+        problem = _with_cushions(problem, tried.next(brought, over))
+    progress("downswing", 1.0)
+    survived = (1.0 - demand.missed_share) * min(
+        parameters.right_arm.stop.energy, parameters.wrist.stop.energy
+    )
+    if best is None or best[0][0] > survived:
+        raise DesignFailed(reason or "no downswing found")
+    return best[1], count + 1
+
+
+class _Cushions(NamedTuple):
+    """What plans brought the two cushions, and what these then took too much of: (2, 2), cushion and pair."""
+
+    held: Array
+    broke: Array
+
+    def learned(self, brought: Array, over: Array) -> _Cushions:
+        """Return this with what a plan `brought` (2,), J, and what was `over` (2,), J, on the plant."""
+        pair, broke = np.column_stack([brought, over]), (over > 0.0)[:, None]
+        return _Cushions(np.where(broke, self.held, pair), np.where(broke, pair, self.broke))
+
+    def next(self, brought: Array, over: Array) -> Array:
+        """Return what the next plan may bring (2,), J."""
+        # What one cushion has too much of, the other one or the shoulder has to give.
+        step = brought - np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
+        low, high = self.held[:, 0], self.broke[:, 0]
+        known = (self.held.any(axis=1)) & (self.broke.any(axis=1)) & (low < high)
+        share = -self.held[:, 1] / np.where(known, self.broke[:, 1] - self.held[:, 1], 1.0)
+        return np.where(known, low + np.clip(share, 0.1, 0.9) * (high - low), step)
+
+
+def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProblem:
+    return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
+
+
+class Highest(NamedTuple):
+    """The fastest downswing that was found."""
+
+    plan: Plan
+    limit: str
+    """Why a little more was not."""
+
+
+def highest_speed(
+    parameters: PlantParameters, demand: Demand, control: ControlSettings, envelope: EnvelopeSettings,
+    estimator: EstimatorSettings, *, start: Profile | None = None,
+    progress: Progress = lambda what, part: None,
+) -> Highest:  # fmt: skip
+    """Return the fastest downswing within `demand` that the plant follows within its cushions.
+
+    The fastest plan is a beginning only: with cushions that must hold when the ball is missed, faster ones
+    are found by asking for them. So speeds above it are, until half a m/s more fails. Begins with
+    `start`, or with nothing.
+
+    Raises:
+        BenchError: the package casadi is not installed.
+        DesignFailed: none was found.
+    """
+    load_casadi()
+    bench = _bench(parameters, control, envelope, estimator)
+    free = replace(demand, head_speed=None, follow=None)
+    begun = _swing_up(bench, free)
+
+    def fastest(speed: float | None, what: str) -> Plan:
+        def told(_: str, part: float) -> None:
+            progress(what, part)
+
+        return design_downswing(bench, replace(free, head_speed=speed), start, begun, told)[0].plan
+
+    plan, failed, limit = fastest(None, "as fast as it goes"), inf, ""
+    while failed - plan.speed > _NEAREST:
+        speed = min(plan.speed + _MORE, (plan.speed + failed) / 2)
+        try:
+            plan = fastest(speed, f"{speed:.1f} m/s")
+        except DesignFailed as failure:
+            failed, limit = speed, f"at {speed:.1f} m/s {failure}"
+    return Highest(plan, limit)
+
+
+def _model_state(begun: _Start) -> Array:
+    """Return the model's state (16,) at the top."""
+    before, state = begun.plant_state[0], np.zeros(STATES)
+    state[:3], state[6:12] = before["angle"], before["pressure"] / BAR
+    state[12] = before["supply_pressure"] / BAR
+    return state
+
+
+def _assemble(
+    parameters: PlantParameters,
+    demand: Demand,
+    begun: _Start,
+    opening: Array,
+    trial: Trial,
+    name: str,
+    golfer: str,
+) -> Profile:
+    """Return the profile with the robot left where it is at the ball for the follow-through."""
+    period = parameters.tick
+    top, contact, follow = len(begun.angle), trial.contact, round(demand.follow_time / period)
+    past = follow + AFTER_CONTACT
+    angle = np.vstack([begun.angle, trial.angle[:contact], np.tile(trial.angle[contact], (past, 1))])
+    window = top + contact - BEFORE_CONTACT
+    return Profile(
+        name=name,
+        text="",
+        golfer=golfer,
+        club=parameters.robot.club.name,
+        period=period,
+        begins=(
+            *begun.begins,
+            top,
+            window - round(demand.no_return_time / period),
+            window,
+            top + contact + AFTER_CONTACT,
+        ),
+        angle=angle,
+        # At rest in the first row: what the tick before the downswing does must not depend on it.
+        velocity=np.vstack([begun.velocity, np.zeros(3), trial.speed[1:contact], np.zeros((past, 3))]),
+        valve=np.vstack([begun.valve, opening[:contact], np.zeros((past, 3))]),
+        blind_spacing=SPACING,
+        blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
+        ball=(parameters.site.ball_x, parameters.site.ball_y),
+        impact_time=(top + contact) * period,
+    )
+
+
+def _told(
+    profile: Profile, parameters: PlantParameters, state: NDArray[Any], demand: Demand, trial: Trial
+) -> Profile:
+    """Return `profile` with its delivery in closed loop and the limits it was made for."""
+    error, lean, *velocity = _delivered(state, parameters)[:4]
+    speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
+    ratings = np.array([[a.stop.energy] for a in parameters.actuators])
+    return replace(
+        profile,
+        text=profile.text or f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
+        delivery={
+            "head_speed_mps": speed,
+            "attack_angle_deg": degrees(asin(sin(slope) * sin(lie))),
+            "path_slope_deg": degrees(slope),
+            "shaft_lean_deg": float(np.degrees(lean - SHAFT_DOWN)),
+            "in_plane_error_mm": 1e3 * float(error),
+        },
+        limits={
+            "supply_pressure_pa": parameters.supply.pressure,
+            "greatest_opening": 1.0 - demand.margin,
+            "stop_share": float(np.max(state["stop_energy"][0] / ratings)),
+            "stop_share_missed": float(np.max(trial.missed_energy / ratings)),
+            "stop_share_silent": float(np.max(trial.silent_energy / ratings)),
+            "peak_pressure_pa": float(state["peak_pressure"].max()),
+        },
+    )
+
+
+def design_swing(
+    parameters: PlantParameters,
+    demand: Demand,
+    name: str,
+    *,
+    golfer: str = "robot",
+    text: str = "",
+    control: ControlSettings | None = None,
+    envelope: EnvelopeSettings | None = None,
+    estimator: EstimatorSettings | None = None,
+    start: Profile | None = None,
+    progress: Progress = lambda what, part: None,
+) -> Design:
+    """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or with nothing.
+
+    Raises:
+        BenchError: the package casadi is not installed.
+        DesignFailed: none was found; the text says why.
+    """
+    load_casadi()  # a missing package is told before anything takes time
+    bench = _bench(parameters, control, envelope, estimator)
+    begun = _swing_up(bench, demand)
+    downswing, rounds = design_downswing(bench, demand, start, begun, progress)
+    try:
+        profile, downswing = _into_the_loop(bench, demand, begun, downswing, name, golfer, progress)
+        profile = replace(profile, text=text or profile.text)
+        patterns = start.blind_brake if start is not None else None
+        blind = design_blind_brake(
+            replace(bench, profile=profile), patterns, lambda part: progress("blind brakes", part)
+        )
+    except LoopFailed as failure:
+        raise DesignFailed(str(failure)) from None
+    return Design(replace(profile, blind_brake=blind), downswing.plan, downswing.trial, rounds)
+
+
+def _into_the_loop(
+    bench: SimulatedBench, demand: Demand, begun: _Start, downswing: Downswing, name: str, golfer: str,
+    progress: Progress,
+) -> tuple[Profile, Downswing]:  # fmt: skip
+    """Return the profile whose swing in closed loop delivers what `downswing` was to, and its downswing.
+
+    What the loop adds to the openings is aimed off, until the head passes the ball as wanted.
+
+    Raises:
+        LoopFailed: the swing does not run, or misses the ball.
+    """
+    shooter = _shooter(bench, begun)
+    aim, best = downswing.wanted, None
+    for count in range(_AIMED):
+        progress("closed loop", count / _AIMED)
+        profile = _assemble(bench.plant, demand, begun, downswing.opening, downswing.trial, name, golfer)
+        opening = downswing.opening[: downswing.trial.contact + AFTER_CONTACT]
+        profile = imprint(replace(bench, profile=profile), opening)
+        profile = as_written(with_follow_through(replace(bench, profile=profile))[0])
+        _, state = with_follow_through(replace(bench, profile=profile))
+        delivered = _delivered(state, bench.plant)
+        off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
+        if best is None or off < best[0]:
+            best = off, _told(profile, bench.plant, state, demand, downswing.trial), downswing
+        if off < 1.0:
+            break
+        aim = aim - (delivered - downswing.wanted)
+        try:
+            opening = refine(shooter, downswing.opening, aim, 1.0 - demand.margin)
+        except NotReached:
+            break
+        downswing = downswing._replace(opening=opening, trial=shooter.shoot(opening))
+    progress("closed loop", 1.0)
+    if best is None or best[0] > NEAR:
+        raise LoopFailed("in closed loop the head does not pass the ball as demanded")
+    return best[1], best[2]
+
+
+def _bench(
+    parameters: PlantParameters, control: ControlSettings | None, envelope: EnvelopeSettings | None,
+    estimator: EstimatorSettings | None,
+) -> SimulatedBench:  # fmt: skip
+    """Return the bench that the design is rehearsed on, still with an empty profile."""
+    nothing = _sketch(Demand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
+    return SimulatedBench(
+        nothing, parameters, control or ControlSettings(), envelope or EnvelopeSettings(),
+        estimator or EstimatorSettings(),
+    )  # fmt: skip

@@ -1,0 +1,75 @@
+"""A golfer's motion as a demand on the designer: as close as the robot can, at the golfer's head speed.
+
+The robot starts from the human's top as far as its ranges go, takes his or her time for the backswing and
+about as long for the downswing, and keeps close to the human's joint angles by least squares, each counted in
+its range. What is out of reach stays out of reach: nothing is scaled, and the deviation tells it. Where the
+demand itself is, a nearest swing gives way, in the downswing's time and the path's rise first, in head speed
+last; `gave_way` says where and by how much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees, pi
+
+import numpy as np
+
+from bench.design.designer import Demand
+from bench.swing.golfers import Golfer, HumanDownswing
+from bench.swing.profile import Profile
+from sim.kinematics import right_arm_length, theta2_from_right_arm
+from sim.plant import PlantParameters
+
+_TIME = 0.9, 1.2
+"""Shortest and longest downswing over the human's."""
+_INSIDE = 0.15, 0.012
+"""From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
+than the demand's, where its lever still holds it."""
+
+_TOLD = 0.003, 0.1, 0.1
+"""s, degrees, m/s off the demand that are told: less is the plant's answer to the plan."""
+
+
+def demand_like(
+    plant: PlantParameters, golfer: Golfer, human: HumanDownswing, demand: Demand, speed: float | None = None
+) -> Demand:
+    """Return `demand` with the motion of `human`, at `speed` (m/s), or at the golfer's."""
+    top = human.angle[0]
+    extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
+    time = float(human.time[-1])
+    shoulder = max(float(top[0]), plant.shoulder.lower + _INSIDE[0])
+    extension = max(extension, plant.right_arm.lower + _INSIDE[1])
+    cock = min(plant.wrist.upper - float(top[2]), demand.top_cock)
+    least = [
+        shoulder,
+        float(theta2_from_right_arm(plant.robot, plant.robot.l56 + extension)),
+        plant.wrist.upper - cock,
+    ]
+    return replace(
+        demand,
+        head_speed=golfer.head_speed if speed is None else speed,
+        backswing_time=golfer.backswing,
+        downswing_time=(_TIME[0] * time, _TIME[1] * time),
+        top_shoulder=shoulder,
+        top_extension=extension,
+        top_cock=cock,
+        follow=np.clip(human.angle, least, [plant.shoulder.upper, 1.5 * pi, plant.wrist.upper]),
+        ranges=np.ptp(human.angle, axis=0),
+    )
+
+
+def gave_way(demand: Demand, profile: Profile) -> list[str]:
+    """Return where `profile` does another thing than `demand`, with both figures; empty when it does not."""
+    told = []
+    longest = demand.downswing_time[1]
+    attack, asked = profile.delivery["attack_angle_deg"], degrees(demand.attack)
+    reached, wanted = profile.delivery["head_speed_mps"], demand.head_speed
+    if profile.downswing_time > longest + _TOLD[0]:
+        told.append(f"a downswing of {profile.downswing_time:.3f} s, {longest:.3f} s at most demanded")
+    if abs(attack - asked) > _TOLD[1]:
+        told.append(f"attack {attack:+.1f} deg, {asked:+.1f} deg demanded")
+    if wanted is not None and reached < wanted - _TOLD[2]:
+        told.append(
+            f"demanded {wanted:.1f} m/s, reached {reached:.1f} m/s, short by {wanted - reached:.1f} m/s"
+        )
+    return told

@@ -1,0 +1,355 @@
+"""Is a swing possible on this machine? Everything that can be known before anything moves.
+
+Each check is a pure function of the plan and tells what it looked at, so that a user sees what was
+checked and not only what failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from math import hypot, pi
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from bench.control.settings import EnvelopeSettings
+from bench.design.air_limits import Array, force_bounds, needed_force, steady_speed, stop_forces
+from bench.errors import BenchError
+from bench.swing.motion import Motion
+from bench.swing.profile import PHASES, Profile
+from drivers.base import JOINTS
+from sim.kinematics import forward_kinematics, joint_positions
+from sim.plant import PlantParameters
+from sim.pneumatics import Actuator
+
+PRESSURE_TOLERANCE = 0.01
+"""Share by which the supply may differ from the one the swing was designed for."""
+BALL_TOLERANCE = 0.0005
+"""m; the same for the ball's place."""
+SLOPE_TOLERANCE = 0.5
+SLOPE_TIME = 0.010
+"""Velocities may differ from the angles' slope by this (rad/s), and by more for this long (s)."""
+STEP_SHARE = 0.25
+"""Share of the envelope's following error that a step of the reference may use up."""
+CONTACT_TOLERANCE = (0.08, 0.02)
+"""m along the path and in height between face and ball at the planned contact: it moves 4 cm in a tick."""
+EXCESS_SHARE = 0.05
+EXCESS_TIME = 0.005
+"""Force may exceed the air's bound by this share of the actuator's greatest, and by more for this long (s):
+the tables are rounded, and differentiated here."""
+_PARTS = 10
+"""Into which the time between two samples is cut where cushions are looked at."""
+
+_KEYS = ("shoulder", "right_arm", "wrist")
+_POSITION, _SPEED, _FORCE = ("rad", "m", "rad"), ("rad/s", "m/s", "rad/s"), ("N m", "N", "N")
+
+
+class Check(NamedTuple):
+    """One thing looked at."""
+
+    name: str
+    found: str
+    allowed: str
+    faults: list[BenchError]
+
+
+class Plan(NamedTuple):
+    """A swing on a machine."""
+
+    profile: Profile
+    plant: PlantParameters
+    envelope: EnvelopeSettings
+    motion: Motion
+    place: str
+    """The profile's file, for messages."""
+
+    def key(self, name: str, found: str, expected: str, cure: str) -> BenchError:
+        """Return a fault of one key of the profile."""
+        return BenchError(f"{self.place}: {name}", found, expected, cure)
+
+    def row(self, where: tuple[str, int, int | None], found: str, expected: str, cure: str) -> BenchError:
+        """Return a fault of one row or value of a table: table, sample, joint."""
+        table, sample, joint = where
+        column, name = ("", "") if joint is None else (f"[{joint}]", f", {JOINTS[joint]}")
+        at = f"{table}[{sample}]{column} ({sample * self.profile.period:.3f} s{name})"
+        return self.key(at, found, expected, cure)
+
+
+def check_profile(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> list[Check]:
+    """Return every check of `profile` on the machine; `place` names its file in the faults."""
+    plan = Plan(profile, plant, envelope, Motion(profile, plant), place or profile.name)
+    done = [check(plan) for check in _CHECKS]
+    # What the air must do follows from the tables' slopes.
+    return done if _tables(plan).faults else [*done, _air(plan)]
+
+
+def profile_faults(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> list[BenchError]:
+    """Return every reason why `profile` may not be swung on the machine."""
+    return [fault for check in check_profile(profile, plant, envelope, place) for fault in check.faults]
+
+
+def require_possible(
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+) -> None:
+    """Refuse a swing that cannot be done.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each reason.
+    """
+    if faults := profile_faults(profile, plant, envelope, place):
+        raise ExceptionGroup(f"{place or profile.name} cannot be swung here", faults)
+
+
+def _peak(values: Array) -> tuple[int, int]:
+    """Return sample and joint of the greatest of `values` (n, 3)."""
+    sample, joint = np.unravel_index(int(values.argmax()), values.shape)
+    return int(sample), int(joint)
+
+
+def _lasting(values: Array, time: float, period: float) -> Array:
+    """Return what `values` (n, 3) exceed without a break for longer than `time` s from each sample on."""
+    samples = min(round(time / period), len(values) - 1) + 1
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(values, samples, axis=0).min(axis=-1))
+
+
+def _impact(plan: Plan) -> slice:
+    """Return the ticks from before the impact window to after it."""
+    return slice(max(plan.profile.begins[5] - 1, 0), plan.profile.begins[6] + 1)
+
+
+def _machine(plan: Plan) -> Check:
+    """Compare what the profile was made for with the machine: club, period, supply."""
+    profile, plant, faults = plan.profile, plan.plant, []
+    club, supply = plant.robot.club.name, plant.supply.pressure
+    designed = profile.limits.get("supply_pressure_pa", 0.0)
+    if profile.club != club:
+        cure = f'Set swing.club = "{profile.club}", or choose a profile for this club.'
+        faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', cure))
+    if abs(profile.period - plant.tick) > 1e-9:
+        wanted, cure = f"{plant.tick:g} s, the loop's tick", "Set loop.rate_hz to its inverse."
+        faults.append(plan.key("period_s", f"{profile.period:g} s", wanted, cure))
+    if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
+        found = f"{designed:.4g} Pa" if designed else "nothing"
+        wanted = f"{supply:.4g} Pa absolute, plant.supply.pressure, within 1 %"
+        cure = "Choose another profile, or design one for this supply."
+        faults.append(plan.key("limits.supply_pressure_pa", found, wanted, cure))
+    found = f"{profile.club}, {1e3 * profile.period:g} ms, {designed / 1e5:.2f} bar"
+    return Check("made for", found, f"{club}, {1e3 * plant.tick:g} ms, {supply / 1e5:.2f} bar", faults)
+
+
+def _tables(plan: Plan) -> Check:
+    """Ask the tables to hold together: velocity is the angle's slope, and the swing begins at rest."""
+    angle, velocity, faults = plan.profile.angle, plan.profile.velocity, []
+    slope = np.diff(angle, axis=0) / plan.profile.period
+    # A tick in which the speed jumps may have any slope between; at the ball there is no reference at all.
+    jump = np.abs(np.diff(velocity, axis=0)) / 2
+    error = np.maximum(np.abs(slope - (velocity[1:] + velocity[:-1]) / 2) - jump, 0.0)
+    error[_impact(plan)] = 0.0
+    lasting = _lasting(error, SLOPE_TIME, plan.profile.period)
+    k, joint = _peak(lasting)
+    if lasting[k, joint] > SLOPE_TOLERANCE:
+        found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
+        wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
+        cure = "Mend the table; angles are in rad, one row a period."
+        faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, cure))
+    step, allowed = error * plan.profile.period, _allowed_steps(plan)
+    j, i = _peak(step / allowed)
+    if step[j, i] > allowed[j, i]:
+        found = f"{angle[j, i]:.4f}, then {angle[j + 1, i]:.4f} rad: a step no robot can follow"
+        wanted = f"a step of at most {allowed[j, i]:.3g} rad, {STEP_SHARE:g} of envelope.following"
+        faults.append(plan.row(("angle_rad", j, i), found, wanted, "Smooth the table there."))
+    _, joint = _peak(np.abs(velocity[:1]))
+    if abs(velocity[0, joint]) > 0.1:
+        found, cure = f"{velocity[0, joint]:.3f} rad/s", "Begin the swing at rest at address."
+        faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", cure))
+    text = f"slope {lasting.max():.2f} rad/s off · step {step[j, i]:.3f} rad"
+    return Check("tables agree", text, f"{SLOPE_TOLERANCE:g} rad/s · {allowed[j, i]:.3g} rad", faults)
+
+
+def _allowed_steps(plan: Plan) -> Array:
+    """Return the greatest step of the reference (n - 1, 3) that leaves following its share, rad."""
+    following = plan.envelope.following
+    limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
+    return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
+
+
+def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings) -> str:
+    """Return where the swing leaves the working range of a joint; empty when nowhere."""
+    motion, share = Motion(profile, plant), envelope.minimum_stop_margin
+    for i, actuator in enumerate(plant.actuators):
+        beyond = _beyond(actuator, motion.position[:, i])
+        k = int(beyond.argmax())
+        if beyond[k] > share * actuator.stop.travel:
+            place = f"{motion.position[k, i]:.4f} {_POSITION[i]}"
+            return f"the {JOINTS[i]} is led to {place} after {k * profile.period:.3f} s, beyond its range"
+    return ""
+
+
+def _beyond(actuator: Actuator, position: Array) -> Array:
+    """Return how far each of `position` (n,) lies beyond the ends of the travel."""
+    return np.asarray(np.maximum(actuator.lower - position, position - actuator.upper))
+
+
+def _range(plan: Plan) -> Check:
+    """Keep the swing off the end stops: within the envelope's share of the cushion and its rated energy."""
+    share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
+    for i, actuator in enumerate(plan.plant.actuators):
+        position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
+        beyond = _beyond(actuator, position)
+        k = int(beyond.argmax())
+        place, speed = _between_samples(position, plan.motion.speed[:, i], plan.profile.period)
+        force = stop_forces(actuator, place, speed)
+        energy = _greatest_visit(-force * speed * plan.profile.period / _PARTS)
+        if beyond[k] > share * stop.travel:
+            low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
+            found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
+            wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{_KEYS[i]} with {share:.0%} of its cushions"
+            cure = "Choose a profile made for these stops, or correct the range."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+        elif energy > stop.energy:
+            found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.energy:g} J"
+            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop.energy is the cushion's rating."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+        texts.append(f"{energy:.0f}")
+        ratings.append(f"{stop.energy:g}")
+    return Check("end stops", " · ".join(texts) + " J", " · ".join(ratings) + " J", faults)
+
+
+def _between_samples(position: Array, speed: Array, period: float) -> tuple[Array, Array]:
+    """Return position and speed `_PARTS` times as often: a cushion may stop a rod within two samples."""
+    at = np.arange((len(position) - 1) * _PARTS + 1) / _PARTS
+    path = CubicHermiteSpline(np.arange(len(position)) * period, position, speed)
+    return path(at * period), path(at * period, 1)
+
+
+def _greatest_visit(work: Array) -> float:
+    """Return the largest sum of positive `work` (n,) in one visit, that is between samples without force."""
+    greatest = energy = 0.0
+    for part in work:
+        energy = energy + max(float(part), 0.0) if part else 0.0
+        greatest = max(greatest, energy)
+    return greatest
+
+
+def _speed(plan: Plan) -> Check:
+    """Compare with the envelope's limits of speed."""
+    limits, faults = plan.envelope.greatest_speed, []
+    speed = np.abs(plan.motion.speed)
+    for i, limit in enumerate(limits):
+        k = int(speed[:, i].argmax())
+        if speed[k, i] > limit:
+            found, wanted = f"{speed[k, i]:.2f} {_SPEED[i]}", f"at most {limit:g} {_SPEED[i]}"
+            cure = "Slow the swing; envelope.greatest_speed is the limit."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+    return Check("joint speeds", _joined(speed.max(axis=0), "{:.1f}"), _joined(limits, "{:g}"), faults)
+
+
+def _joined(values: Iterable[float], form: str) -> str:
+    """Return speeds of the three joint coordinates with their units."""
+    return " · ".join(f"{form.format(value)} {unit}" for value, unit in zip(values, _SPEED, strict=True))
+
+
+def _clearance(plan: Plan) -> Check:
+    """Keep the club off ground and frame as the envelope will."""
+    robot, site, envelope, faults = plan.plant.robot, plan.plant.site, plan.envelope, []
+    head = forward_kinematics(robot, plan.profile.angle)
+    height = head[:, 1] - site.sole_depth - site.ground
+    by_ball = np.abs(head[:, 0] - plan.profile.ball[0]) <= envelope.ball_window
+    needed = np.where(by_ball, envelope.ball_clearance, envelope.clearance)
+    k = int((height - needed).argmin())
+    if height[k] < needed[k]:
+        found, wanted = f"sole {1e3 * height[k]:.1f} mm over ground", f"at least {1e3 * needed[k]:g} mm"
+        cure = "Raise the path, or correct plant.site.ground."
+        faults.append(plan.row(("angle_rad", k, None), found, wanted, cure))
+    points = joint_positions(robot, plan.profile.angle)
+    wrist, along = points[:, 2], (points[:, 4] - points[:, 2]) / robot.club.length_to_face
+    nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, robot.club.length_to_face)
+    distance = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
+    j = int(distance.argmin())
+    if distance[j] < envelope.frame_radius:
+        found, wanted = f"club {distance[j]:.3f} m from R1", f"at least {envelope.frame_radius:g} m"
+        faults.append(plan.row(("angle_rad", j, None), found, wanted, "Keep the club off the frame."))
+    found = f"ground {1e3 * height[k]:.0f} mm · frame {1e3 * distance[j]:.0f} mm"
+    return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
+
+
+def _lever(plan: Plan) -> Check:
+    """Keep the wrist where its cylinder has a lever (thesis figure 11)."""
+    authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
+    k, least, faults = int(authority.argmin()), plan.envelope.least_lever, []
+    if authority[k] < least:
+        cure = "Fold the wrist less; envelope.least_lever is the limit."
+        found = f"|sin beta| = {authority[k]:.3f}"
+        faults.append(plan.row(("angle_rad", k, 2), found, f"at least {least:g}", cure))
+    return Check("wrist lever |sin beta|", f"{authority[k]:.2f}", f"at least {least:g}", faults)
+
+
+def _valves(plan: Plan) -> Check:
+    """Compare the feed-forward with what the envelope passes."""
+    opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.greatest_opening, []
+    k, joint = _peak(opening)
+    if opening[k, joint] > limit:
+        wanted = f"at most {limit:g}, envelope.greatest_opening"
+        faults.append(plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Ask for less."))
+    return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
+
+
+def _ball(plan: Plan) -> Check:
+    """Compare the place of the ball, and whether the head is there at the planned contact."""
+    profile, site, faults = plan.profile, plan.plant.site, []
+    x, y = profile.ball
+    off = hypot(x - site.ball_x, y - site.ball_y)
+    if off > BALL_TOLERANCE:
+        found = f"({x:.4f}, {y:.4f}) m, {1e3 * off:.1f} mm off"
+        wanted = f"({site.ball_x:.4f}, {site.ball_y:.4f}) m, plant.site, within {1e3 * BALL_TOLERANCE:g} mm"
+        faults.append(plan.key("ball_m", found, wanted, "Move the tee to where the swing is aimed."))
+    time = np.arange(len(profile.angle)) * profile.period
+    angle = [np.interp(profile.impact_time, time, profile.angle[:, i]) for i in range(3)]
+    head = forward_kinematics(plan.plant.robot, angle)
+    behind, above = x - float(head[0]), float(head[1]) - y
+    if abs(behind) > CONTACT_TOLERANCE[0] or abs(above) > CONTACT_TOLERANCE[1]:
+        found = f"the face {behind:.3f} m behind the ball and {above:.3f} m above it"
+        wanted = "within {:g} and {:g} m".format(*CONTACT_TOLERANCE)
+        cure = "Correct impact_time_s; else the swing misses the ball."
+        faults.append(plan.key("impact_time_s", found, wanted, cure))
+    found = f"tee {1e3 * off:.1f} mm off · face {1e3 * above:+.1f} mm in height"
+    allowed = f"{1e3 * BALL_TOLERANCE:g} · {1e3 * CONTACT_TOLERANCE[1]:g} mm"
+    return Check("ball", found, allowed, faults)
+
+
+def _air(plan: Plan) -> Check:
+    """Compare the force the motion needs with what valves and supply can give at its speed."""
+    plant, faults, shares = plan.plant, [], []
+    need = needed_force(plan.motion)
+    bounds = force_bounds(plan.motion)[:-1]
+    excess = np.maximum(need - bounds[..., 1], bounds[..., 0] - need)
+    # At the ball the speeds jump; no actuator makes that.
+    excess[_impact(plan)] = 0.0
+    steady = _lasting(excess, EXCESS_TIME, plan.profile.period)
+    for i, actuator in enumerate(plant.actuators):
+        greatest = (plant.supply.pressure - plant.supply.atmosphere) * actuator.area_a
+        k = int(steady[:, i].argmax())
+        if steady[k, i] > EXCESS_SHARE * greatest:
+            side = int(need[k, i] > bounds[k, i, 1])
+            at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
+            found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"
+            wanted = (
+                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, all that the valve's "
+                f"{actuator.valve.conductance:g} m3/(s Pa) and {plant.supply.pressure:g} Pa give"
+            )
+            cure = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+        lever = plant.wrist_lever if i == 2 else 1.0
+        shares.append(np.abs(plan.motion.speed[:, i]).max() * lever / steady_speed(actuator, plant.supply))
+    found = " · ".join(f"{100 * share:.0f}" for share in shares) + " % of the valves' steady speed"
+    return Check("air", found, "the force that valves and supply give", faults)
+
+
+_CHECKS: tuple[Callable[[Plan], Check], ...] = (
+    _machine, _tables, _range, _speed, _clearance, _lever, _valves, _ball,
+)  # fmt: skip

@@ -1,1 +1,0 @@
-"""Launches that a launch monitor tells of, and the swings they belong to, of a running bench."""

@@ -1,0 +1,143 @@
+"""Swings and launches of a running bench, and what became of each: pure, time is an argument.
+
+A launch finds its swing by time (`drivers.launch_monitor.matching`); what comes of a match is a shot whose
+club is told by the encoders and whose ball is told by the monitor. Its flight is the model's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from math import degrees, pi
+from typing import Any, NamedTuple
+
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.shot.recorded_shot import Surroundings, delivery_of_cycles
+from bench.shot.shot import Shot, Status
+from bench.shot.swing_watch import Swing
+from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.record import LaunchRecord
+from sim.flight import Flight, fly
+from sim.plant import PlantParameters
+
+NO_IMPACT = "no swing through the ball's place"
+NO_BALL = "no ball struck"
+NOT_TOLD = "the launch monitor saw no ball"
+_MOST_OPEN = 64
+"""Launches that may wait for their swing; beyond that the oldest are given up as nobody's."""
+
+
+class Told(NamedTuple):
+    """One outcome that is settled."""
+
+    outcome: Outcome
+    shot_id: str
+    """Empty when no swing made the launch."""
+    launch: LaunchRecord | None
+    reason: str
+    """What speaks against it; empty when nothing does."""
+    shot: Shot | None
+    """Of a swing: its row, with all that is known of club and ball."""
+
+
+def told_figures(launch: LaunchRecord) -> dict[str, Any]:
+    """Return the columns of the shot table that `launch` knows; a monitor that saw no spin knows the rest."""
+    known = {
+        "ball_speed_mps": (launch.speed, 1.0),
+        "launch_angle_deg": (launch.launch_angle, degrees(1)),
+        "direction_deg": (launch.direction, degrees(1)),
+        "spin_rpm": (launch.spin, 30 / pi),
+        "spin_axis_deg": (launch.spin_axis, degrees(1)),
+    }
+    figures = {name: scale * value for name, (value, scale) in known.items() if value is not None}
+    return {**figures, "launch_source": launch.source} if figures else {}
+
+
+class LaunchBook:
+    """Keeps what is not settled yet."""
+
+    def __init__(
+        self,
+        window: MatchWindow,
+        plausible: PlausibleFigures,
+        plant: PlantParameters,
+        around: Surroundings,
+    ) -> None:
+        self._window, self._plausible = window, plausible
+        self._plant, self._around = plant, around
+        self._swings: dict[str, tuple[int, datetime, Swing]] = {}
+        self._open: tuple[SwingImpact, ...] = ()
+        self._launches: tuple[LaunchRecord, ...] = ()
+        self._told: list[Told] = []
+        self.counts = dict.fromkeys(Outcome, 0)
+        """Outcomes so far."""
+        self._number = 0
+
+    def note_swing(self, swing: Swing, time_utc: datetime) -> None:
+        """Take a swing that is over, at `time_utc`; one that did not reach the ball is settled at once."""
+        self._number += 1
+        if swing.impact is None:
+            self._tell(Match(Outcome.NO_LAUNCH, swing.shot, None), (self._number, time_utc, swing))
+            return
+        self._swings[swing.shot] = self._number, time_utc, swing
+        self._open += (SwingImpact(swing.shot, swing.impact),)
+
+    def note_launches(self, launches: list[LaunchRecord]) -> None:
+        """Take what the monitors told."""
+        self._launches = (*self._launches, *launches)
+
+    def settle(self, now: float) -> list[Told]:
+        """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
+        while len(self._launches) > _MOST_OPEN:  # nobody swings that often: they are nobody's
+            self._tell(Match(Outcome.NO_SWING, "", self._launches[0]), None)
+            self._launches = self._launches[1:]
+        found = match(self._open, self._launches, now, self._window)
+        self._open, self._launches = found.swings, found.launches
+        swings = {one.shot: self._swings[one.shot] for one in found.decided if one.shot}
+        for one in found.decided:
+            self._tell(one, swings.get(one.shot))
+        for shot in swings:
+            del self._swings[shot]
+        told, self._told = self._told, []
+        return told
+
+    def _tell(self, one: Match, of: tuple[int, datetime, Swing] | None) -> None:
+        self.counts[one.outcome] += 1
+        if of is None or one.outcome not in (Outcome.MATCHED, Outcome.NO_LAUNCH):
+            launch = None if one.launch is None else judged(one.launch, self._plausible)
+            self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
+            return
+        self._told.append(self._of_swing(one, *of))
+
+    def _of_swing(self, one: Match, number: int, time_utc: datetime, swing: Swing) -> Told:
+        """Return what became of a swing."""
+        plant, trips = self._plant, swing.cycles["trip"]
+        delivery = delivery_of_cycles(swing.cycles, plant)
+        launch = one.launch
+        if launch is not None:
+            launch = judged(launch, self._plausible, None if delivery is None else delivery.speed)
+            reason = "; ".join(filter(None, (one.reason, launch.reason)))
+        else:
+            reason = NO_IMPACT if swing.impact is None else NOT_TOLD if swing.struck else NO_BALL
+        flight: Flight | None = None
+        if launch is not None and launch.launch is not None and not launch.doubts:
+            try:
+                flight = fly(
+                    launch.launch, self._around.air, plant.ball, self._around.wind, self._around.turf
+                )
+            except ValueError as error:
+                reason = reason or f"no flight: {error}"
+        why, status = reason, Status.EXCLUDED if reason else Status.VALID
+        if trips.any():
+            why, status = CAUSE_TEXT[Cause(int(trips[trips != 0][0]))], Status.FAILED
+        elif launch is None and not (swing.struck and swing.impact is not None):
+            status = Status.FAILED
+        shot = Shot.from_measurements(
+            shot=number, block=1, position=1, club=plant.robot.club.name,
+            ball="" if launch is None else plant.ball.name, time_utc=time_utc, delivery=delivery,
+            launch=None, flight=flight, status=status, reason=why, carry_source="model",
+        )  # fmt: skip
+        if launch is not None:
+            shot = replace(shot, **told_figures(launch))
+        return Told(one.outcome, one.shot, launch, reason, shot)

@@ -1,0 +1,1 @@
+"""Simulated benches: lock-step, replay and series of swings."""

@@ -1,0 +1,168 @@
+"""Control step and plant in one compiled loop: whole swings in milliseconds, bit for bit repeatable.
+
+The order of a tick is that of the real cycle (`bench.loop`): sense, decide, apply. A test shows that both
+give bit-equal records, with faults (`sim.faults`) too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.control.requests import near_address
+from bench.control.step import (
+    ARM,
+    ControlParameters,
+    ControlState,
+    new_control_state,
+    step,
+)
+from bench.lifecycle import Phase
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
+from drivers.base.compiled import compiled, new_record
+from sim.faults import (
+    LEASE,
+    RECORDER,
+    SUPERVISOR,
+    Fault,
+    Faults,
+    break_parts,
+    deliver_command,
+    deliver_readings,
+    is_broken,
+    new_faults,
+    notice_onsets,
+    own_records,
+    told_time,
+)
+from sim.plant import Plant, advance, initial_state, sense
+from sim.truth import note_truth
+
+
+@compiled
+def run(
+    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
+    readings: Any, command: Any, requests: Any, first_tick: int, cycles: Any,
+) -> None:  # fmt: skip
+    """Run len(requests) ticks; `requests` (n,) u1 are put to the step, `cycles` (n,) CYCLE are written."""
+    period = plant[0].tick
+    for k in range(len(requests)):
+        sense(plant, plant_state, readings)
+        if requests[k] != 0:
+            state.control[0].request = requests[k]
+        cycle = cycles[k : k + 1]
+        step(state, parameters, readings, (first_tick + k) * period, command, cycle)
+        note_truth(plant_state, cycle)
+        advance(robot, plant, impact, plant_state, command)
+
+
+@compiled
+def run_faulty(
+    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
+    readings: Any, command: Any, requests: Any, first_tick: int, cycles: Any, faults: Faults,
+) -> None:  # fmt: skip
+    """Run ticks as `run` does, with `faults` between plant and step; `robot` and `plant` may break, too.
+
+    A tick that the loop does not run leaves a record of zeros but for the plant's truth.
+    """
+    period = plant[0].tick
+    for k in range(len(requests)):
+        s = state.control[0]
+        notice_onsets(faults, plant, plant_state, s.phase)
+        deliver_readings(faults, plant, plant_state, readings)
+        cycle = cycles[k : k + 1]
+        loop_up = faults.device[0].loop_up
+        if loop_up:
+            note_processes(state, faults)
+            if requests[k] != 0:
+                s.request = requests[k]
+            step(state, parameters, readings, told_time(faults, (first_tick + k) * period), command, cycle)
+        note_truth(plant_state, cycle)
+        deliver_command(faults, plant, command, loop_up)
+        break_parts(faults, robot, plant, plant_state)
+        advance(robot, plant, impact, plant_state, faults.sent)
+
+
+@compiled
+def note_processes(state: ControlState, faults: Faults) -> None:
+    """Tell the step which of the bench's processes are gone, and whether the device obeys."""
+    s = state.control[0]
+    supervisor, recorder = is_broken(faults, SUPERVISOR), is_broken(faults, RECORDER)
+    lease = is_broken(faults, LEASE)
+    if supervisor >= 0:
+        s.supervisor_alive = supervisor == 0
+    if recorder >= 0:
+        s.support_ready = recorder == 0
+    if lease >= 0:
+        s.lease_held = lease == 0
+    s.device_operational = not faults.device[0].passive
+
+
+class Lockstep:
+    """A simulated bench on a virtual clock, driven by the compiled loop."""
+
+    def __init__(
+        self, plant: Plant, parameters: ControlParameters, angle: np.ndarray, faults: tuple[Fault, ...] = ()
+    ) -> None:
+        """Stand vented at joint angles `angle` (3,) rad; `faults` begin as they say."""
+        self.plant, self.parameters = plant, parameters
+        self.faults: Faults | None = None
+        self.plant_state = initial_state(plant, angle)
+        self.state = new_control_state()
+        self.readings, self.command = new_record(READINGS), new_record(COMMAND)
+        self.command["guard_lock"] = True
+        self.tick = 0
+        if faults:
+            self.break_with(faults)
+
+    def break_with(self, faults: tuple[Fault, ...], *, watchdog: float = 0.02, seed: int = 1) -> None:
+        """Let `faults` act from here on, their time counted from here; ValueError as `new_faults`."""
+        self.plant = own_records(self.plant)
+        self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
+        if self.tick:  # the device obeys a bench that has spoken already
+            self.faults.device["heard"] = True
+            self.faults.sent[:] = self.command
+
+    def copy(self) -> Lockstep:
+        """Return a bench that goes on from here by itself; faults are not taken along."""
+        other = object.__new__(Lockstep)
+        other.plant, other.parameters, other.tick, other.faults = self.plant, self.parameters, self.tick, None
+        other.plant_state = self.plant_state.copy()
+        other.state = ControlState(*(record.copy() for record in self.state))
+        other.readings, other.command = self.readings.copy(), self.command.copy()
+        return other
+
+    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
+        """Run `ticks` ticks, `request` put at the first; return their CYCLE records."""
+        requests = np.zeros(ticks, np.uint8)
+        if ticks:
+            requests[0] = request
+        cycles = new_record(CYCLE, ticks)
+        if self.faults is None:
+            run(
+                *self.plant.records, self.plant_state, self.state, self.parameters, self.readings,
+                self.command, requests, self.tick, cycles,
+            )  # fmt: skip
+        else:
+            run_faulty(
+                *self.plant.records, self.plant_state, self.state, self.parameters, self.readings,
+                self.command, requests, self.tick, cycles, self.faults,
+            )  # fmt: skip
+        self.tick += ticks
+        return cycles
+
+    def arm(self, longest_ticks: int = 15000) -> bool:
+        """Arm, and run until the robot rests at address; False when it does not within `longest_ticks`."""
+        self.advance(1, ARM)
+        control = self.state.control[0]
+        for _ in range(longest_ticks // 10):
+            if control["phase"] == Phase.HOLD and near_address(self.parameters, self.state.estimator):
+                return True
+            self.advance(10)
+        return False
+
+    def make_passive(self) -> None:
+        """Hold the passive command until the next tick."""
+        pack_command(PASSIVE, self.command)

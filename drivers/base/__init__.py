@@ -1,0 +1,43 @@
+"""The driver contract and what drivers and the plant share: compiled numerics and shared memory."""
+
+from drivers.base.contract import (
+    ABSENT,
+    ACTUATORS,
+    CHAMBERS,
+    COMMAND,
+    JOINTS,
+    PASSIVE,
+    READINGS,
+    Command,
+    Driver,
+    DriverError,
+    Launch,
+    Readings,
+    Triple,
+    device_limited,
+    pack_command,
+    pack_readings,
+    unpack_command,
+    unpack_readings,
+)
+
+__all__ = [
+    "ABSENT",
+    "ACTUATORS",
+    "CHAMBERS",
+    "COMMAND",
+    "JOINTS",
+    "PASSIVE",
+    "READINGS",
+    "Command",
+    "Driver",
+    "DriverError",
+    "Launch",
+    "Readings",
+    "Triple",
+    "device_limited",
+    "pack_command",
+    "pack_readings",
+    "unpack_command",
+    "unpack_readings",
+]

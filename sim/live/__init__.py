@@ -1,0 +1,1 @@
+"""The simulated plant beside a running loop."""

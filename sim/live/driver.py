@@ -1,0 +1,195 @@
+"""The plant in its own process behind the driver contract: a bench whose valves outlive the loop.
+
+Each call of a tick is a copy from or to shared memory; nothing waits. Times are CLOCK_MONOTONIC (s).
+"""
+
+from __future__ import annotations
+
+import math
+import time as wall
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from sim.live.exchange import COMMAND_FILE, PLANT_COMMAND, PLANT_REPORT, REPORT_FILE, TRUTH
+from sim.live.valve_watchdog import Mode
+from sim.truth import Contact, contact_in
+
+_NEAR = 1e-9
+_BETWEEN_LOOKS = 0.0005
+_COUNTERS = 2**62 - 1
+"""So that counting on from garbage does not overflow."""
+
+
+class ProcessPlantDriver:
+    """The loop's side of `sim.live.process`.
+
+    `report` (PLANT_REPORT) is what the plant told last, truth and its node's state among it.
+    """
+
+    def __init__(self, folder: Path | str, watchdog: float = 0.02, timeout: float = 1.0) -> None:
+        """`folder` is the plant's; `watchdog` (s) the longest that its node may have.
+
+        `timeout` (s) bounds how long `open` waits for the node.
+        """
+        self.folder, self.watchdog, self.timeout = Path(folder), watchdog, timeout
+        self.report = np.zeros(1, PLANT_REPORT)
+        self.applied = PASSIVE
+        """The command sent last, within the device's limits."""
+        self._readings, self._operational = self.report["readings"], self.report["node"]["operational"]
+        self._truth = [(name, self.report["truth"][name]) for name in TRUTH.names or ()]
+        self._outgoing = np.zeros(1, PLANT_COMMAND)
+        self._incoming: SharedRecord | None = None
+        self._sender: SharedRecord | None = None
+        self._counter = self._session = 0
+        self._last_time = -math.inf
+
+    @property
+    def operational(self) -> bool:
+        """Whether the node obeyed when the plant reported last."""
+        return bool(self._operational[0])
+
+    def open(self) -> None:
+        """Attach, read back the node's watchdog and set the node operational, passive at first.
+
+        Raises:
+            DriverError: open already, no plant, one whose watchdog is absent or too long, or no answer.
+        """
+        if self._sender is not None:
+            raise DriverError("plant driver: open() found it open already; call close() first")
+        try:
+            self._incoming = SharedRecord.open(self.folder / REPORT_FILE, PLANT_REPORT)
+            self._sender = SharedRecord.open(self.folder / COMMAND_FILE, PLANT_COMMAND)
+            self._last_time = -math.inf
+            self._enable(wall.monotonic() + self.timeout)
+        except SharedMemoryError as error:
+            self._detach()
+            raise DriverError(f"plant driver: {error}") from error
+        except BaseException:
+            self._detach()
+            raise
+
+    def read(self, time: float) -> Readings:
+        """Return the plant's newest readings with their ages at `time` (s); old when the plant stands still.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or before the last one.
+        """
+        if self._incoming is None:
+            raise _closed("read")
+        if not self._last_time <= time < math.inf:
+            raise DriverError(
+                f"plant driver: read() found time {time} s, expected a finite one from {self._last_time} s "
+                "on; give it CLOCK_MONOTONIC"
+            )
+        self._last_time = time
+        self._incoming.read(self.report)
+        (
+            _, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed,
+        ) = self._readings.item()  # fmt: skip
+        a, b, c = stamp.tolist()
+        v1, v2, v3 = valid.tolist()
+        i1, i2, i3 = indexed.tolist()
+        return Readings(
+            time,
+            tuple(count.tolist()),
+            (a, b, c),
+            (v1 != 0, v2 != 0, v3 != 0),
+            (time - a, time - b, time - c),
+            stop,
+            closed,
+            locked,
+            supply,
+            reset,
+            ball,
+            tuple(chamber.tolist()),
+            (i1 != 0, i2 != 0, i3 != 0),
+        )
+
+    def write(self, command: Command) -> Command:
+        """Send `command` within the device's limits; return it, PASSIVE when the node said it has let go.
+
+        Raises:
+            DriverError: not open.
+        """
+        if self._sender is None:
+            raise _closed("write")
+        self._send(device_limited(command))
+        return self.applied if self._operational[0] else PASSIVE
+
+    def make_passive(self) -> None:
+        """Send the passive command if the device is open; else it is passive already."""
+        self.applied = PASSIVE
+        with suppress(Exception):  # never raises, whatever became of the plant
+            self._send(PASSIVE)
+
+    def close(self) -> None:
+        """Take the node out of operation, which leaves it passive, and let go of the plant."""
+        self.applied = PASSIVE
+        with suppress(Exception):  # whatever became of the plant
+            self._send(PASSIVE, Mode.STOP)
+        self._detach()
+
+    def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
+        """Write the fields `plant_*` of a CYCLE record (a one-element array), of the readings' tick."""
+        for name, value in self._truth:
+            cycle[name] = value
+
+    @property
+    def contact(self) -> Contact | None:
+        """How the ball last on the tee was struck, its time CLOCK_MONOTONIC; None when it was not."""
+        return contact_in(self.report["contact"])
+
+    def _enable(self, deadline: float) -> None:
+        """Begin a session with the node, and wait for its answer until `deadline` (s)."""
+        node = self.report["node"]
+        while not self._look():
+            self._wait(deadline, "no report")
+        watchdog = float(node["watchdog"][0])
+        if not 0.0 < watchdog <= self.watchdog + _NEAR:
+            found = f"{watchdog:g} s" if watchdog > 0.0 else "none"
+            raise DriverError(
+                f"plant driver: open() read back the node's watchdog: found {found}, expected one of at most "
+                f"{self.watchdog:g} s; start the plant with a shorter one, or raise driver.watchdog"
+            )
+        # On from what was sent last, which the node need not have heard yet.
+        if self._sender is not None:
+            self._sender.read(self._outgoing)
+        self._counter = max(int(self._outgoing["counter"][0]), int(node["counter"][0])) & _COUNTERS
+        self._session = int(node["session"][0]) + 1
+        self._send(PASSIVE, Mode.START)
+        while not (self._look() and self._operational[0] and node["session"][0] == self._session):
+            self._wait(deadline, f"no answer to session {self._session}")
+
+    def _look(self) -> int:
+        return 0 if self._incoming is None else self._incoming.read(self.report)
+
+    def _wait(self, deadline: float, found: str) -> None:
+        if wall.monotonic() > deadline:
+            raise DriverError(
+                f"plant driver: open() found {found} within {self.timeout:g} s, expected the plant process "
+                f"at {self.folder} to answer; start it, or end and start one that hangs"
+            )
+        wall.sleep(_BETWEEN_LOOKS)
+
+    def _send(self, command: Command, mode: Mode = Mode.OPERATE) -> None:
+        if self._sender is not None:
+            self._counter += 1
+            self.applied = command
+            self._outgoing[0] = (self._counter, self._session, mode, command)
+            self._sender.write(self._outgoing)
+
+    def _detach(self) -> None:
+        for shared in (self._incoming, self._sender):
+            if shared is not None:
+                shared.close()
+        self._incoming = self._sender = None
+        self._operational[0] = False
+
+
+def _closed(call: str) -> DriverError:
+    return DriverError(f"plant driver: {call}() found it closed, expected it open; call open() first")

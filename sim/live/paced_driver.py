@@ -1,0 +1,106 @@
+"""The plant in step with the loop, in a bench that lives: its surroundings can be changed, its balls seen.
+
+The files are those of a plant process (`sim.live.exchange`), so that whoever plays the operator or the
+launch monitor need not know which of the two it is. Of the report only the contact is kept up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.base import Command, DriverError, Readings
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedMemoryError
+from sim.driver import SimDriver
+from sim.faults import Fault
+from sim.live.exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS
+from sim.live.handled_plant import HandledPlant
+from sim.live.process import PlantFiles
+from sim.plant import PlantParameters
+
+
+class PacedPlantDriver:
+    """A `sim.driver.SimDriver` with hands and eyes around it."""
+
+    def __init__(
+        self, folder: Path, plant: PlantParameters, *, faults: tuple[Fault, ...] = (), watchdog: float = 0.02
+    ) -> None:
+        """`folder` is the bench's, where the files are while it is open; `faults` as of the `SimDriver`."""
+        self._folder = folder
+        self._driver = SimDriver(plant, faults=faults, watchdog=watchdog, seed=plant.seed)
+        self.note_truth = self._driver.note_truth
+        self._files: PlantFiles | None = None
+        self._surroundings, self._report = new_record(PLANT_SURROUNDINGS), new_record(PLANT_REPORT)
+        self._surrounded, self._was_struck = 0, False
+        self._handled = HandledPlant(self._driver.plant, self._driver.plant_state)
+        self._readings: Readings | None = None
+
+    @property
+    def operational(self) -> bool:
+        """Unless a fault silenced the link for too long: the plant moves only when it is read."""
+        return self._driver.operational
+
+    def tell_phase(self, phase: int) -> None:
+        """Hear the bench's phase before a tick, for faults that begin with one."""
+        self._driver.phase = phase
+
+    def open(self) -> None:
+        """Make the files and start with the passive command.
+
+        Raises:
+            DriverError: it is open already, or the files cannot be made.
+        """
+        self._driver.open()
+        try:
+            self._files = PlantFiles(self._folder)
+        except SharedMemoryError as error:
+            self._driver.close()
+            raise DriverError(f"sim driver: {error}") from error
+        self._surrounded = 0
+
+    def read(self, time: float) -> Readings:
+        """Move the plant on to `time` (s), tell of a ball that was struck, return what its sensors show.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or before the last one.
+        """
+        if self._files is not None and self._files.surroundings.newest != self._surrounded:
+            self._surrounded = self._files.surroundings.read(self._surroundings)
+            self._handled.surround(self._surroundings)
+        readings = self._driver.read(time)
+        if (struck := bool(self._driver.plant_state["struck"][0])) != self._was_struck:
+            self._was_struck = struck
+            if struck:
+                self._tell_contact()
+        if self._handled.frozen and (last := self._readings) is not None:
+            a, b, c = last.encoder_time
+            return last._replace(time=time, encoder_age=(time - a, time - b, time - c))
+        self._readings = readings
+        return readings
+
+    def write(self, command: Command) -> Command:
+        """Apply `command` within the device's limits; DriverError when it is not open."""
+        return self._driver.write(command)
+
+    def make_passive(self) -> None:
+        """Apply the passive command, in any state."""
+        self._driver.make_passive()
+
+    def close(self) -> None:
+        """Leave the device passive and closed, in any state, and remove the files."""
+        self._driver.close()
+        if self._files is not None:
+            self._files.close()
+            self._files = None
+
+    def _tell_contact(self) -> None:
+        """Write how club and ball met; their time is the loop's."""
+        report: Any = self._report
+        for name in CONTACT.names or ():
+            report["contact"][name] = self._driver.plant_state[name]
+        report["contacts"] += 1
+        if self._files is not None:
+            self._files.report.write(np.asarray(report))

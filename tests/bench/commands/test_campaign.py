@@ -1,0 +1,306 @@
+"""golfbench campaign: a simulated campaign from its plan to its report, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from bench.campaign.campaign_report import load_record, render_campaign_report
+from bench.campaign.findings import findings
+from bench.campaign.operate import bench_lock, new_entry, require_free, run_simulated, runner_lock
+from bench.campaign.plan_file import campaign_names, load_plan
+from bench.campaign.runner import Watcher
+from bench.campaign.sequence import all_trials
+from bench.campaign.simulated import BEGIN
+from bench.cli import app, main
+from bench.config import database_url, load_configuration
+from bench.errors import BenchError, ExitCode, Refused
+from bench.shot.shot_table import read_shot_table
+from bench.simulation.simulated_bench import never
+from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.database import open_database
+from bench.telemetry.whole_file import NotStored
+
+Call = Callable[..., Result]
+
+PLAN = """
+[campaign]
+name = "short"
+title = "Short"
+[design]
+balls = ["tour", "range"]
+blocks = 2
+[control]
+ball = "tour"
+[warm_up]
+window = 2
+at_most = 4
+[simulation]
+missing_launch = [5]
+feeder_jam = [7]
+door_opened = [9]
+"""
+
+
+@pytest.fixture
+def call(tmp_path: Path) -> Call:
+    (tmp_path / "bench.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    (tmp_path / "short.toml").write_text(PLAN)
+
+    def run(*arguments: str | Path) -> Result:
+        options = ["--config", str(tmp_path / "bench.toml"), "campaign", *map(str, arguments)]
+        return CliRunner().invoke(app, options)
+
+    return run
+
+
+def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) -> None:
+    baseline = tmp_path / "baseline.toml"
+    baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 150\nhigh = 250\n')
+    outputs = ("--report", tmp_path / "r.html", "--junit", tmp_path / "j.xml", "--check", baseline, "--json")
+    done = call("run", tmp_path / "short.toml", "--sim", *outputs)
+    assert done.exit_code == ExitCode.OK, done.output
+    told = json.loads(done.stdout)
+    assert told["state"] == "finished"
+    assert told["baseline"][0]["holds"]
+    assert told["findings"]["by_status"] == {"valid": 12, "excluded": 1, "failed": 1}
+    assert "Short" in (tmp_path / "r.html").read_text()
+    assert (tmp_path / "j.xml").read_text().count("<testcase") == 10 + 2
+
+    listed = json.loads(call("list", "--json").stdout)
+    assert [entry["state"] for entry in listed] == ["finished"]
+    campaign = listed[0]["id"]
+    call("export", campaign, "--output", tmp_path / "shots.csv")
+    shots = read_shot_table(tmp_path / "shots.csv")
+    assert [shot.reason for shot in shots if shot.reason] == [
+        "the launch monitor saw no ball", "feeder jam: no ball came",
+    ]  # fmt: skip
+    assert shots[4].club_speed_mps is not None
+    assert shots[4].carry_m is None
+    assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
+    report = call("report", campaign)
+    assert "guard opened" in Path(report.stdout.strip()).read_text()
+    refused = call("resume", campaign)
+    assert isinstance(refused.exception, Refused)
+
+    baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 250\n')
+    again = call("run", tmp_path / "short.toml", "--sim", "--check", baseline)
+    assert again.exit_code == ExitCode.REFUSED
+    assert "OUTSIDE" in again.stdout
+    second = json.loads(call("list", "--json").stdout)[0]["id"]
+    assert second != campaign
+    assert call("export", second).stdout_bytes == (tmp_path / "shots.csv").read_bytes()
+
+
+def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
+    call: Call, tmp_path: Path
+) -> None:
+    (tmp_path / "wrong.toml").write_text("x = 1")
+    done = call("run", tmp_path / "short.toml", "--sim", "--check", tmp_path / "wrong.toml")
+    assert done.exception is not None
+    assert call("list").stdout.strip() == "No campaigns yet."
+    assert call("report", "nothing").exception is not None
+
+
+@pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report"])
+def test_an_unknown_campaign_is_told(call: Call, verb: str) -> None:
+    assert "no such campaign" in str(call(verb, "xyz").exception)
+
+
+def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path) -> None:
+    gate = Path(__file__).parents[3] / ".github"
+    assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()
+    for restitution, expected in ((0.83, ExitCode.OK), (0.82, ExitCode.REFUSED)):
+        (tmp_path / "bench.toml").write_text(
+            f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n'
+            f"[clubs.driver]\nrestitution = {restitution}\n"
+        )
+        options = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", "two-balls", "--sim"]
+        done = CliRunner().invoke(app, [*options, "--check", str(gate / "two-balls.baseline.toml")])
+        assert done.exit_code == expected, done.output
+        assert ("OUTSIDE" in done.stdout) == (expected is ExitCode.REFUSED)
+
+
+User = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> User:
+    """Run `golfbench campaign ...` as a user; return the exit code and what stands on the screen."""
+    (tmp_path / "bench.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    (tmp_path / "short.toml").write_text(SHORT)
+
+    def run(*arguments: str | Path) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as end:
+            main(["--config", str(tmp_path / "bench.toml"), "campaign", *map(str, arguments)])
+        assert isinstance(end.value.code, int)
+        out = capsys.readouterr()
+        assert "Traceback" not in out.err
+        return end.value.code, " ".join((out.out + out.err).split())
+
+    return run
+
+
+SHORT = """
+[campaign]
+name = "short"
+[design]
+balls = ["tour", "range"]
+blocks = 1
+[warm_up]
+at_most = 0
+[gate]
+centre = "planned"
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        (('"range"]', '"rnage"]'), "short.toml: design.balls", "Did you mean range?"),
+        (("blocks = 1", "blocks = 500"), "ball_handling.samples", "500 hits of \"tour\" are planned"),
+        (("blocks = 1", 'blocks = 1\nclubs = ["thesis"]'), "default.toml: club", "[swings.default] thesis ="),
+        (("[gate]", "[swings.fast]\ndriver = \"default\"\n[gate]"), "swings.fast", "Add it to design.swings"),
+        (("[gate]", "[ball_handling]\nmagazine = -1\n[gate]"), "ball_handling.magazine", "0 to 1000"),
+        (("[gate]", "[gate"), "short.toml", "TOML"),
+    ],
+)  # fmt: skip
+def test_a_plan_that_does_not_hold_begins_nothing(
+    user: User, tmp_path: Path, change: tuple[str, str], place: str, words: str
+) -> None:
+    (tmp_path / "short.toml").write_text(SHORT.replace(*change))
+    for command in (("check", tmp_path / "short.toml"), ("run", tmp_path / "short.toml", "--sim")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert place in text
+        assert words in text
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_database_of_a_newer_golfbench_is_refused_untouched(user: User, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    with open_database(database_url("", tmp_path / "data")) as engine, engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE schema_version SET version = 99")
+    before = (tmp_path / "data" / "golfbench.sqlite").read_bytes()
+    for command in (("run", tmp_path / "short.toml", "--sim"), ("list",), ("answer", "short")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert "schema version 99, of a newer golfbench" in text
+    assert (tmp_path / "data" / "golfbench.sqlite").read_bytes() == before
+    assert not (tmp_path / "data" / "campaigns").exists()
+
+
+def test_a_plan_changed_between_a_stop_and_resume_is_refused(
+    user: User, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise NotStored(str(path), "No space left on device", "space for a swing", "Free some.")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("bench.campaign.runner.write_swing", full)
+        code, text = user("run", tmp_path / "short.toml", "--sim")
+        assert (code, "No space left on device" in text) == (ExitCode.FILE, True)
+    (tmp_path / "short.toml").write_text(SHORT.replace("blocks = 1", "blocks = 2"))
+    code, text = user("resume", "short", tmp_path / "short.toml")
+    assert code == ExitCode.REFUSED
+    assert "another plan than it was begun with" in text
+    (tmp_path / "bench.toml").write_text(
+        (tmp_path / "bench.toml").read_text() + "[air]\ntemperature = 300.0\n"
+    )
+    code, text = user("resume", "short")
+    assert code == ExitCode.REFUSED
+    assert "air.temperature" in text
+    assert "short" in user("list")[1]
+
+
+def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
+    """The limit on a file's size makes the operating system itself refuse the write."""
+    limited = (
+        "import resource, sys\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
+        "from bench.cli import main\n"
+        "main(sys.argv[1:])\n"
+    )
+    arguments = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", str(tmp_path / "short.toml")]
+    done = subprocess.run(
+        [sys.executable, "-c", limited, *arguments, "--sim"],
+        capture_output=True, text=True, timeout=110, check=False,
+    )  # fmt: skip
+    assert done.returncode == ExitCode.FILE, done.stderr
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "data").rglob("*.parquet"))
+    code, text = user("resume", "short")
+    assert (code, "finished; 2 shots" in text) == (ExitCode.OK, True)
+
+
+def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path: Path) -> None:
+    configuration = load_configuration(tmp_path / "bench.toml")
+    plan = load_plan(tmp_path / "short.toml", configuration)
+    entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True)
+    with open_database(database_url("", tmp_path / "data")) as engine:
+        CampaignStore(engine).begin(entry)
+    with runner_lock(tmp_path / "data", entry.id):
+        with (
+            pytest.raises(Refused, match=f"runs campaign {entry.id}"),
+            runner_lock(tmp_path / "data", entry.id),
+        ):
+            pass
+        assert "goes on" in user("resume", "short")[1], "it is asked to go on, there is no second one"
+    with bench_lock(tmp_path / "data", entry), pytest.raises(Refused, match=f"runs campaign {entry.id}"):
+        require_free(tmp_path / "data", entry.bench)
+    require_free(tmp_path / "data", entry.bench)
+
+
+@pytest.mark.parametrize("name", campaign_names())
+def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
+    """With two blocks; all of each: `python -m tests.benchmarks campaign_examples`."""
+    shipped = load_configuration(Path("shipped"))
+    configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path))
+    plan = load_plan(Path(name), configuration)
+    plan = replace(plan, design=replace(plan.design, blocks=2), stop=replace(plan.stop, rule="fixed"))
+    entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        outcome = run_simulated(entry, configuration, store, Watcher(), never)
+        record = load_record(store, entry)
+    assert outcome.state is CampaignState.FINISHED, outcome.reason
+    found = findings(plan, record.shots)
+    assert found.by_status["valid"] >= len(all_trials(plan))
+    assert all(found.verdicts)
+    assert entry.title in render_campaign_report(record, found)
+
+
+def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
+    assert "not been read yet" in call("air").output
+    told = call("air", "--temperature", "21.5", "--pressure", "1008.2", "--humidity", "40", "--by", "Ann")
+    assert told.exit_code == ExitCode.OK, told.output
+    shown = call("air").output
+    assert shown == told.output
+    assert shown.startswith("21.5 deg C, 1008.2 hPa, 40 %; read 20")
+    assert shown.endswith("by Ann\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("--temperature", "21"), "--pressure, --humidity"),
+        (("--temperature", "210", "--pressure", "1000", "--humidity", "40"), "temperature"),
+        (("--temperature", "21", "--pressure", "nan", "--humidity", "40"), "pressure"),
+        (("--temperature", "21", "--pressure", "1000", "--humidity", "-1"), "humidity"),
+    ],
+)
+def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:
+    refused = call("air", *arguments)
+    assert isinstance(refused.exception, BenchError)
+    assert what in str(refused.exception)
+    assert "not been read yet" in call("air").output

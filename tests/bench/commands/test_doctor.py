@@ -1,0 +1,398 @@
+"""`golfbench doctor`: every item is looked at, nothing raises, each gap comes with its cure."""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from bench.commands import doctor, probe
+from bench.commands.doctor import Finding, Outcome, Probe, Status
+
+
+@pytest.fixture(scope="module")
+def findings() -> list[Finding]:
+    """This machine, looked at once."""
+    return list(doctor.examine(doctor.probes(Path("data"))))
+
+
+def test_this_machine_runs_the_simulation(findings: list[Finding]) -> None:
+    assert doctor.usable(findings)
+    assert [f"{f.item}: {f.value}" for f in findings if f.value.startswith("not examined")] == []
+
+
+def test_whatever_is_not_well_says_what_to_do(findings: list[Finding]) -> None:
+    assert [f.item for f in findings if f.status is not Status.OK and not f.advice] == []
+
+
+def test_all_required_packages_are_named_with_their_version(findings: list[Finding]) -> None:
+    versions = {f.item: f.value for f in findings if f.group == "packages"}
+    assert {"numpy", "numba", "eclipse-zenoh", "rerun-sdk", "python-can", "filterpy"} <= versions.keys()
+    assert versions["numpy"] == np.__version__
+
+
+def test_the_report_is_json_with_a_version(findings: list[Finding]) -> None:
+    document = json.loads(json.dumps(doctor.report(findings), allow_nan=False))
+    assert (document["schema"], document["schema_version"]) == ("golfbench.doctor", 1)
+    assert sum(document["count"].values()) == len(document["findings"]) == len(findings)
+    assert document["usable"] is True
+    assert set(document["findings"][0]) == set(Finding._fields)
+
+
+def test_the_table_shows_every_item_and_the_sum(findings: list[Finding]) -> None:
+    screen = io.StringIO()
+    Console(width=160, file=screen).print(doctor.table(findings))
+    text = screen.getvalue()
+    assert all(finding.item in text for finding in findings)
+    assert f"the simulation runs here: {sum(f.status is Status.OK for f in findings)} ok" in text
+
+
+def test_an_item_that_raises_is_a_finding() -> None:
+    def look() -> Outcome:
+        raise ZeroDivisionError("no such thing")
+
+    (finding,) = doctor.examine([Probe("group", "item", look, required=True)])
+    assert finding.status is Status.LIMITED
+    assert "ZeroDivisionError: no such thing" in finding.value
+
+
+def test_a_missing_requirement_makes_the_machine_unusable() -> None:
+    gap = Outcome(Status.MISSING, "gone")
+    assert doctor.usable(list(doctor.examine([Probe("group", "optional", lambda: gap)])))
+    assert not doctor.usable(list(doctor.examine([Probe("group", "needed", lambda: gap, required=True)])))
+
+
+# Packages --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "answer", "allowed", "status", "value"),
+    [
+        ("numpy", "ok", True, Status.OK, ""),
+        ("numpy", "ok", False, Status.LIMITED, "outside the tested versions"),
+        ("numpy", "ImportError: lib.so", True, Status.MISSING, "import fails: ImportError: lib.so"),
+        ("no-such-distribution", "ok", True, Status.MISSING, "not installed"),
+    ],
+)
+def test_package(name: str, answer: str, allowed: bool, status: Status, value: str) -> None:
+    outcome = doctor.package(name, lambda _: allowed, lambda: {"module": answer}, "module")
+    assert outcome.status is status
+    assert outcome.value.endswith(value)
+
+
+def test_a_package_that_ends_the_interpreter_costs_only_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "fatal.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGILL)")
+    (tmp_path / "chatty.py").write_text("print('chatty\\tbroken')")
+    (tmp_path / "leaver.py").write_text("raise SystemExit('bye')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert doctor.import_answers(["json", "fatal", "chatty", "leaver", "nowhere"]) == {
+        "json": "ok",
+        "fatal": "it ends the interpreter (exit code -4)",
+        "chatty": "ok",
+        "leaver": "SystemExit: bye",
+        "nowhere": "ModuleNotFoundError: No module named 'nowhere'",
+    }
+
+
+def test_a_package_that_hangs_costs_only_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "hanging.py").write_text("import time; time.sleep(60)")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(doctor, "CHILD_TIME_LIMIT", 1.0)
+    assert doctor.import_answers(["json", "hanging", "csv"]) == {
+        "json": "ok",
+        "hanging": "it takes longer than 1 s",
+        "csv": "ok",
+    }
+
+
+def test_without_metadata_the_installation_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def requires(name: str) -> Iterator[str]:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.requires", requires)
+    (finding,) = doctor.examine(list(doctor.package_probes()))
+    assert (finding.status, finding.required) == (Status.MISSING, True)
+    assert "golfbench" in finding.value
+
+
+def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    cold = doctor.compiled_code()
+    assert cold.status is Status.LIMITED
+    assert cold.value.startswith("cold")
+    folder = Path(json.loads(doctor._child("cache")))
+    (folder / "sim").mkdir(parents=True)
+    (folder / "sim" / "f.nbc").touch()
+    warm = doctor.compiled_code()
+    assert warm.status is Status.OK
+    assert warm.figures == {"functions": 1.0}
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert "not writable" in doctor.compiled_code().value
+
+
+# The machine -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Contents of the kernel's files by path, in place of this machine's."""
+    contents: dict[str, str] = {}
+    monkeypatch.setattr(doctor, "_read", lambda path: contents.get(str(path), ""))
+    return contents
+
+
+def test_kernel(files: dict[str, str]) -> None:
+    files["/sys/kernel/realtime"] = "1"
+    assert doctor.kernel().status is Status.OK
+
+
+def test_processors(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 2, 3})
+    files["/sys/devices/system/cpu/isolated"] = "3"
+    assert doctor.processors()[:2] == (Status.OK, "4, isolated: 3")
+    files["/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"] = "powersave"
+    assert doctor.processors().status is Status.LIMITED
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
+    assert "share one" in doctor.processors().advice
+
+
+def test_virtual_machine(files: dict[str, str]) -> None:
+    files["/proc/cpuinfo"] = "flags : fpu sse"
+    assert doctor.virtual_machine().status is Status.OK
+    files["/proc/cpuinfo"] = "flags : fpu hypervisor sse"
+    assert doctor.virtual_machine().status is Status.LIMITED
+
+
+@pytest.mark.parametrize(("kibibytes", "status"), [(8_000_000, Status.OK), (1_000_000, Status.LIMITED)])
+def test_memory(files: dict[str, str], kibibytes: int, status: Status) -> None:
+    files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
+    outcome = doctor.memory()
+    assert outcome.status is status
+    assert outcome.figures["available_bytes"] == kibibytes * 1024
+
+
+def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor.data_folder(tmp_path / "not" / "yet").status is Status.OK
+    file = tmp_path / "file"
+    file.touch()
+    outcome = doctor.data_folder(file)
+    assert outcome.status is Status.MISSING
+    assert str(file) in outcome.advice
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000}))
+    assert doctor.data_folder(tmp_path).status is Status.LIMITED
+
+
+# Real time -------------------------------------------------------------------------------------------
+
+
+def _answer(held: bool, p99_us: float) -> dict[str, Any]:
+    """What the child process tells when the kernel grants everything or nothing."""
+    told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the cure")}[held]
+    names = ("scheduling", "memory lock", "timer slack", "idle states")
+    setting = dict(zip(("granted", "reason", "cure"), told, strict=True)) | {"held": held}
+    return {
+        "settings": dict.fromkeys(names, setting),
+        "latency": {"p50_us": 8.0, "p99_us": p99_us, "max_us": 4000.0},
+    }
+
+
+SETTINGS = ("SCHED_FIFO", "memory lock", "timer slack", "idle states")
+
+
+def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[str, Finding]:
+    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(answer))
+    return {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
+
+
+def test_real_time_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _realtime(monkeypatch, _answer(True, 40.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.OK}
+    assert "FIFO 80" in found["SCHED_FIFO"].value
+    assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
+
+
+def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _realtime(monkeypatch, _answer(False, 900.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.LIMITED}
+    assert "Operation not permitted" in found["SCHED_FIFO"].value
+    assert {found[item].advice for item in SETTINGS} == {"the cure"}
+    assert "scheduling OTHER 0" in found["wake-up latency"].value
+
+
+def test_a_child_that_fails_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: str) -> str:
+        raise RuntimeError("child ended")
+
+    monkeypatch.setattr(doctor, "_child", fail)
+    found = {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
+    assert found["SCHED_FIFO"].value == "not examined: RuntimeError: child ended"
+
+
+def test_an_unknown_question_is_an_error() -> None:
+    with pytest.raises(RuntimeError, match="child process ended with 1"):
+        doctor._child("no such question")
+
+
+CAPABILITIES = {"none": 0, "nice": 1 << 23, "lock": 1 << 14, "both": 1 << 23 | 1 << 14}
+
+
+@pytest.mark.parametrize(
+    ("priority", "locked", "held", "lacking"),
+    [
+        (0, 8 * 2**20, "both", ""),
+        (0, 8 * 2**20, "none", "rtprio 80 and memlock unlimited"),
+        (0, 8 * 2**20, "nice", "memlock unlimited"),
+        (0, 8 * 2**20, "lock", "rtprio 80"),
+        (80, resource.RLIM_INFINITY, "none", ""),
+        (resource.RLIM_INFINITY, 8 * 2**20, "none", "memlock unlimited"),
+    ],
+)
+def test_limits(
+    priority: int,
+    locked: int,
+    held: str,
+    lacking: str,
+    files: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = {resource.RLIMIT_RTPRIO: priority, resource.RLIMIT_MEMLOCK: locked}
+    monkeypatch.setattr("resource.getrlimit", lambda kind: (limits[kind], limits[kind]))
+    files["/proc/self/status"] = f"Name:\tpython\nCapEff:\t{CAPABILITIES[held]:016x}"
+    outcome = doctor.limits()
+    assert outcome.status is (Status.LIMITED if lacking else Status.OK)
+    assert outcome.advice == (f"raise to {lacking} in /etc/security/limits.conf" if lacking else "")
+
+
+@pytest.mark.parametrize(
+    ("runtime", "status"), [("-1", Status.OK), ("950000", Status.OK), ("500000", Status.LIMITED)]
+)
+def test_throttling(files: dict[str, str], runtime: str, status: Status) -> None:
+    files["/proc/sys/kernel/sched_rt_runtime_us"] = runtime
+    files["/proc/sys/kernel/sched_rt_period_us"] = "1000000"
+    assert doctor.throttling().status is status
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "status"),
+    [
+        ("[always] madvise never\n", "always", Status.LIMITED),
+        ("always [madvise] never\n", "madvise", Status.OK),
+        ("always madvise [never]\n", "never", Status.OK),
+        ("", "this kernel has none", Status.OK),
+    ],
+)
+def test_huge_pages(files: dict[str, str], text: str, value: str, status: Status) -> None:
+    files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
+    outcome = doctor.huge_pages()
+    assert (outcome.value, outcome.status) == (value, status)
+
+
+def test_a_coarse_clock_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
+    assert doctor.clock().status is Status.LIMITED
+
+
+def test_latencies_are_late_never_early() -> None:
+    late = probe.wake_up_latencies(ticks=20, period_ns=1_000_000)
+    assert len(late) == 20
+    assert late == sorted(late)
+    assert late[0] >= 0.0
+
+
+# CAN and tools ---------------------------------------------------------------------------------------
+
+
+def test_no_can_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> socket.socket:
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr("socket.socket", refuse)
+    outcome = doctor.socketcan()
+    assert outcome.status is Status.MISSING
+    assert "Address family not supported" in outcome.value
+
+
+@pytest.mark.parametrize(("kind", "status"), [("280", Status.OK), ("1", Status.LIMITED)])
+def test_can_interfaces(kind: str, status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Socket:
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("socket.socket", lambda *_: Socket())
+    monkeypatch.setattr(doctor, "_read", lambda path: kind if path.name == "type" else "up")
+    outcome = doctor.socketcan()
+    assert outcome.status is status
+    assert ("lo up" in outcome.value) is (status is Status.OK)
+
+
+@pytest.mark.parametrize(("channels", "status"), [(["pcan:PCAN_USBBUS1"], Status.OK), ([], Status.MISSING)])
+def test_attached_interfaces(channels: list[str], status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(channels))
+    assert doctor.can_channels().status is status
+
+
+NI_MISSING = "Could not find an installation of NI-DAQmx."
+
+
+@pytest.mark.parametrize(
+    ("found", "status", "value", "advice"),
+    [
+        (["", "", [], "found no package"], Status.MISSING, "no package nidaqmx", "golfbench[daq]"),
+        (["1.7.0", "", [], NI_MISSING], Status.MISSING, NI_MISSING, "NI-DAQmx for Linux"),
+        (["1.7.0", "24.3.0", [], ""], Status.LIMITED, "no card", "nilsdev"),
+        (["1.7.0", "24.3.0", [], "(-50)"], Status.LIMITED, "24.3.0, (-50)", "nilsdev"),
+        (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], Status.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
+    ],
+)
+def test_what_drives_a_daq_card(
+    found: list[object], status: Status, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("package", "runtime", "cards", "trouble")
+    answer = json.dumps(dict(zip(names, found, strict=True)))
+    monkeypatch.setattr(doctor, "_child", lambda question: answer if question == "daq" else "")
+    outcome = doctor.daq_cards()
+    assert outcome.status is status
+    assert value in outcome.value
+    assert advice in outcome.advice
+
+
+def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    nidaqmx = pytest.importorskip("nidaqmx")
+    found = probe.daq_cards()
+    assert found["package"] == nidaqmx.__version__
+    assert found["runtime"] or "NI-DAQmx" in found["trouble"]
+    monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
+    assert probe.daq_cards() == {
+        "package": "", "runtime": "", "cards": [], "trouble": probe.daq_cards()["trouble"],
+    }  # fmt: skip
+    assert "golfbench[daq]" in probe.daq_cards()["trouble"]
+
+
+def test_an_absent_tool_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    outcome = doctor.tool("rt-tests", "compares timing", ["cyclictest"])
+    assert outcome.status is Status.MISSING
+    assert outcome.advice == "compares timing; Debian: apt-get install rt-tests"
+
+
+# The command -----------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_json_only() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "bench", "doctor", "--json"], capture_output=True, text=True, check=True
+    )
+    assert json.loads(answer.stdout)["usable"] is True
+    assert answer.stderr == ""

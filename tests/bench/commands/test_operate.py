@@ -1,0 +1,244 @@
+"""The verbs of a running bench on the command line: words, exit codes, the kept lease, the live status."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from rich.console import Console
+
+from bench.cli import main
+from bench.commands.status_table import status_table
+from bench.errors import ExitCode
+from bench.lifecycle import Request, State
+from bench.network.free_port import free_port
+from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Golfbench = Callable[..., Outcome]
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+@pytest.fixture
+def golfbench(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Golfbench:
+    """Run a command line for the bench at `port`, as a user with a login session of their own."""
+    configuration = tmp_path / "bench.toml"
+    configuration.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
+    monkeypatch.setenv("GOLFBENCH_CONFIG", str(configuration))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+
+    def run(*arguments: str) -> Outcome:
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        out, err = capsys.readouterr()
+        code = end.value.code
+        assert isinstance(code, int)
+        return Outcome(int(code), out, err)
+
+    return run
+
+
+@pytest.fixture
+def running(port: int, golfbench: Golfbench) -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), loopback_configuration(port)) as running:
+        yield running
+
+
+def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+    taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
+    assert taken == Outcome(0, "bench bench1: Ann holds it for 60 s\n", "")
+    day = [
+        ("reset", "SAFE"), ("access", "ACCESS"), ("access --end", "SAFE"), ("home", "READY"),
+        ("arm", "ARMED"), ("tee", "ARMED"), ("swing", "READY"), ("arm", "ARMED"), ("disarm", "READY"),
+    ]  # fmt: skip
+    for line, state in day:
+        assert golfbench(*line.split()) == Outcome(0, f"bench bench1: {state}\n", "")
+    assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
+    assert golfbench("lease", "release").out == "bench bench1: given back\n"
+    assert golfbench("lease", "show").out == "bench bench1: nobody holds it\n"
+    assert running.plane.counts()["refused"] == 0
+
+
+def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    before = running.plane.lease()
+    golfbench("reset")
+    after = running.plane.lease()
+    assert before is not None
+    assert after is not None
+    assert after.expiry > before.expiry
+
+
+def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    assert golfbench("stop") == Outcome(0, "bench bench1: FAULT\n", "")
+    code, out, _ = golfbench("estop")
+    assert code == 0
+    assert "convenience, not a safety function" in out
+    assert [what for what, _ in running.desk.stops] == ["stop", "estop"]
+
+
+def test_a_refusal_exits_with_1_and_says_state_and_reason(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take")
+    code, out, err = golfbench("arm")
+    assert (code, out) == (ExitCode.REFUSED, "")
+    assert err == (
+        "error: arm of bench bench1\n"
+        "  found:    refused in state ESTOP: not possible in this state\n"
+        "  expected: state READY\n"
+        "  to do:    Look at golfbench status.\n"
+    )
+
+
+def test_what_moves_needs_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    for line in ("home", "arm", "access", "access --end", "tee", "reset", "lease renew", "lease release"):
+        code, _, err = golfbench(*line.split())
+        assert code == ExitCode.REFUSED
+        assert "golfbench lease take" in err
+    assert running.desk.requests == []
+
+
+def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.READY
+    code, _, err = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert "state READY" in err
+    assert "golfbench arm" in err
+    assert running.desk.requests == []
+    running.desk.state = State.ARMED
+    golfbench("lease", "release")
+    assert golfbench("swing").code == ExitCode.REFUSED
+    assert running.desk.requests == []
+    assert golfbench("swing", "list").code == 0
+
+
+def test_a_second_user_is_told_who_holds_the_bench(
+    running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "other"))
+    code, _, err = golfbench("lease", "take", "--holder", "Bob")
+    assert code == ExitCode.REFUSED
+    assert re.search(r"Ann holds the bench for (29|30) s more", err)
+    assert re.search(r"Ann holds it for (29|30) s more", golfbench("lease", "show").out)
+    assert json.loads(golfbench("lease", "show", "--json").out)["holder"] == "Ann"
+
+
+def test_taking_again_renews(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    first = running.plane.lease()
+    again = golfbench("lease", "take", "--holder", "Ann", "--seconds", "90")
+    assert again.out == "bench bench1: Ann holds it for 90 s more\n"
+    second = running.plane.lease()
+    assert first is not None
+    assert second is not None
+    assert second.key == first.key
+    assert golfbench("reset").code == 0
+    assert golfbench("lease", "renew").out == "bench bench1: held for 90 s more\n"
+
+
+def test_a_lease_of_before_a_restart_is_over(port: int, golfbench: Golfbench) -> None:
+    with running_plane(FakeDesk(), loopback_configuration(port)):
+        golfbench("lease", "take")
+    with running_plane(FakeDesk(), loopback_configuration(port)):
+        code, _, err = golfbench("reset")
+        assert code == ExitCode.REFUSED
+        assert "the lease has ended" in err
+        assert golfbench("lease", "take").code == 0
+        assert golfbench("reset").code == 0
+
+
+@pytest.mark.parametrize("seconds", ["4", "601", "x"])
+def test_durations_are_checked(seconds: str, golfbench: Golfbench) -> None:
+    assert golfbench("lease", "take", "--seconds", seconds).code == ExitCode.BAD_INPUT
+
+
+@pytest.mark.parametrize("line", ["status", "home", "stop", "estop", "swing", "lease take", "lease show"])
+def test_no_bench_no_answer(line: str, golfbench: Golfbench) -> None:
+    code, _, err = golfbench(*line.split())
+    assert code == ExitCode.NO_ANSWER
+    assert "no answer: denied or not running" in err
+    assert "golfbench run" in err
+
+
+# Status ----------------------------------------------------------------------------------------------
+
+
+def test_status_is_json_for_a_program(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    status = json.loads(golfbench("status", "--json").out)
+    assert status["state"] == "ESTOP"
+    assert status["lease"]["holder"] == "Ann"
+    assert status["joints_deg"] == [32.71, 237.3, None]
+
+
+def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
+    console = Console(width=80, record=True, file=StringIO())
+    console.print(status_table(FakeDesk(state).status(), age))
+    return console.export_text()
+
+
+def test_the_table_shows_everything_within_80_columns() -> None:
+    text = shown()
+    assert max(map(len, text.splitlines())) <= 80
+    for part in (
+        "bench bench1", "ESTOP", "STANDING", "POWER_UP: the bench was switched on", "nobody's", "not homed",
+        "vented", "e-stop clear", "guard closed", "guard not locked", "shoulder 32.7°", "wrist –", "8.01 bar",
+        "shoulder vane 1.01/1.01", "1000.0 Hz", "tick 123456", "skipped 3", "late 5", "p50 8 µs", "p99 41 µs",
+        "tick p99 93 µs", "loop 4711", "recorder DEAD: killed by signal 9",
+        "node 10 (valves and interlocks) has restarted", "frames 123456, missing 7",
+        "prefer: memory lock none instead of all", "sim", "default",
+    ):  # fmt: skip
+        assert part in text, part
+    assert "SILENT" not in text
+    assert "bus off" not in text  # none was counted
+
+
+def test_a_silent_bench_is_shown_as_one() -> None:
+    assert "SILENT: last heard 3.2 s ago" in shown(3.2)
+
+
+def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
+    environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]
+    watch = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
+    assert watch.stdout is not None
+    try:
+        assert json.loads(watch.stdout.readline())["state"] == "ESTOP"
+        running.desk.state = State.READY
+        deadline = time.monotonic() + 20.0
+        while not running.plane._state.matching_status.matching:  # type: ignore[attr-defined]
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        running.plane.publish_state(running.desk.status())
+        assert json.loads(watch.stdout.readline())["state"] == "READY"
+        watch.send_signal(signal.SIGINT)
+        assert watch.wait(20.0) == ExitCode.INTERRUPTED
+    finally:
+        watch.kill()
+        watch.wait()
+        watch.stdout.close()

@@ -1,0 +1,282 @@
+"""The designer's pieces: its model is the plant's, its geometry is right, and what it shipped holds."""
+
+from __future__ import annotations
+
+import sys
+from math import asin, radians, sin
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.config import load_configuration
+from bench.design.closed_loop import Rehearsal
+from bench.design.designer import (
+    Demand,
+    DesignFailed,
+    _Cushions,
+    _guess_from,
+    _model_state,
+    _problem,
+    _swing_up,
+    address_pose,
+    design_downswing,
+    design_swing,
+    highest_speed,
+    slope_of,
+    top_pose,
+)
+from bench.design.optimal_control import (
+    BAR,
+    DownswingProblem,
+    Plan,
+    _radau_slopes,
+    build_equations,
+    solve_downswing,
+)
+from bench.design.refine import KNOT, correction
+from bench.design.validate import profile_faults
+from bench.errors import BenchError
+from bench.lifecycle import Cause, Phase
+from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, simulate_swings
+from bench.swing.golfers import GOLFERS
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.kinematics import head_motion
+from sim.motion import STATES as PLANT_STATES
+from sim.motion import _derivative
+from sim.plant import PlantParameters, build_plant
+
+SHIPPED = (
+    ("driver-85mph", "shipped", 38.0),
+    ("driver-90mph", "shipped", 40.2),
+    ("driver-100mph", "steady", 45.0),
+    ("average-male", "steady", 41.57),
+    ("senior", "steady", 36.66),
+    ("average-female", "steady", 33.53),
+    ("tour-female", "steady", 42.92),
+    ("two-handicap", "steady", 46.94),
+    ("tour-male", "steady", 48.09),
+)
+"""Name, whose gains, and head speed (m/s) demanded."""
+RISING = {"driver-100mph": 2.0, "two-handicap": 2.0, "tour-male": 2.0}
+"""Attack angle in degrees; the others are level."""
+
+
+def _bench(name: str, variant: str) -> SimulatedBench:
+    c = load_configuration(None if variant == "shipped" else Path(variant))
+    profile = load_profile(find_profile(name))
+    return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+
+
+def test_the_models_derivative_is_the_plants(plant: PlantParameters) -> None:
+    equations, records = build_equations(plant), build_plant(plant)
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        angle = [random.uniform(-1.0, 0.4), random.uniform(3.8, 4.3), random.uniform(5.2, 6.2)]
+        speed = random.uniform(3.0, 8.0, 3) * random.choice([-1.0, 1.0], 3)
+        pressure, supply = random.uniform(2e5, 7e5, 6), 7.5e5
+        opening = random.uniform(0.1, 0.8, 3) * random.choice([-1.0, 1.0], 3)
+        y, rate, terms, slip = (np.zeros(PLANT_STATES) for _ in range(4))
+        y[:3], y[3:6], y[6:12], y[12] = angle, speed, pressure, supply
+        slip[:3] = np.sign(speed)
+        feed = plant.supply.feed_conductance
+        one, two, three = (float(value) for value in opening)
+        _derivative(records.robot[0], records.plant[0], y, one, two, three, feed, 0.0, slip, rate, terms)
+        state = np.concatenate([angle, speed, pressure / BAR, [supply / BAR], opening])
+        found = np.array(equations.derivative(state, np.zeros(3))).ravel()
+        assert found[3:6] == pytest.approx(rate[3:6], rel=5e-3, abs=1.0)
+        assert found[6:13] == pytest.approx(rate[6:13] / BAR, rel=0.02, abs=1.5)
+
+
+def test_the_models_head_is_the_robots(plant: PlantParameters) -> None:
+    angle, speed = np.array([0.3, 4.3, 6.1]), np.array([5.0, 9.0, 20.0])
+    head = np.array(build_equations(plant).head(angle, speed)).ravel()
+    assert head == pytest.approx(head_motion(plant.robot.record[0], *angle, *speed)[:5])
+
+
+def test_collocation_differentiates_polynomials_exactly() -> None:
+    points = np.array([1 / 3, 1.0])
+    slopes = _radau_slopes(points)
+    nodes = np.array([0.0, *points])
+    for power in range(3):
+        expected = power * points ** (power - 1) if power else np.zeros(2)
+        assert nodes**power @ slopes == pytest.approx(expected)
+
+
+def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
+    lie, attack = radians(53.0), radians(2.0)
+    assert sin(slope_of(attack, lie)) * sin(lie) == pytest.approx(sin(attack))
+    assert slope_of(0.0, lie) == 0.0
+    assert slope_of(-attack, lie) == -slope_of(attack, lie)
+    with pytest.raises(ValueError, match="steeper"):
+        slope_of(lie, lie)
+
+
+def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
+    knots = np.array([[0.1, -0.2, 0.0], [0.3, 0.0, 0.2]])
+    opening = correction(knots, 50, 1e-3)
+    ticks = round(KNOT / 1e-3)
+    assert opening[0] == pytest.approx([0.0, 0.0, 0.0])
+    assert opening[[ticks, 2 * ticks]] == pytest.approx(knots)
+    assert opening[-1] == pytest.approx(knots[-1])
+
+
+def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
+    for pose in (address_pose(plant, Demand()), top_pose(plant, Demand())):
+        assert plant.shoulder.lower < pose[0] < plant.shoulder.upper
+        assert plant.wrist.lower < pose[2] < plant.wrist.upper
+        assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(Demand().least_lever))
+
+
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
+    result, told = simulate_swing(bench), bench.profile.delivery
+    delivery = result.delivery
+    assert delivery is not None
+    assert delivery.speed == pytest.approx(speed, abs=0.1)
+    assert np.degrees(delivery.attack_angle) == pytest.approx(RISING.get(name, 0.0), abs=0.1)
+    assert abs(delivery.in_plane_error) < 1e-3
+    # What the file tells is what the simulated bench did when it was made: both are one rehearsal.
+    assert told["head_speed_mps"] == pytest.approx(delivery.speed, abs=0.05)
+    assert told["in_plane_error_mm"] == pytest.approx(1e3 * delivery.in_plane_error, abs=0.5)
+    limits = bench.profile.limits
+    assert max(limits["stop_share_missed"], limits["stop_share_silent"]) <= 1.0
+    assert limits["greatest_opening"] == 0.85
+
+
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
+    (missed,) = simulate_swings(bench, [None])
+    assert missed.cause == Cause.NONE
+    assert np.all(missed.stop_energy <= [[a.stop.energy] for a in bench.plant.actuators])
+
+
+@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+def test_a_shipped_design_may_be_swung(name: str, variant: str, speed: float) -> None:
+    bench = _bench(name, variant)
+    assert profile_faults(bench.profile, bench.plant, bench.envelope) == []
+
+
+def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
+    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    swing = simulate_swing(bench).cycles
+    rehearsal = Rehearsal(bench)
+    cycles = np.concatenate([rehearsal.advance(n) for n in (1, 0, 99, 1200)])
+    begin = int(np.argmax(swing["phase"] == Phase.BACKSWING)) - 1  # sample 0 is still HOLD
+    told = swing[begin : begin + len(cycles)]
+    for name in ("angle", "applied_valve", "plant_angle", "phase"):
+        assert np.array_equal(cycles[name], told[name])
+
+
+def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParameters) -> None:
+    """The shipped swing's downswing planned anew on a coarse mesh, a little slower."""
+    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    demand = Demand(head_speed=36.0, attack=radians(0.5))
+    state = _model_state(_swing_up(bench, demand))
+    problem = _problem(plant, demand, bench.envelope, state)
+    guess = _guess_from(bench.profile, state, 12)
+    plans = [solve_downswing(plant, problem, *guess, 12) for _ in range(2)]
+    plan = plans[0]
+    assert plan.solved
+    x, y, theta_t, vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[:5]
+    assert (x, y) == pytest.approx((plant.site.ball_x, plant.site.ball_y), abs=1e-5)
+    slope = slope_of(demand.attack, plant.robot.lie)
+    assert (vx, vy) == pytest.approx((36.0 * np.cos(slope), 36.0 * np.sin(slope)), abs=1e-3)
+    assert abs(theta_t - 3.5 * np.pi) <= 0.026 + 1e-6
+    assert np.abs(plan.state[:, 13:]).max() <= 0.85
+    assert np.array_equal(plan.state, plans[1].state)
+
+
+def _coarse_plan(plant: PlantParameters, demand: Demand) -> tuple[DownswingProblem, Plan]:
+    """Return the shipped swing's downswing planned anew on a coarse mesh, and the problem it solves."""
+    bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
+    state = _model_state(_swing_up(bench, demand))
+    problem = _problem(plant, demand, bench.envelope, state)
+    return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, state, 12), 12)
+
+
+def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParameters) -> None:
+    demand = Demand(head_speed=36.0, attack=radians(0.5), nearest=True)
+    problem, plan = _coarse_plan(plant, demand)
+    vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
+    assert problem.concessions.speed > 0.0
+    assert plan.solved
+    assert plan.time[-1] <= demand.downswing_time[1] + 1e-6
+    assert np.hypot(vx, vy) == pytest.approx(36.0, abs=1e-3)
+    assert np.arctan2(vy, vx) == pytest.approx(slope_of(demand.attack, plant.robot.lie), abs=1e-5)
+
+
+def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) -> None:
+    demand = Demand(head_speed=58.0, attack=radians(0.5), nearest=True)
+    problem, plan = _coarse_plan(plant, demand)
+    vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
+    assert plan.solved
+    assert 46.0 < plan.speed < 57.0
+    assert plan.speed == pytest.approx(np.hypot(vx, vy), abs=1e-3)
+    assert problem.slope - 1e-5 <= np.arctan2(vy, vx) <= problem.slope + problem.concessions.rise + 1e-5
+    assert plan.time[-1] <= problem.time[1] + problem.concessions.time + 1e-6
+    assert np.all(plan.carried <= np.array(problem.cushions) + 1e-3)
+
+
+def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
+    monkeypatch.setattr("bench.design.designer._INTERVALS", 14)
+    bench = _bench("steady", "steady")
+    demand = Demand(head_speed=38.0, attack=radians(2.0))
+    told = list[tuple[str, float]]()
+    begun = _swing_up(bench, demand)
+    found, _ = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
+    ratings = [[a.stop.energy] for a in bench.plant.actuators]
+    assert found.trial.struck
+    assert np.hypot(*found.trial.head[3:5]) == pytest.approx(38.0, abs=0.1)
+    assert np.all(found.trial.missed_energy <= ratings)
+    assert told[0] == ("a first swing", 0.0)
+    assert told[-1] == ("downswing", 1.0)
+
+
+def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
+    tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
+    brought, over = np.array([20.0, 25.0]), np.array([10.0, -4.0])
+    tried = tried.learned(brought, over)
+    assert tried.next(brought, over) == pytest.approx([20.0 - 10.3, 25.0 + 2.0])
+    brought, over = np.array([10.0, 27.0]), np.array([-5.0, 12.0])
+    tried = tried.learned(brought, over)
+    # Straight lines between (10, -5) and (20, +10), and (25, -4) and (27, +12).
+    assert tried.next(brought, over) == pytest.approx([10.0 + 10.0 / 3, 25.5])
+
+
+def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
+    profile, golfer = load_profile(find_profile("tour-male")), GOLFERS["tour-male"]
+    reached = profile.delivery["head_speed_mps"]
+    told = f"demanded {golfer.head_speed:.1f} m/s, reached {reached:.1f} m/s, short by"
+    assert f"{told} {golfer.head_speed - reached:.1f} m/s" in profile.text
+
+
+def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(BenchError, match=r"golfbench\[design\]"):
+        design_swing(PlantParameters(), Demand(), "nothing")
+
+
+def test_the_highest_speed_is_asked_for_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
+    asked = list[float | None]()
+
+    def downswing(bench: Any, demand: Demand, *_: Any) -> Any:
+        asked.append(demand.head_speed)
+        if demand.head_speed is not None and demand.head_speed > 41.3:
+            raise DesignFailed("the wrist's cushion would take too much")
+        return SimpleNamespace(plan=SimpleNamespace(speed=demand.head_speed or 38.0)), 1
+
+    monkeypatch.setattr("bench.design.designer.design_downswing", downswing)
+    monkeypatch.setattr("bench.design.designer._swing_up", lambda *_: None)
+    bench = _bench("driver-85mph", "shipped")
+    found = highest_speed(bench.plant, Demand(), bench.control, bench.envelope, bench.estimator)
+    assert asked == [None, 40.0, 42.0, 41.0, 41.5]
+    assert found.plan.speed == 41.0
+    assert found.limit == "at 41.5 m/s the wrist's cushion would take too much"

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import radians
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.shot.recorded_shot import Surroundings
+from bench.shot.shot import Status
+from bench.shot.shot_matcher import NO_BALL, NO_IMPACT, NOT_TOLD, LaunchBook, Told
+from bench.shot.swing_watch import Swing
+from drivers.launch_monitor.matching import MatchWindow, Outcome
+from drivers.launch_monitor.plausibility import PlausibleFigures
+from drivers.launch_monitor.record import LaunchRecord
+from sim.plant import PlantParameters, Site
+from tests.bench.conftest import BALL
+
+NOW = datetime(2026, 11, 21, 19, 0, tzinfo=UTC)
+WINDOW = MatchWindow(earliest=0.1, latest=4.0, patience=10.0)
+
+
+def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:
+    given = {"launch_angle": 0.2, "direction": 0.01, "spin": 300.0, "spin_axis": 0.02, **changes}
+    return LaunchRecord(time=time, device="monitor", number=1, speed=speed, **given)
+
+
+@pytest.fixture
+def book(robot: Any) -> LaunchBook:
+    site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
+    return LaunchBook(WINDOW, PlausibleFigures(), PlantParameters(robot=robot, site=site), Surroundings())
+
+
+@pytest.fixture
+def swing(make_swing: Any) -> Swing:
+    cycles = make_swing(1)
+    cycles["trip"] = 0
+    return Swing("r-5000", 100.0, True, cycles)
+
+
+def one(told: list[Told]) -> Told:
+    (found,) = told
+    return found
+
+
+def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: Swing) -> None:
+    book.note_launches([launch(100.7)])  # told before the robot stands again
+    assert book.settle(100.8) == []
+    book.note_swing(swing, NOW)
+    assert book.settle(103.9) == []
+    told = one(book.settle(104.1))
+    assert (told.outcome, told.shot_id, told.reason) == (Outcome.MATCHED, "r-5000", "")
+    shot = told.shot
+    assert shot is not None
+    assert (shot.status, shot.launch_source, shot.carry_source) == (Status.VALID, "launch monitor", "model")
+    assert (shot.ball_speed_mps, shot.delivery_source) == (52.0, "encoders+model")
+    assert 120.0 < (shot.carry_m or 0.0) < 200.0
+    assert shot.time_utc == NOW
+    assert book.settle(200.0) == []  # told once
+
+
+def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
+    book: LaunchBook, swing: Swing
+) -> None:
+    book.note_swing(swing, NOW)
+    book.note_swing(swing._replace(shot="r-6000", impact=110.0, struck=False), NOW)
+    stopped = swing.cycles.copy()
+    stopped["trip"][-1] = Cause.OPERATOR_STOP
+    book.note_swing(swing._replace(shot="r-7000", impact=None, struck=False, cycles=stopped), NOW)
+    told = {each.shot_id: each for each in book.settle(120.0)}
+    assert {each.outcome for each in told.values()} == {Outcome.NO_LAUNCH}
+    assert [told[f"r-{n}000"].reason for n in (5, 6, 7)] == [NOT_TOLD, NO_BALL, NO_IMPACT]
+    shots = [told[f"r-{n}000"].shot for n in (5, 6, 7)]
+    assert [shot and shot.status for shot in shots] == [Status.EXCLUDED, Status.FAILED, Status.FAILED]
+    assert shots[2] is not None
+    assert shots[2].reason == CAUSE_TEXT[Cause.OPERATOR_STOP]
+    assert all(shot is not None and shot.ball_speed_mps is None for shot in shots)
+
+
+def test_a_launch_of_no_swing_and_one_that_comes_late(book: LaunchBook, swing: Swing) -> None:
+    book.note_launches([launch(50.0)])
+    assert one(book.settle(61.0)).outcome is Outcome.NO_SWING
+    book.note_swing(swing, NOW)
+    assert one(book.settle(104.1)).outcome is Outcome.NO_LAUNCH
+    book.note_launches([launch(104.5)])  # the window is over
+    late = one(book.settle(115.0))
+    assert (late.outcome, late.shot_id, late.shot) == (Outcome.NO_SWING, "", None)
+    assert book.counts[Outcome.NO_SWING] == 2
+
+
+def test_two_monitors_make_a_shot_doubtful(book: LaunchBook, swing: Swing) -> None:
+    book.note_swing(swing, NOW)
+    book.note_launches([launch(100.5), replace(launch(100.9, 52.5), device="another")])
+    first, second = book.settle(105.0)
+    assert (first.outcome, second.outcome) == (Outcome.MATCHED, Outcome.DOUBLE)
+    assert first.shot is not None
+    assert first.shot.status is Status.EXCLUDED
+    assert "2 different launches" in first.reason
+    assert second.shot is None  # one row a swing
+
+
+def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: Swing) -> None:
+    book.note_swing(swing, NOW)
+    book.note_launches([launch(100.5, 95.0)])  # more than twice the club's speed
+    told = one(book.settle(105.0))
+    assert told.outcome is Outcome.MATCHED
+    assert "times the club's" in told.reason
+    assert told.shot is not None
+    assert (told.shot.status, told.shot.ball_speed_mps, told.shot.carry_m) == (Status.EXCLUDED, 95.0, None)
+
+    book.note_swing(swing._replace(shot="r-9", impact=200.0), NOW)
+    no_spin = launch(200.5, spin=None, spin_axis=None, absent=(("spin", "0 rpm: not seen"),))
+    book.note_launches([no_spin])
+    told = one(book.settle(205.0))
+    assert "no spin" in told.reason
+    assert told.shot is not None
+    assert (told.shot.ball_speed_mps, told.shot.status) == (52.0, Status.EXCLUDED)
+    assert told.shot.launch_angle_deg == pytest.approx(np.degrees(0.2))
+    assert told.shot.spin_rpm is None
+    assert told.shot.direction_deg == pytest.approx(np.degrees(0.01))
+
+
+def test_a_flood_of_launches_is_bounded_and_counted(book: LaunchBook) -> None:
+    book.note_launches([launch(10.0 + 1e-3 * k, launch_angle=radians(10)) for k in range(1000)])
+    assert len(book.settle(10.1)) == 1000 - 64
+    assert len(book.settle(30.0)) == 64
+    assert book.counts[Outcome.NO_SWING] == 1000

@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import csv
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.errors import BenchError
+from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot_table import read_shot_table, write_shot_table
+
+HEADER = (
+    "shot,block,position,club,ball,status,reason,club_speed_mps,attack_angle_deg,club_path_deg,"
+    "face_angle_deg,dynamic_loft_deg,strike_x_mm,strike_y_mm,ball_speed_mps,launch_angle_deg,direction_deg,"
+    "spin_rpm,spin_axis_deg,carry_m,total_m,apex_m,landing_angle_deg,delivery_source,launch_source,"
+    "carry_source,time_utc,carry_side_m,swing,role,section,attempt,sample,air_temperature_k,air_pressure_pa,"
+    "relative_humidity"
+)
+SHOT = Shot(1, 1, 1, "driver", "A", Status.VALID, time_utc=datetime(2026, 11, 1, 9, 30, tzinfo=UTC))
+
+_text = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
+
+
+def _value(column: Any) -> st.SearchStrategy[Any]:
+    kinds = {
+        int: st.integers(0, 10**6),
+        float: st.floats(allow_nan=False, allow_infinity=False),
+        str: _text,
+        datetime: st.datetimes(timezones=st.sampled_from([UTC, timezone(timedelta(hours=2))])),
+    }
+    return st.none() | kinds[column.kind] if column.optional else kinds[column.kind]
+
+
+_OTHERS = {c.name: _value(c) for c in COLUMNS if c.name not in ("status", "reason")}
+_FATES = st.just((Status.VALID, "")) | st.tuples(
+    st.sampled_from([Status.EXCLUDED, Status.FAILED]), _text.filter(bool)
+)
+shots = st.builds(
+    lambda others, fate: Shot(**others, status=fate[0], reason=fate[1]),
+    st.fixed_dictionaries(_OTHERS),
+    _FATES,
+)
+
+
+@settings(deadline=None)
+@given(st.lists(shots, max_size=4))
+def test_every_shot_comes_back_equal(tmp_path_factory: pytest.TempPathFactory, rows: list[Shot]) -> None:
+    path = tmp_path_factory.mktemp("table") / "shots.csv"
+    write_shot_table(path, rows)
+    assert read_shot_table(path) == rows
+
+
+def test_the_columns_are_those_of_the_export(tmp_path: Path) -> None:
+    write_shot_table(tmp_path / "shots.csv", [SHOT])
+    assert (tmp_path / "shots.csv").read_bytes().split(b"\r\n")[0].decode() == HEADER
+
+
+def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Path) -> None:
+    shot = Shot(2, 1, 1, 'the "old" one', "A, soft", Status.VALID, spin_axis_deg=1e-7, carry_m=212.0)
+    write_shot_table(tmp_path / "shots.csv", [shot])
+    text = (tmp_path / "shots.csv").read_bytes().decode()
+    assert text.count("\r\n") == text.count("\n") == 2
+    assert '"the ""old"" one","A, soft"' in text
+    assert ",0.0000001,212.0," in text
+
+
+def test_times_are_written_in_utc(tmp_path: Path) -> None:
+    late = datetime(2026, 11, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
+    write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", Status.VALID, time_utc=late)])
+    assert ",2026-10-31T23:30:00.000000Z,," in (tmp_path / "shots.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"carry_m": float("nan")}, "carry_m"),
+        ({"spin_rpm": float("inf")}, "spin_rpm"),
+        ({"time_utc": datetime(2026, 1, 1)}, "time zone"),
+        ({"status": Status.EXCLUDED}, "reason"),
+        ({"reason": "late"}, "reason"),
+    ],
+)
+def test_a_shot_that_no_table_can_hold_is_refused(change: dict[str, Any], match: str) -> None:
+    values: dict[str, Any] = {"status": Status.VALID} | change
+    with pytest.raises(ValueError, match=match):
+        Shot(1, 1, 1, "driver", "A", **values)
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "match"),
+    [
+        ("carry_m", "210,5", "line 2, carry_m.*decimal point"),
+        ("carry_m", "nan", "line 2, carry_m"),
+        ("shot", "1.5", "line 2, shot.*whole number"),
+        ("status", "fine", "line 2, status.*valid, excluded, failed"),
+        ("time_utc", "yesterday", "line 2, time_utc"),
+        ("time_utc", "2026-11-01T09:17:39", "line 2.*time zone"),
+        ("status", "failed", "line 2.*reason"),
+    ],
+)
+def test_a_bad_cell_is_named(tmp_path: Path, column: str, cell: str, match: str) -> None:
+    path = tmp_path / "shots.csv"
+    write_shot_table(path, [SHOT])
+    rows = list(csv.reader(path.read_text().splitlines()))
+    rows[1][rows[0].index(column)] = cell
+    with path.open("w", newline="") as stream:
+        csv.writer(stream).writerows(rows)
+    with pytest.raises(BenchError, match=match):
+        read_shot_table(path)
+
+
+def test_a_table_without_the_later_columns_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "shots.csv"
+    write_shot_table(path, [SHOT])
+    head, row = path.read_text().split()
+    place = head.split(",").index("time_utc") + 1
+    path.write_text("\n".join(",".join(line.split(",")[:place]) for line in (head, row)))
+    assert read_shot_table(path) == [SHOT]
+
+
+def test_broken_tables_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "shots.csv"
+    with pytest.raises(BenchError, match="No such file"):
+        read_shot_table(path)
+    path.write_text(HEADER.replace(",club,", ","))
+    with pytest.raises(BenchError, match="no column club"):
+        read_shot_table(path)
+    path.write_text(HEADER + "\n1,1,1\n")
+    with pytest.raises(BenchError, match="line 2, club"):
+        read_shot_table(path)
+    path.write_bytes(HEADER.encode() + b"\n\xff\n")
+    with pytest.raises(BenchError, match="UTF-8"):
+        read_shot_table(path)

@@ -1,0 +1,300 @@
+"""Swings of the simulated bench: what comes out, what is stored, and what Ctrl-C leaves behind."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import bench.simulation.simulated_bench
+import bench.swing
+from bench.cli import main
+from bench.control.settings import EnvelopeSettings
+from bench.errors import ExitCode, Refused
+from bench.interrupt import deferred_interrupt
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
+from bench.shot.shot import Status
+from bench.simulation.simulated_bench import (
+    Engine,
+    SimulatedBench,
+    SwingResult,
+    simulate_swing,
+    simulate_swings,
+)
+from bench.swing.profile import Profile, load_profile
+from bench.telemetry.recorder import read_swing, write_swing
+from drivers.base import PASSIVE
+from sim.ball import Ball
+from sim.driver import SimDriver
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+SOFT = Ball(name="soft", restitution_factor=0.9)
+NEVER = 10**9
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+
+
+@pytest.fixture(scope="module")
+def robot(profile: Profile) -> SimulatedBench:
+    return SimulatedBench(profile)
+
+
+@pytest.fixture(scope="module")
+def series(robot: SimulatedBench) -> list[SwingResult]:
+    return list(simulate_swings(robot, [Ball(), SOFT, None, Ball()]))
+
+
+@pytest.fixture
+def drivers(monkeypatch: pytest.MonkeyPatch) -> list[SimDriver]:
+    """Return the drivers that the simulation makes."""
+    made: list[SimDriver] = []
+
+    def make(*arguments: object) -> SimDriver:
+        made.append(SimDriver(*arguments))  # type: ignore[arg-type]
+        return made[-1]
+
+    monkeypatch.setattr(bench.simulation.simulated_bench, "SimDriver", make)
+    return made
+
+
+class ControlC:
+    """Asks as the event does, and sends this process a SIGINT at question number `at`."""
+
+    def __init__(self, wish_is_made: Callable[[], bool], at: int) -> None:
+        self.wish_is_made, self.at, self.asked = wish_is_made, at, 0
+
+    def __call__(self) -> bool:
+        self.asked += 1
+        if self.asked == self.at:
+            signal.raise_signal(signal.SIGINT)
+        return self.wish_is_made()
+
+
+def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], profile: Profile) -> None:
+    result = series[0]
+    assert (result.status, result.reason, result.cause) == (Status.VALID, "", Cause.NONE)
+    assert result.delivery is not None
+    assert result.launch is not None
+    assert result.flight is not None
+    assert result.contact_time is not None
+    assert result.delivery.speed == pytest.approx(profile.delivery["head_speed_mps"], rel=0.05)
+    assert result.launch.speed > 1.3 * result.delivery.speed
+    assert 100 < result.flight.carry < 300
+    assert result.peak_head_speed >= result.delivery.speed - 0.5
+    assert result.stop_energy.shape == (3, 2)
+    assert 4e5 < result.peak_pressure.max() < 12e5
+    assert result.lowest_clearance > 0
+
+
+def test_a_record_runs_from_hold_to_hold_with_time_from_zero(series: list[SwingResult]) -> None:
+    for result in series:
+        cycles = result.cycles
+        assert 0.0 <= cycles["time"][0] < 1e-3
+        assert np.all(np.diff(cycles["tick"]) == 1)
+        since = cycles["time"] - cycles["time"][0]
+        assert since == pytest.approx(np.arange(len(cycles)) * 1e-3, abs=1e-9)
+        age = np.repeat(cycles["time"][:, None], 3, axis=1) - cycles["encoder_time"]
+        assert age == pytest.approx(cycles["encoder_age"], abs=1e-9)
+        assert cycles["phase"][0] == cycles["phase"][-1] == Phase.HOLD
+        assert set(cycles["phase"]) == {p for p in Phase if p not in {Phase.STANDING, Phase.HOMING}}
+    first = series[0]
+    assert first.contact_time is not None
+    before, after = (int(first.contact_time / 1e-3) + k for k in (-1, 3))
+    assert first.cycles["ball_present"][before]
+    assert not first.cycles["ball_present"][after]
+
+
+def test_balls_differ_and_a_missing_ball_is_said_to_be_missing(series: list[SwingResult]) -> None:
+    assert [r.status for r in series] == [Status.VALID, Status.VALID, Status.FAILED, Status.VALID]
+    normal, soft, none, again = series
+    assert none.reason == "no ball on the tee"
+    assert [none.delivery, none.launch, none.flight, none.contact_time] == [None] * 4
+    assert not none.cycles["ball_present"].any()
+    assert normal.launch is not None
+    assert soft.launch is not None
+    assert again.launch is not None
+    assert soft.launch.speed < 0.99 * again.launch.speed
+    assert again.launch.speed == pytest.approx(normal.launch.speed, rel=0.03)
+
+
+def test_both_engines_give_the_same(robot: SimulatedBench, series: list[SwingResult]) -> None:
+    slow = simulate_swings(replace(robot, engine="python"), [Ball(), SOFT, None, Ball()])
+    for one, other in zip(series, slow, strict=True):
+        assert one.cycles.tobytes() == other.cycles.tobytes()
+        assert (one.delivery, one.launch, one.contact_time) == (
+            other.delivery,
+            other.launch,
+            other.contact_time,
+        )
+        assert one.stop_energy == pytest.approx(other.stop_energy)
+
+
+def test_results_come_one_by_one(robot: SimulatedBench) -> None:
+    teed = []
+
+    def balls() -> Iterator[Ball]:
+        for name in "abc":
+            teed.append(name)
+            yield Ball(name=name)
+
+    swings = simulate_swings(robot, balls())
+    first = next(swings)
+    assert first.ball is not None
+    assert (first.ball.name, teed) == ("a", ["a"])
+    swings.close()  # type: ignore[attr-defined]
+
+
+def test_one_swing_is_the_first_of_a_series(robot: SimulatedBench, series: list[SwingResult]) -> None:
+    assert simulate_swing(robot).cycles.tobytes() == series[0].cycles.tobytes()
+
+
+def test_a_swing_is_stored_with_all_it_was_made_with(
+    robot: SimulatedBench, series: list[SwingResult], tmp_path: Path
+) -> None:
+    path = tmp_path / "swing.parquet"
+    write_swing(path, series[0].cycles, robot.metadata({"shot": {"number": 1, "ball": "standard"}}))
+    cycles, metadata = read_swing(path)
+    assert cycles.tobytes() == series[0].cycles.tobytes()
+    assert metadata["shot"] == {"number": 1, "ball": "standard"}
+    assert metadata["profile"]["name"] == robot.profile.name
+    assert metadata["seed"] == robot.plant.seed
+    assert metadata["configuration"]["plant"]["supply"]["pressure"] == robot.plant.supply.pressure
+    assert {"golfbench", "numpy", "numba", "python"} <= set(metadata["versions"])
+
+
+def test_a_swing_becomes_a_row_of_the_shot_table(series: list[SwingResult]) -> None:
+    now = datetime(2020, 1, 2, tzinfo=UTC)
+    record = series[1].shot(2, block=1, position=2, time_utc=now)
+    assert (record.shot.shot, record.shot.position, record.shot.ball, record.shot.club) == (
+        2,
+        2,
+        "soft",
+        "driver",
+    )
+    assert record.valid
+    assert record.flight is series[1].flight
+    assert record.shot.delivery_source == "simulated"
+    missed = series[2].shot(3, time_utc=now).shot
+    assert (missed.status, missed.ball, missed.carry_m) == (Status.FAILED, "", None)
+
+
+def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
+    lame = replace(robot, envelope=EnvelopeSettings(greatest_speed=(6.0, 6.0, 48.0)))
+    results = list(simulate_swings(lame, [Ball()] * 3))
+    assert len(results) == 1
+    result = results[0]
+    assert (result.status, result.cause) == (Status.FAILED, Cause.SHOULDER_SPEED)
+    assert result.reason == CAUSE_TEXT[Cause.SHOULDER_SPEED]
+    assert result.cycles["phase"][-1] == Phase.STANDING
+    assert not result.cycles["supply_enable"][-1]
+
+
+def test_a_ball_that_stays_in_the_air_is_no_valid_shot(
+    robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("the ball is still in the air after 60 s")
+
+    monkeypatch.setattr(bench.simulation.simulated_bench, "fly", fail)
+    result = simulate_swing(robot)
+    assert (result.status, result.flight) == (Status.FAILED, None)
+    assert "still in the air" in result.reason
+    assert result.launch is not None
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+def test_an_address_out_of_reach_is_refused(robot: SimulatedBench, engine: Engine) -> None:
+    beyond = replace(robot.profile, angle=robot.profile.angle + [0.0, 0.0, 0.6])
+    with pytest.raises(Refused, match=r"arming with profile") as refused:
+        simulate_swing(replace(robot, profile=beyond, engine=engine))
+    assert any(text in refused.value.found for text in CAUSE_TEXT.values())
+    assert "hold at address" in refused.value.expected
+
+
+def test_an_open_emergency_stop_circuit_refuses_to_arm(
+    robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Pressed(SimDriver):
+        def __init__(self, *arguments: object) -> None:
+            super().__init__(*arguments)  # type: ignore[arg-type]
+            self.plant_state["emergency_stop_clear"] = False
+
+    monkeypatch.setattr(bench.simulation.simulated_bench, "SimDriver", Pressed)
+    with pytest.raises(Refused, match=r"refused"):
+        simulate_swing(replace(robot, engine="python"))
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+@pytest.mark.parametrize("seconds", [-0.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
+def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
+    robot: SimulatedBench,
+    series: list[SwingResult],
+    drivers: list[SimDriver],
+    tmp_path: Path,
+    engine: Engine,
+    seconds: float,
+) -> None:
+    """Times count from the swing's request; before it the robot is still being armed."""
+    counted = ControlC(lambda: False, NEVER)
+    next(simulate_swings(robot, [Ball()], stop=counted))
+    swing_ticks = len(series[0].cycles) - 300
+    begin = counted.asked - swing_ticks // 20
+    results: list[SwingResult] = []
+
+    def work() -> None:
+        with deferred_interrupt() as wish:
+            stop = ControlC(wish.is_made, begin + round(seconds / 0.02))
+            for result in simulate_swings(replace(robot, engine=engine), [Ball()] * 3, stop=stop):
+                write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
+                results.append(result)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    for driver in drivers:
+        assert driver.applied == PASSIVE
+    if seconds < 0:
+        assert not results
+        return
+    assert len(results) == 1
+    result = results[0]
+    assert result.interrupted
+    assert (result.status, result.reason) == (Status.FAILED, "interrupted by Ctrl-C")
+    assert result.cause is Cause.OPERATOR_STOP
+    assert result.cycles["reaction"].max() >= Reaction.COMPLETE
+    assert result.cycles["phase"][-1] == Phase.STANDING
+    assert len(result.cycles) < 300 + swing_ticks + 4000
+    stored, _ = read_swing(tmp_path / "swing.parquet")
+    assert stored.tobytes() == result.cycles.tobytes()
+
+
+def test_control_c_ends_the_program_with_130(
+    robot: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def swing(*_: object) -> None:
+        with deferred_interrupt() as wish:
+            for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
+                write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
+
+    monkeypatch.setattr("bench.commands.doctor.probes", swing)  # any command will do
+    with pytest.raises(SystemExit) as end:
+        main(["doctor"])
+    assert end.value.code == ExitCode.INTERRUPTED
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_nothing_begins_when_control_c_came_before(robot: SimulatedBench) -> None:
+    assert list(simulate_swings(robot, [Ball()], stop=lambda: True)) == []
+    with pytest.raises(KeyboardInterrupt):
+        simulate_swing(robot, stop=lambda: True)

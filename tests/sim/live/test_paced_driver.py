@@ -1,0 +1,114 @@
+"""The plant in step with the loop in a bench that lives: hands around it, eyes on its balls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.base import PASSIVE, DriverError
+from sim.ball import Ball
+from sim.driver import SimDriver
+from sim.live.contact_watch import ContactWatch, warm_up
+from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE
+from sim.live.paced_driver import PacedPlantDriver
+from sim.live.surroundings import Surroundings
+from sim.plant import PlantParameters
+
+
+@pytest.fixture
+def driver(tmp_path: Path) -> Iterator[PacedPlantDriver]:
+    made = PacedPlantDriver(tmp_path, PlantParameters())
+    made.open()
+    yield made
+    made.close()
+
+
+def strike(driver: PacedPlantDriver, time: float, speed: float) -> None:
+    """Let the plant have struck a ball, as its tick does."""
+    driver.read(time)
+    state = driver._driver.plant_state
+    state["ball_velocity"], state["struck"] = [speed, 10.0, 0.0], True
+    driver.read(time)
+
+
+def attached(watch: ContactWatch) -> bool:
+    watch.attach()
+    return watch.attached
+
+
+def test_left_alone_it_is_the_sim_driver(driver: PacedPlantDriver) -> None:
+    alone = SimDriver(PlantParameters())
+    alone.open()
+    for k in range(50):
+        assert driver.read(k * 1e-3) == alone.read(k * 1e-3)
+        assert driver.write(PASSIVE) == alone.write(PASSIVE)
+    assert driver.operational
+
+
+def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
+    assert driver.read(0.0).guard_closed
+    with Surroundings(tmp_path) as hands:
+        hands.change(guard_closed=False)
+        assert not driver.read(0.001).guard_closed
+        hands.change(guard_closed=True, frozen=True)
+        frozen = driver.read(0.003)
+        assert frozen.time == 0.003
+        assert frozen.encoder_age[0] == pytest.approx(0.002 + driver._readings.encoder_age[0])  # type: ignore[union-attr]
+        hands.change(frozen=False)
+        hands.place_ball()
+        assert driver.read(0.004).ball_present
+        before = driver._driver.plant.impact.copy()
+        hands.choose_ball(replace(Ball("slow"), restitution_factor=0.9))
+        driver.read(0.005)
+        assert driver._driver.plant.impact["restitution"] == pytest.approx(0.9 * before["restitution"])
+        hands.choose_ball(None)
+        driver.read(0.006)
+        assert np.array_equal(driver._driver.plant.impact, before)
+
+
+def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDriver, tmp_path: Path) -> None:
+    watch = ContactWatch(tmp_path)
+    assert watch.look() is None  # not attached yet
+    assert attached(watch)
+    assert watch.look() is None
+    strike(driver, 0.001, 60.0)
+    contact = watch.look()
+    assert contact is not None
+    assert contact.ball_velocity[0] == 60.0
+    assert watch.look() is None
+    with Surroundings(tmp_path) as hands:
+        hands.place_ball()
+    driver.read(0.002)
+    strike(driver, 0.003, 61.0)
+    again = watch.look()
+    assert again is not None
+    assert again.ball_velocity[0] == 61.0
+
+    driver.close()
+    assert not (tmp_path / REPORT_FILE).exists()
+    assert not (tmp_path / SURROUNDINGS_FILE).exists()
+    assert not attached(watch)
+    driver.open()
+    assert attached(watch)
+    assert watch.look() is None  # what another plant did is no news
+    watch.close()
+
+
+def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver, tmp_path: Path) -> None:
+    warm_up()
+    watch = ContactWatch(tmp_path)
+    assert attached(watch)
+    strike(driver, 0.001, 60.0)
+    contact = watch.look()
+    assert contact is not None
+    assert contact.launch.speed == pytest.approx(np.hypot(60.0, 10.0))
+    watch.close()
+
+
+def test_it_is_open_once(driver: PacedPlantDriver) -> None:
+    with pytest.raises(DriverError, match="open already"):
+        driver.open()

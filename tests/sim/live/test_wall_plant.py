@@ -1,0 +1,229 @@
+"""The plant with valve node and surroundings, without a process around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import PASSIVE, READINGS, Command, pack_readings, unpack_command
+from drivers.base.compiled import new_record
+from sim.ball import Ball
+from sim.driver import SimDriver
+from sim.impact import impact_parameters
+from sim.kinematics import forward_kinematics, inverse_kinematics
+from sim.live.exchange import BALL, CONTACT, PLANT_COMMAND, PLANT_SURROUNDINGS, TRUTH, PlantPlan
+from sim.live.valve_watchdog import Mode
+from sim.live.wall_plant import WallPlant
+from sim.plant import PlantParameters
+from sim.truth import contact_in
+
+START = (0.2, 4.3, 6.0)
+MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
+PERIOD = PlantParameters().tick
+PLAN = PlantPlan(Path(), PlantParameters(), 0.02, START)
+
+Give = Callable[[Command], None]
+
+
+@pytest.fixture
+def plant() -> WallPlant:
+    return WallPlant(PLAN)
+
+
+@pytest.fixture
+def give(plant: WallPlant) -> Give:
+    """Set the node operational; return how it is given commands."""
+    record = new_record(PLANT_COMMAND)
+
+    def send(command: Command, mode: Mode = Mode.OPERATE) -> None:
+        record["session"], record["mode"] = 1, mode
+        record["counter"] += 1
+        record["command"] = command
+        plant.hear(record)
+
+    send(PASSIVE, Mode.START)
+    return send
+
+
+def surroundings(**changes: Any) -> np.ndarray[Any, Any]:
+    record = new_record(PLANT_SURROUNDINGS)
+    for name, value in {
+        "emergency_stop_clear": True, "guard_closed": True, "encoder_valid": 1, **changes,
+    }.items():  # fmt: skip
+        record[name] = value
+    return record
+
+
+def live(plant: WallPlant, ticks: int) -> Any:
+    """Move the plant on as its process does and return its report."""
+    for _ in range(ticks):
+        plant.move((plant.ticks + 1) * PERIOD)
+        plant.tell()
+    return plant.report[0]
+
+
+def test_it_moves_as_the_driver_in_lock_step_does(plant: WallPlant, give: Give) -> None:
+    driver, packed = SimDriver(PlantParameters(), START), new_record(READINGS)
+    driver.open()
+    driver.read(0.0)
+    for k in range(1, 60):
+        command = MOVING._replace(valve=(math.sin(0.1 * k), 0.3, -0.2))
+        driver.write(command)
+        give(command)
+        report = live(plant, 1)
+        pack_readings(driver.read(k * PERIOD), packed)
+        for name in ("encoder_count", "supply_pressure", "chamber_pressure", "encoder_valid"):
+            assert report["readings"][name].tobytes() == packed[name].tobytes(), name
+        assert report["readings"]["time"] == k * PERIOD
+        assert report["truth"]["plant_angle"].tobytes() == driver.plant_state["angle"].tobytes()
+
+
+def test_truth_has_the_fields_of_a_cycle_that_only_a_plant_knows() -> None:
+    fields: Any = CYCLE.fields
+    wanted = {name: fields[name][0] for name in CYCLE.names or () if name.startswith("plant_")}
+    assert {name: TRUTH[name] for name in TRUTH.names or ()} == wanted
+
+
+def test_silence_reaches_the_valves_and_is_told(plant: WallPlant, give: Give) -> None:
+    give(MOVING)
+    report = live(plant, 20)
+    assert unpack_command(plant.report["node"]["applied"]) == MOVING
+    report = live(plant, 1)
+    assert unpack_command(plant.report["node"]["applied"]) == PASSIVE
+    assert report["node"]["passive_by_watchdog"]
+    assert report["node"]["passive_tick"] - report["node"]["command_tick"] == 20
+    supply = report["readings"]["supply_pressure"]
+    report = live(plant, 2000)
+    assert report["readings"]["supply_pressure"] < supply  # it runs on, and vents
+    assert max(report["truth"]["plant_pressure"]) < 1.3e5
+
+
+def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
+    quiet = live(plant, 1)["readings"]
+    assert all(quiet[name] for name in ("emergency_stop_clear", "guard_closed", "guard_locked"))
+    assert not quiet["local_reset"]
+    assert not quiet["ball_present"]
+    plant.surround(
+        surroundings(
+            emergency_stop_clear=False,
+            guard_closed=False,
+            local_reset=True,
+            encoder_valid=(1, 0, 1),
+            ball_handled=1,
+            ball_present=True,
+        )
+    )
+    seen = live(plant, 1)["readings"]
+    assert not seen["emergency_stop_clear"]
+    assert not seen["guard_closed"]
+    assert not seen["guard_locked"]
+    assert seen["local_reset"]
+    assert seen["encoder_valid"].tolist() == [1, 0, 1]
+    assert seen["ball_present"]
+    plant.surround(surroundings(ball_handled=1, ball_present=False))
+    assert live(plant, 1)["readings"]["ball_present"]  # nobody's hand was there again
+    plant.surround(surroundings(ball_handled=2, ball_present=False))
+    assert not live(plant, 1)["readings"]["ball_present"]
+    give(MOVING._replace(tee=True))
+    assert live(plant, 1)["readings"]["ball_present"]
+
+
+def test_frozen_readings_keep_their_times_while_the_plant_moves_on(plant: WallPlant) -> None:
+    before = live(plant, 3)["readings"].tobytes()
+    plant.surround(surroundings(frozen=True))
+    report = live(plant, 50)
+    assert report["readings"].tobytes() == before
+    assert report["ticks"] == 53
+    plant.surround(surroundings())
+    assert live(plant, 1)["readings"]["time"] == 54 * PERIOD
+
+
+def test_another_ball_can_lie_on_the_tee(plant: WallPlant) -> None:
+    robot, own = PLAN.plant.robot, plant.plant.impact.tobytes()
+    other = Ball(restitution_factor=0.9, mass=0.04)
+    record = surroundings()
+    for name in BALL.names or ():
+        record["ball"][name] = getattr(other, name)
+    plant.surround(record)
+    assert plant.plant.impact.tobytes() == impact_parameters(robot.club, other, robot.lie).tobytes()
+    record["ball"]["mass"] = math.nan
+    plant.surround(record)
+    assert plant.plant.impact.tobytes() == impact_parameters(robot.club, other, robot.lie).tobytes()
+    plant.surround(surroundings())
+    assert plant.plant.impact.tobytes() == own
+
+
+def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
+    plant.surround(surroundings(ball_handled=1, ball_present=True))
+    # The head just before the ball, on its way: what counts here is the telling.
+    site = PLAN.plant.site
+    q, u = _at_the_ball(site.ball_x - 0.01, site.ball_y)
+    plant.state["angle"], plant.state["speed"], plant.state["history"] = q, u, q
+    report = live(plant, 5)
+    contact = contact_in(plant.report["contact"])
+    assert report["contacts"] == 1
+    assert contact is not None
+    assert contact == contact_in(plant.state)
+    assert contact.launch.speed > 1.0
+    assert 0.0 < contact.time < 5 * PERIOD
+    plant.surround(surroundings(ball_handled=2, ball_present=True))
+    plant.state["speed"] = 0.0
+    report = live(plant, 1)
+    assert contact_in(plant.report["contact"]) is None
+    assert report["contacts"] == 1
+    assert {"struck", *(CONTACT.names or ())} <= set(plant.state.dtype.names or ())
+
+
+def _at_the_ball(x: float, y: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    robot = PLAN.plant.robot
+    q = np.asarray(inverse_kinematics(robot, np.array([x, y, 1.5 * math.pi])))
+    step = 1e-6
+    jacobian = np.stack(
+        [
+            (forward_kinematics(robot, q + step * e) - forward_kinematics(robot, q - step * e)) / (2 * step)
+            for e in np.eye(3)
+        ],
+        axis=1,
+    )
+    return q, np.linalg.solve(jacobian, np.array([8.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("angle", [(0.0, math.nan, 0.0), (0.0, 1.0)])
+def test_angles_that_are_none_are_refused(angle: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r"start angles"):
+        WallPlant(PlantPlan(Path(), PlantParameters(), 0.02, angle))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("watchdog", [0.0, 0.0005])
+def test_a_watchdog_below_a_tick_is_refused(watchdog: float) -> None:
+    with pytest.raises(ValueError, match=r"watchdog"):
+        WallPlant(PlantPlan(Path(), PlantParameters(), watchdog))
+
+
+@pytest.mark.parametrize("valve", [math.nan, math.inf, 1e300])
+def test_garbage_in_the_command_does_no_harm(plant: WallPlant, give: Give, valve: float) -> None:
+    give(MOVING._replace(valve=(valve, 0.0, -valve)))
+    report = live(plant, 10)
+    assert np.all(np.abs(report["node"]["applied"]["valve"]) <= 1.0)
+    assert np.all(np.isfinite(report["truth"]["plant_angle"]))
+
+
+def test_random_bytes_in_its_records_do_no_harm(plant: WallPlant, give: Give) -> None:
+    random = np.random.default_rng(5)
+    give(MOVING)
+    for _ in range(200):
+        command = np.frombuffer(random.bytes(PLANT_COMMAND.itemsize), PLANT_COMMAND)
+        around = np.frombuffer(random.bytes(PLANT_SURROUNDINGS.itemsize), PLANT_SURROUNDINGS)
+        with np.errstate(all="ignore"):
+            plant.hear(command)
+            plant.surround(around)
+        report = live(plant, 1)
+        assert np.all(np.abs(report["node"]["applied"]["valve"]) <= 1.0)
+        assert np.all(np.isfinite(report["truth"]["plant_angle"]))
+    assert plant.node.passive_by_watchdog
