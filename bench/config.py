@@ -27,7 +27,7 @@ from bench.control.settings import (
     ModelSettings,
 )
 from bench.errors import BenchError
-from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
+from bench.from_toml import Builder, Leaf, Tree, as_tree, format_value, laid_over, place_of, read_toml
 from drivers.base.ranges import Range, short
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.settings import DaqSettings
@@ -297,16 +297,18 @@ def _read(file: Path, faults: list[BenchError], above: tuple[Path, ...]) -> tupl
     if base is None:
         return tree, (file,)
     if not isinstance(base, str):
-        raise BenchError(f"{file}: base", shown(base), f'a path or "{SHIPPED}"', "Correct it.")
+        raise BenchError(f"{file}: base", format_value(base), f'a path or "{SHIPPED}"', "Correct it.")
     below = shipped_configuration() if base == SHIPPED else file.parent / base
     seen = [path.resolve() for path in (*above, file)]
     if below.resolve() in seen:
         raise BenchError(
-            f"{file}: base", shown(base), "a file that is not based on this one", "Break the circle."
+            f"{file}: base", format_value(base), "a file that is not based on this one", "Break the circle."
         )
     if not below.exists():
         expected = f'a path from this file\'s folder, or "{SHIPPED}"'
-        raise BenchError(f"{file}: base", f"{shown(base)}, no such file", expected, "Correct the path.")
+        raise BenchError(
+            f"{file}: base", f"{format_value(base)}, no such file", expected, "Correct the path."
+        )
     under, files = _read(below, faults, (*above, file))
     return laid_over(under, tree), (*files, file)
 
@@ -333,7 +335,7 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
             else:
                 known = f"one of {', '.join(whole)}, which say no like themselves"
                 place = place_of(tree, file, f"{section}.{name}.like")
-                faults.append(BenchError(place, shown(like.value), known, "Name one of them."))
+                faults.append(BenchError(place, format_value(like.value), known, "Name one of them."))
                 entries[name] = {key: node for key, node in entry.items() if key != "like"}
 
 
@@ -351,7 +353,7 @@ def _choice(c: Configuration, section: str, name: str) -> Any:
         return entries[name]
     files = ", ".join(map(str, c.files))
     raise BenchError(
-        f"{files}: {section}", f"no {shown(name)}", f"one of {', '.join(entries)}", "Add or rename it."
+        f"{files}: {section}", f"no {format_value(name)}", f"one of {', '.join(entries)}", "Add or rename it."
     )
 
 
@@ -405,7 +407,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", c.bench.id):
         yield (
             "bench.id",
-            shown(c.bench.id),
+            format_value(c.bench.id),
             "letters, digits, - and _, at most 63",
             "It is part of addresses.",
         )
@@ -418,14 +420,14 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         name = getattr(c.swing, key)
         if name not in entries:
             known = f"one of {', '.join(entries) or 'none'}"
-            yield f"swing.{key}", shown(name), known, f"Choose one, or add [{key}s.{name}]."
+            yield f"swing.{key}", format_value(name), known, f"Choose one, or add [{key}s.{name}]."
     drivers = sorted({entry.name for entry in entry_points(group="golfbench.drivers")})
     if c.driver.name not in drivers:
         cure = "Choose one, or install the plug-in that brings it."
-        yield "driver.name", shown(c.driver.name), f"one of {', '.join(drivers)}", cure
+        yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", cure
     if c.driver.name == "daq" and c.homing.method != "index":
         cure = "The card's counters know no angle until the index has passed."
-        yield "homing.method", shown(c.homing.method), 'with driver "daq" "index"', cure
+        yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', cure
     phases = EnvelopeSettings().following.keys()
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"
@@ -448,16 +450,16 @@ def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     )
     for name, endpoint, wanted, *allowed in places:
         if not any(allow(endpoint) for allow in allowed):
-            yield f"network.{name}", shown(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
+            yield f"network.{name}", format_value(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
         elif _is_secure(endpoint) and not network.identity:
-            found = f"none, with {name} = {shown(endpoint)}"
+            found = f"none, with {name} = {format_value(endpoint)}"
             cure = "Make them: golfbench certificates."
             yield "network.identity", found, "path of certificate and key, without ending", cure
     for role in ("viewers", "operators"):
         for name in getattr(network, role):
             if not NAME.fullmatch(name):
                 wanted = "names as in certificates: letters, digits, ., - and _, at most 63"
-                yield f"network.{role}", shown(name), wanted, "Correct it."
+                yield f"network.{role}", format_value(name), wanted, "Correct it."
 
 
 def _is_empty(endpoint: str) -> bool:
@@ -512,7 +514,7 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield key, f"{short(position)} m", wanted, "Correct it, or the robot's lengths."
         leaf = _leaf(tree, key)
         if leaf is not None and leaf.suffix:
-            yield key, shown(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
+            yield key, format_value(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
         # Thesis figure 11: the cylinder turns the wrist with lever d sin(beta), beta = theta3 - 3 pi / 2.
         dead = asin(c.envelope.least_lever)
         theta3 = getattr(wrist, end)
@@ -622,7 +624,7 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
     place = ", ".join(map(str, configuration.files))
     return [
         BenchError(
-            f"{place}: faults.{name}.phase", shown(fault.phase),
+            f"{place}: faults.{name}.phase", format_value(fault.phase),
             '"any": a plant on its own clock knows no phase',
             "Give time, or joint and angle, or run with --time paced.",
         )
@@ -640,13 +642,13 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         key = f"faults.{name}"
         if c.is_machine or c.driver.name == "mock":
             found, wanted = (
-                f"a fault, with driver {shown(c.driver.name)}",
+                f"a fault, with driver {format_value(c.driver.name)}",
                 'none: faults are for driver "sim"',
             )
             yield key, found, f"{wanted} and simulated nodes", "Delete it, or set driver.name."
         if fault.signal in _LOOPS_OWN:
             cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
-            yield f"{key}.signal", shown(fault.signal), "a signal or part of the simulated robot", cure
+            yield f"{key}.signal", format_value(fault.signal), "a signal or part of the simulated robot", cure
         if fault.kind == "delayed" and fault.value > (longest := LONGEST_DELAY * c.plant.tick):
             yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
 

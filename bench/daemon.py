@@ -23,10 +23,10 @@ from bench.calibration.calibration import apply
 from bench.config import Configuration
 from bench.design.validate import beyond_range
 from bench.errors import BenchError, ExitCode
-from bench.interrupt import Wish, wish_to_end
+from bench.interrupt import StopFlag, stop_on_signals
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
+from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply
 from bench.network.command_plane import CommandPlane
-from bench.network.desk import DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply, Status
 from bench.network.zenoh_session import open_daemon
 from bench.processes.child import Child
 from bench.processes.correction import CORRECTED_FILE
@@ -39,7 +39,7 @@ from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
 from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, status_of
-from bench.processes.support import Supporter
+from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.shot_join import ShotJoin
 from bench.shot.shot_message import SHOT_VERSION
@@ -82,7 +82,7 @@ def versions() -> dict[str, str]:
 
 
 class Daemon:
-    """A running bench: a `bench.network.desk.Desk`, and `run`, which lives until it is told to end."""
+    """A running bench: a `BenchService`, and `run`, which ends when asked to stop."""
 
     def __init__(
         self, configuration: Configuration, *, read_only: bool = False,
@@ -102,8 +102,8 @@ class Daemon:
         """The loop's clock is the wall's."""
         self.children: dict[str, Child] = {}
         self._run = run_id(now())
-        self._support: list[Supporter] = []
-        self._launch_monitor: Supporter | None = None
+        self._support: list[ManagedProcess] = []
+        self._launch_monitor: ManagedProcess | None = None
         self._monitored: LaunchMonitorStatus = NO_LAUNCH_MONITOR
         self._shots = ShotJoin()
         self._plane: CommandPlane | None = None
@@ -152,7 +152,7 @@ class Daemon:
         """Stop as for an open emergency stop circuit."""
         return self._link.stop(Request.EMERGENCY_STOP)
 
-    def status(self) -> Status:
+    def status(self) -> BenchStatus:
         """Return the snapshot; `lease` and `counts` are the command plane's."""
         support = {supporter.name: supporter for supporter in self._attending}
         children = self.children | {name: s.child for name, s in support.items() if s.child is not None}
@@ -181,7 +181,7 @@ class Daemon:
         return bool(self._support) and all(supporter.ready for supporter in self._support)
 
     @property
-    def _attending(self) -> list[Supporter]:
+    def _attending(self) -> list[ManagedProcess]:
         """All processes beside loop and plant; that of the launch monitor nothing waits for."""
         return [*self._support, *filter(None, [self._launch_monitor])]
 
@@ -207,7 +207,7 @@ class Daemon:
         """
         c = self.configuration
         with ExitStack() as stack:
-            wish = stack.enter_context(wish_to_end())
+            wish = stack.enter_context(stop_on_signals())
             owner = stack.enter_context(take_bench(c.bench.id))
             self._marker = RunMarker(c.bench.data_dir, c.bench.id)
             in_order = False
@@ -264,11 +264,11 @@ class Daemon:
         stack.callback(session.close)
         self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
         self._support = [
-            Supporter("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
-            Supporter("publisher", folder / "publisher-heart", self._start_publisher),
+            ManagedProcess("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),
+            ManagedProcess("publisher", folder / "publisher-heart", self._start_publisher),
         ]
         if c.launch_monitor.enabled:
-            self._launch_monitor = Supporter(
+            self._launch_monitor = ManagedProcess(
                 "launch monitor", folder / "launch-heart", self._start_launch_monitor, self._note_launch
             )
         self._folder = folder
@@ -320,7 +320,7 @@ class Daemon:
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)
 
-    def _live(self, notifier: ServiceNotifier, wish: Wish) -> None:
+    def _live(self, notifier: ServiceNotifier, wish: StopFlag) -> None:
         """Take turns until somebody wishes the end; pet systemd only while the loop advances.
 
         Raises:

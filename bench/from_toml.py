@@ -118,7 +118,7 @@ def _leaves(tree: Tree) -> Iterator[Leaf]:
             yield node
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return `value` about as a TOML file has it, cut when long."""
     if isinstance(value, bool):
         return str(value).lower()
@@ -156,11 +156,11 @@ class Builder:
         if is_dataclass(hint):
             if isinstance(node, dict):
                 return self._dataclass(hint, node, path, {})
-            return self._fault(path, shown(node.value), "a table")
+            return self._fault(path, format_value(node.value), "a table")
         if get_origin(hint) is dict:
             if isinstance(node, dict):
                 return self._named(get_args(hint)[1], node, path)
-            return self._fault(path, shown(node.value), "a table")
+            return self._fault(path, format_value(node.value), "a table")
         if isinstance(node, dict):
             return self._fault(path, "a table", expected(hint))
         if node.suffix and node.suffix not in suffixes(hint):
@@ -211,7 +211,7 @@ class Builder:
             if parts[-1] is Ellipsis and isinstance(value, list):
                 parts = (parts[0],) * len(value)
             if not isinstance(value, list) or len(value) != len(parts):
-                return self._fault(path, shown(value), expected(hint))
+                return self._fault(path, format_value(value), expected(hint))
             pairs = enumerate(zip(parts, value, strict=True))
             return tuple(self._leaf(part, item, suffix, f"{path}[{i}]") for i, (part, item) in pairs)
         if get_origin(bare) is Literal:
@@ -225,14 +225,14 @@ class Builder:
         else:
             raise TypeError(f"{path}: {hint} has no form in TOML")
         if not ok:
-            return self._fault(path, shown(value), expected(hint, suffix))
+            return self._fault(path, format_value(value), expected(hint, suffix))
         if bare is Path:
             return Path(value)
         if bare is float:
             value = float(value)
         factor = _factor(marks, suffix)
         if not all(_holds(mark, value * factor if suffix else value) for mark in marks):
-            return self._fault(path, shown(value), expected(hint, suffix))
+            return self._fault(path, format_value(value), expected(hint, suffix))
         return value * factor if suffix else value
 
     def _unknown(self, names: set[str], node: Tree, prefix: str, keys: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class Wish:
+class StopFlag:
     """A wish to end, made in a signal's handler.
 
     Not a threading.Event: its `set` takes a lock that the interrupted `wait` of the same thread may hold, and
@@ -35,13 +35,13 @@ class Wish:
 
 
 @contextmanager
-def deferred_interrupt() -> Iterator[Wish]:
+def deferred_interrupt() -> Iterator[StopFlag]:
     """Yield a wish that Ctrl-C makes; at the block's end a Ctrl-C that came raises KeyboardInterrupt.
 
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
     exit code 130. Outside the main thread, which gets no signals, the wish is never made.
     """
-    asked = Wish()
+    asked = StopFlag()
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
@@ -55,9 +55,9 @@ def deferred_interrupt() -> Iterator[Wish]:
 
 
 @contextmanager
-def wish_to_end() -> Iterator[Wish]:
+def stop_on_signals() -> Iterator[StopFlag]:
     """Yield a wish that SIGTERM and Ctrl-C make."""
-    wish = Wish()
+    wish = StopFlag()
     kept = {number: signal.signal(number, wish.make) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield wish

@@ -17,8 +17,8 @@ import numpy as np
 from bench.config import Configuration, load_configuration
 from bench.errors import Refused
 from bench.lifecycle import Phase, State
+from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.desk import Status
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
 from bench.processes.bench_folder import bench_folder
@@ -102,7 +102,7 @@ class BenchProcess:
         """Return the first newest record in `phase`."""
         return self.wait_until(lambda record: record["phase"] == phase, longest)
 
-    def make_ready(self) -> Status:
+    def make_ready(self) -> BenchStatus:
         """Reset where that is asked for, and home; the lease must be held."""
         if self.now()["state"] in (State.ESTOP, State.FAULT):
             self.client.reset()
@@ -124,7 +124,7 @@ class BenchProcess:
                     raise
                 time.sleep(0.5)
 
-    def take_address(self) -> Status:
+    def take_address(self) -> BenchStatus:
         """Arm, and wait until the robot holds at its address."""
         self.client.arm()
         return self.client.wait_for("ARMED", phase="HOLD")

@@ -8,7 +8,7 @@ from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.values import KINDS, Kind, Values, content_of, values_of
+from bench.calibration.values import KINDS, CalibrationKind, Values, content_of, values_of
 from bench.config import Configuration, database_url
 from bench.errors import BenchError
 from bench.store.database import is_there, open_database
@@ -77,7 +77,7 @@ def add_calibration(
     return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
 
 
-def list_calibrations(database: Engine, bench: str, kind: Kind | None = None) -> list[Entry]:
+def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None = None) -> list[Entry]:
     """Return all calibrations of `bench`, of one kind or of every one, oldest first.
 
     Raises:
@@ -98,11 +98,11 @@ def effective_calibration(
 
     `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
     """
-    newest: dict[Kind, Entry] = {}
+    newest: dict[CalibrationKind, Entry] = {}
     for entry in list_calibrations(database, bench):
         if entry.date <= when and entry.subject in {"", club}:
             newest[entry.kind] = entry
-    entries = tuple(newest[kind] for kind in Kind if kind in newest)
+    entries = tuple(newest[kind] for kind in CalibrationKind if kind in newest)
     return Calibration(bench, club, when, entries, required)
 
 
@@ -121,13 +121,13 @@ def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
         return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
 
 
-def _kind_of(values: Values) -> Kind:
+def _kind_of(values: Values) -> CalibrationKind:
     return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
 
 
 def _entry(row: object) -> Entry:
     r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
-    kind = Kind(r.kind)
+    kind = CalibrationKind(r.kind)
     place = f"calibration {kind} version {r.version} in the database"
     return Entry(
         r.id,

@@ -8,9 +8,9 @@ from typing import Any
 
 from bench.calibration.values import (
     BallPosition,
+    CalibrationKind,
     ClubInMount,
     EncoderZeros,
-    Kind,
     Values,
     ValveCentres,
     content_of,
@@ -25,7 +25,7 @@ class Entry:
 
     id: int
     bench: str
-    kind: Kind
+    kind: CalibrationKind
     version: int
     """Rises by one per bench and kind."""
     date: datetime
@@ -80,11 +80,11 @@ class Calibration:
     """Whether a missing calibration is a problem: with a machine, not in simulation."""
 
     @property
-    def nominal(self) -> tuple[Kind, ...]:
+    def nominal(self) -> tuple[CalibrationKind, ...]:
         """The kinds that were never calibrated."""
-        return tuple(kind for kind in Kind if self.of(kind) is None)
+        return tuple(kind for kind in CalibrationKind if self.of(kind) is None)
 
-    def of(self, kind: Kind) -> Entry | None:
+    def of(self, kind: CalibrationKind) -> Entry | None:
         """Return what is in force of `kind`, if anything; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
 
@@ -96,7 +96,9 @@ class Calibration:
             if entry.expired(now)
         ]
         if self.required:
-            names = {kind: f"club {self.club}" if kind is Kind.CLUB else kind for kind in self.nominal}
+            names = {
+                kind: f"club {self.club}" if kind is CalibrationKind.CLUB else kind for kind in self.nominal
+            }
             found += [
                 f"{name} of bench {self.bench} never calibrated: golfbench calibrate {kind}"
                 for kind, name in names.items()

@@ -20,7 +20,7 @@ Centre = Annotated[float, Range(-0.2, 0.2, "")]
 DeadBand = Annotated[float, Range(0.0, 0.5, "")]
 
 
-class Kind(StrEnum):
+class CalibrationKind(StrEnum):
     """What can be calibrated."""
 
     ENCODERS = "encoders"
@@ -29,7 +29,12 @@ class Kind(StrEnum):
     VALVES = "valves"
 
 
-VALID_DAYS: Mapping[Kind, int] = {Kind.ENCODERS: 365, Kind.BALL: 30, Kind.CLUB: 90, Kind.VALVES: 180}
+VALID_DAYS: Mapping[CalibrationKind, int] = {
+    CalibrationKind.ENCODERS: 365,
+    CalibrationKind.BALL: 30,
+    CalibrationKind.CLUB: 90,
+    CalibrationKind.VALVES: 180,
+}
 """Days after which a calibration expires unless told otherwise. Assumption: absolute encoders hold until they
 are taken off, a tee is moved often, a club works loose in its mount, seals and springs age."""
 
@@ -97,15 +102,15 @@ class ValveCentres:
 
 Values = EncoderZeros | BallPosition | ClubInMount | ValveCentres
 
-KINDS: Mapping[Kind, type[Values]] = {
-    Kind.ENCODERS: EncoderZeros,
-    Kind.BALL: BallPosition,
-    Kind.CLUB: ClubInMount,
-    Kind.VALVES: ValveCentres,
+KINDS: Mapping[CalibrationKind, type[Values]] = {
+    CalibrationKind.ENCODERS: EncoderZeros,
+    CalibrationKind.BALL: BallPosition,
+    CalibrationKind.CLUB: ClubInMount,
+    CalibrationKind.VALVES: ValveCentres,
 }
 
 
-def values_of(kind: Kind, content: Mapping[str, Any], place: str) -> Values:
+def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> Values:
     """Return the checked values of `content`, whose keys are the fields of the kind's class.
 
     Raises:

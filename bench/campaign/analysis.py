@@ -18,10 +18,10 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.block_model import Array, BlockFit, Contrast, fit_blocks, holm
-from bench.campaign.plan import Plan, controls_per_block, levels
+from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import power_of_difference, shots_for_equivalence, shots_needed
 from bench.campaign.sequence import Role
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
 """Columns whose quantity is named without its unit."""
@@ -113,7 +113,7 @@ class SectionAnalysis:
     """(shot, robust z) of valid shots far off; never removed."""
 
 
-def analyse(plan: Plan, shots: Sequence[Shot], number: int, name: str) -> SectionAnalysis:
+def analyse(plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str) -> SectionAnalysis:
     """Return what the `shots` of one section say."""
     mine = [shot for shot in shots if shot.role != Role.WARM_UP]
     tests = [shot for shot in mine if shot.role == Role.TEST]
@@ -136,14 +136,14 @@ def analyse(plan: Plan, shots: Sequence[Shot], number: int, name: str) -> Sectio
     )
 
 
-def values_of(plan: Plan, shots: Sequence[Shot]) -> tuple[list[Shot], Array]:
+def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Array]:
     """Return the valid shots that have the plan's quantity, and its values."""
     column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
-    kept = [shot for shot in shots if shot.status is Status.VALID and getattr(shot, column) is not None]
+    kept = [shot for shot in shots if shot.status is ShotStatus.VALID and getattr(shot, column) is not None]
     return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
 
 
-def alpha_of(plan: Plan) -> float:
+def alpha_of(plan: CampaignPlan) -> float:
     """Return the error of one look at the data."""
     looks = plan.stop.looks if plan.stop.rule != "fixed" else 1
     return (1 - plan.analysis.confidence) / looks
@@ -155,7 +155,7 @@ class _Fit(NamedTuple):
 
 
 def _compared(
-    plan: Plan, tests: Sequence[Shot], controls: Sequence[Shot], method: str
+    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str
 ) -> tuple[Comparison | None, _Fit | None]:
     """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
     names = levels(plan)
@@ -185,7 +185,7 @@ def _compared(
     return Comparison(method, fit.deviation, fit.freedom, judged, slope, slope_error), _Fit(fit, kept)
 
 
-def shots_still_needed(plan: Plan, comparison: Comparison) -> tuple[int | None, int | None]:
+def shots_still_needed(plan: CampaignPlan, comparison: Comparison) -> tuple[int | None, int | None]:
     """Return how many valid shots of each level would do, with the scatter seen.
 
     The first finds the difference worth finding, the second calls equal levels the same; each with the wished
@@ -198,7 +198,9 @@ def shots_still_needed(plan: Plan, comparison: Comparison) -> tuple[int | None, 
     return shots_needed(a.difference, deviation, single, a.power, count, controls), same
 
 
-def _judged(plan: Plan, pairs: Sequence[tuple[str, str, Contrast, int]], fit: BlockFit) -> tuple[Pair, ...]:
+def _judged(
+    plan: CampaignPlan, pairs: Sequence[tuple[str, str, Contrast, int]], fit: BlockFit
+) -> tuple[Pair, ...]:
     """Adjust all pairs together and put each into one word."""
     a, alpha, count = plan.analysis, alpha_of(plan), len(pairs)
     contrasts = [contrast for _, _, contrast, _ in pairs]
@@ -257,16 +259,16 @@ def spread(values: Array, confidence: float = 0.95) -> Spread:
     return Spread(n, mean, mean - half, mean + half, deviation, float(low), float(high))
 
 
-def _level(plan: Plan, name: str, shots: Sequence[Shot]) -> Level:
+def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
     by = Counter(shot.status for shot in shots)
     reasons = Counter(_kind(shot.reason) for shot in shots if shot.reason)
     _, values = values_of(plan, shots)
     return Level(
         name,
-        by[Status.VALID] + by[Status.EXCLUDED],
-        by[Status.VALID],
-        by[Status.EXCLUDED],
-        by[Status.FAILED],
+        by[ShotStatus.VALID] + by[ShotStatus.EXCLUDED],
+        by[ShotStatus.VALID],
+        by[ShotStatus.EXCLUDED],
+        by[ShotStatus.FAILED],
         dict(reasons.most_common()),
         spread(values, plan.analysis.confidence),
     )
@@ -295,7 +297,7 @@ def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
     return tuple((fit.shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
 
 
-def decide(plan: Plan, shots: Sequence[Shot]) -> str:
+def decide(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
     """Return why a section's `shots` are enough by the plan's stopping rule; empty when they are not."""
     result = analyse(plan, shots, 1, "").confirmatory
     count = len(levels(plan))

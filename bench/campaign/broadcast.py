@@ -11,10 +11,10 @@ from datetime import datetime
 from typing import Any
 
 from bench.campaign.course import is_settled
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
 from bench.campaign.sequence import all_trials
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 VERSION = 1
@@ -26,7 +26,9 @@ _LAST = 10
 class Broadcast(Watcher):
     """Tells `publish` of everything that it hears."""
 
-    def __init__(self, entry: CampaignEntry, plan: Plan, publish: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(
+        self, entry: CampaignEntry, plan: CampaignPlan, publish: Callable[[dict[str, Any]], None]
+    ) -> None:
         self._plan, self._publish = plan, publish
         self._planned = len(all_trials(plan))
         self._times: deque[datetime] = deque(maxlen=_LAST)
@@ -40,7 +42,7 @@ class Broadcast(Watcher):
         """Tell of a shot, and of the time that the rest will take."""
         m = self._message
         m["shots"] += 1
-        m["valid"] += shot.status is Status.VALID
+        m["valid"] += shot.status is ShotStatus.VALID
         m["done"] += is_settled(self._plan, shot)
         m["last_shot"] = {
             "shot": shot.shot, "ball": shot.ball, "club": shot.club, "status": shot.status,

@@ -14,13 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from statsmodels.nonparametric.smoothers_lowess import lowess
 
 from bench.campaign.analysis import SectionAnalysis, values_of
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import FIGURES
 from bench.campaign.sequence import Role, sections
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import COLOURS, MARKERS, STYLE, styled, to_svg
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
 _MANY = 1500
@@ -29,7 +29,7 @@ _DELIVERY = ("club_speed_mps", "attack_angle_deg", "dynamic_loft_deg", "strike_x
 
 
 def campaign_figures(
-    plan: Plan, shots: Sequence[Shot], analyses: Sequence[SectionAnalysis]
+    plan: CampaignPlan, shots: Sequence[Shot], analyses: Sequence[SectionAnalysis]
 ) -> Mapping[str, Any]:
     """Return the SVGs: "delivery", and for each section "dispersion", "levels" and "drift"."""
     with mpl.rc_context(STYLE):
@@ -59,12 +59,12 @@ def _look(index: int, many: bool) -> dict[str, Any]:
     }
 
 
-def _by_level(plan: Plan, shots: Sequence[Shot]) -> list[tuple[str, list[Shot]]]:
+def _by_level(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, list[Shot]]]:
     tests = [shot for shot in shots if shot.role == Role.TEST]
     return [(name, [s for s in tests if getattr(s, plan.design.compare) == name]) for name in levels(plan)]
 
 
-def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
+def _dispersion(plan: CampaignPlan, shots: Sequence[Shot]) -> Figure:
     """Landing points from above with ellipses, and carry against ball speed."""
     figure = styled(3.8)
     above, speed = figure.subplots(1, 2, width_ratios=[1, 1.1])
@@ -73,10 +73,10 @@ def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
     for index, (name, mine) in enumerate(_by_level(plan, shots)):
         flown = [s for s in mine if s.carry_m is not None and s.carry_side_m is not None]
         points = np.array(
-            [(s.carry_side_m, s.carry_m) for s in flown if s.status is Status.VALID], dtype=float
+            [(s.carry_side_m, s.carry_m) for s in flown if s.status is ShotStatus.VALID], dtype=float
         ).reshape(-1, 2)
         others = np.array(
-            [(s.carry_side_m, s.carry_m) for s in flown if s.status is not Status.VALID], dtype=float
+            [(s.carry_side_m, s.carry_m) for s in flown if s.status is not ShotStatus.VALID], dtype=float
         ).reshape(-1, 2)
         style = _look(index, many)
         above.plot(*points.T, **style, label=name)
@@ -84,7 +84,9 @@ def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
         extent += [tuple(p) for p in (*points, *others)]
         if len(points) >= 3:
             extent += _draw_ellipse(above, points, style["color"])
-        both = [(s.ball_speed_mps, s.carry_m) for s in flown if s.ball_speed_mps and s.status is Status.VALID]
+        both = [
+            (s.ball_speed_mps, s.carry_m) for s in flown if s.ball_speed_mps and s.status is ShotStatus.VALID
+        ]
         speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **style, label=name)
     above.axvline(0, color=_GREY, linewidth=0.8, linestyle=(0, (5, 3)))
     if extent:
@@ -98,7 +100,7 @@ def _dispersion(plan: Plan, shots: Sequence[Shot]) -> Figure:
     return figure
 
 
-def _levels(plan: Plan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
+def _levels(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
     """Each level's shots with mean and interval: the compared quantity, and the club speed that came."""
     unit, name = UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     found = _by_level(plan, shots)
@@ -115,7 +117,7 @@ def _levels(plan: Plan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Fig
                 [spread.mean], [index], xerr=[[spread.mean - spread.low], [spread.high - spread.mean]],
                 color=_INK, marker="|", markersize=12, capsize=4, linewidth=1.4, label=level,
             )  # fmt: skip
-        speeds = [s.club_speed_mps for s in mine if s.club_speed_mps and s.status is Status.VALID]
+        speeds = [s.club_speed_mps for s in mine if s.club_speed_mps and s.status is ShotStatus.VALID]
         club.plot(speeds, np.full(len(speeds), index) + _spread_out(len(speeds)), **style)
     result.set_yticks(range(len(found)), [level for level, _ in found])
     result.set_ylim(len(found) - 0.4, -0.6)
@@ -131,7 +133,7 @@ def _spread_out(count: int) -> np.ndarray:
     return 0.5 * (steps - 0.5)
 
 
-def _drift(plan: Plan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
+def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
     """The compared quantity over the shots, its level's mean taken off, and the control ball's course."""
     unit, name = UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     figure = styled(2.5)
@@ -168,9 +170,9 @@ def _delivery(shots: Sequence[Shot]) -> Figure:
     for axes, column in zip(grid.ravel(), _DELIVERY, strict=True):
         for index, key in enumerate(keys):
             mine = [s for s in shots if (s.swing, s.club) == key and getattr(s, column) is not None]
-            _points(axes, [s for s in mine if s.status is Status.VALID], column, _look(index, many), True)
+            _points(axes, [s for s in mine if s.status is ShotStatus.VALID], column, _look(index, many), True)
             _points(
-                axes, [s for s in mine if s.status is not Status.VALID], column, _look(index, many), False
+                axes, [s for s in mine if s.status is not ShotStatus.VALID], column, _look(index, many), False
             )
         text, unit = names[column]
         axes.set(title=text, ylabel=unit)

@@ -12,15 +12,15 @@ from typing import Any
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.findings import Findings
-from bench.campaign.fitting import Kind
+from bench.campaign.fitting import PromptKind
 from bench.campaign.mixed_model import MixedModel
 from bench.campaign.page import TABLE, figure_text, flat, page_template
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import COLOURS
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, Standing
 from bench.telemetry.whole_file import whole_file
 
@@ -46,7 +46,7 @@ class CampaignRecord:
 
     entry: CampaignEntry
     standing: Standing
-    plan: Plan
+    plan: CampaignPlan
     shots: Sequence[Shot]
     events: Sequence[Event]
     hits: Counter[Hit]
@@ -85,7 +85,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
     plan, entry, shots = record.plan, record.entry, record.shots
     flagged = {shot for section in found.sections for shot, _ in section.outliers}
     all_rows = len(shots) <= _ALL_ROWS
-    rows = [s for s in shots if all_rows or s.status is not Status.VALID or s.shot in flagged][
+    rows = [s for s in shots if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged][
         : _MOST_ROWS * 2
     ]
     filters: dict[str, Callable[..., Any]] = {
@@ -165,7 +165,7 @@ def _range(values: Sequence[float], digits: int, unit: str) -> str:
 
 def _conditioned(record: CampaignRecord) -> str:
     """Say who vouches for how the balls were kept."""
-    people = dict.fromkeys(p.by for p in record.prompts if p.kind == Kind.BALLS and p.by)
+    people = dict.fromkeys(p.by for p in record.prompts if p.kind == PromptKind.BALLS and p.by)
     if record.entry.simulated:
         return "as planned; simulated balls have no temperature"
     return f"confirmed by {', '.join(people)}" if people else "as planned, confirmed by nobody"

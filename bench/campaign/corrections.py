@@ -11,12 +11,12 @@ from typing import Protocol
 import numpy as np
 from sqlalchemy import Engine
 
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Arm, Drift
 from bench.campaign.swings import Profiles
 from bench.config import Configuration
 from bench.design.planned_openings import require_planned_openings
-from bench.learning.learn import Lecture, Swinger, learn, prepare
+from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
 from bench.simulation.series import Bench
@@ -24,11 +24,11 @@ from bench.store.campaigns import CampaignEntry
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
-Robot = Callable[[Lecture], AbstractContextManager[Swinger]]
+Robot = Callable[[LearningProblem], AbstractContextManager[Swinger]]
 """Lends the robot to a learner."""
 
 
-class Swung(Protocol):
+class CorrectedProfiles(Protocol):
     """The profiles of a campaign and what is added to them, by swing and club."""
 
     def designed(self, arm: Arm) -> Profile:
@@ -75,13 +75,13 @@ class AsDesigned:
         return f"{self._profiles[drift.arm].name}: {drift.text}; it goes on as designed"
 
 
-class Corrections:
+class CampaignCorrections:
     """By swing and club; a campaign begins with the newest ones that hold and were there when it began."""
 
     def __init__(
         self,
         entry: CampaignEntry,
-        plan: Plan,
+        plan: CampaignPlan,
         configuration: Configuration,
         database: Engine,
         profiles: Profiles,
@@ -91,7 +91,7 @@ class Corrections:
         """`profiles` are as designed; what was learned is used if it is as `simulated` as the campaign."""
         self._entry, self._plan, self._configuration = entry, plan, configuration
         self._database, self._profiles, self._simulated = database, profiles, simulated
-        self._lectures: dict[Arm, Lecture] = {}
+        self._lectures: dict[Arm, LearningProblem] = {}
         self._learned: dict[Arm, Learned | None] = {
             arm: newest_that_holds(
                 database,
@@ -122,7 +122,7 @@ class Corrections:
         return replace(swung, text=f"{swung.text}; learned, version {learned.version}")
 
     def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """See `Swung`. What this campaign has learned there before it was cut off is taken as it was.
+        """See `CorrectedProfiles`. Reuses what this campaign learned before an interruption.
 
         A correction that does not reach its target is not used.
         """
@@ -149,7 +149,7 @@ class Corrections:
         self._learned[arm] = found
         return f"{profile.name}: {drift.text}; learned anew in {swings}, version {found.version}"
 
-    def _lecture(self, arm: Arm) -> Lecture:
+    def _lecture(self, arm: Arm) -> LearningProblem:
         if arm not in self._lectures:
             c = self._configuration
             require_planned_openings(c.control)

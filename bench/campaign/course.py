@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.campaign.gate import Centre, median_delivery
-from bench.campaign.plan import Plan
-from bench.campaign.sequence import Arm, Role, Section, Trial, block_trials, sections, warm_up_arms
-from bench.shot.shot import Shot, Status
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.sequence import Arm, PlannedShot, Role, Section, block_trials, sections, warm_up_arms
+from bench.shot.shot import Shot, ShotStatus
 
 
 class Step(NamedTuple):
     """The next shot: what is tried, for which time, and which delivery it is judged by."""
 
-    trial: Trial
+    trial: PlannedShot
     attempt: int
     centre: Centre
 
@@ -34,14 +34,14 @@ class Ending(NamedTuple):
     reason: str
 
 
-Decide = Callable[[Plan, Sequence[Shot]], str]
+Decide = Callable[[CampaignPlan, Sequence[Shot]], str]
 """From a section's shots: why it has enough, or nothing."""
 Planned = Mapping[tuple[str, str], Centre]
 """(swing, club) -> delivery it was designed for."""
 Course = Generator[Step, Shot, Ending]
 
 
-def course(plan: Plan, planned: Planned, decide: Decide) -> Course:
+def course(plan: CampaignPlan, planned: Planned, decide: Decide) -> Course:
     """Yield the steps of `plan`; send each one's shot."""
     words = []
     for section in sections(plan):
@@ -60,7 +60,7 @@ def course(plan: Plan, planned: Planned, decide: Decide) -> Course:
                 for attempt in range(1, plan.design.repeats + 2):
                     shot = yield Step(trial, attempt, centres[trial.arm.swing, trial.arm.club])
                     shots.append(shot)
-                    if shot.status is Status.VALID:
+                    if shot.status is ShotStatus.VALID:
                         break
             if number in looks and (enough := decide(plan, shots)):
                 words.append(
@@ -70,13 +70,13 @@ def course(plan: Plan, planned: Planned, decide: Decide) -> Course:
     return Ending(True, "; ".join(words))
 
 
-def is_settled(plan: Plan, shot: Shot) -> bool:
+def is_settled(plan: CampaignPlan, shot: Shot) -> bool:
     """Tell whether a planned shot is done with after `shot`: it is valid, or was repeated often enough."""
-    tried = shot.status is Status.VALID or shot.attempt > plan.design.repeats
+    tried = shot.status is ShotStatus.VALID or shot.attempt > plan.design.repeats
     return tried and shot.role != Role.WARM_UP
 
 
-def looks_after(plan: Plan) -> frozenset[int]:
+def looks_after(plan: CampaignPlan) -> frozenset[int]:
     """Return the blocks of a section after which the plan's stopping rule is asked; never the last one."""
     stop, blocks = plan.stop, plan.design.blocks
     if stop.rule == "fixed":
@@ -85,13 +85,13 @@ def looks_after(plan: Plan) -> frozenset[int]:
     return frozenset(round(float(point)) for point in points) - {blocks}
 
 
-def _warm_up(plan: Plan, section: Section, arm: Arm) -> Generator[Step, Shot, tuple[list[Shot], str]]:
+def _warm_up(plan: CampaignPlan, section: Section, arm: Arm) -> Generator[Step, Shot, tuple[list[Shot], str]]:
     """Swing until the club speed is stable; return the last shots, and why not when it is refused."""
     w, recent = plan.warm_up, list[Shot]()
     for position in range(1, w.at_most + 1):
-        trial = Trial(Role.WARM_UP, section.number, 0, position, arm)
+        trial = PlannedShot(Role.WARM_UP, section.number, 0, position, arm)
         shot = yield Step(trial, 1, Centre())
-        if shot.status is not Status.VALID or shot.club_speed_mps is None:
+        if shot.status is not ShotStatus.VALID or shot.club_speed_mps is None:
             recent = []
             continue
         recent = [*recent, shot][-w.window :]
@@ -104,7 +104,7 @@ def _warm_up(plan: Plan, section: Section, arm: Arm) -> Generator[Step, Shot, tu
     )
 
 
-def _set_up_wrong(plan: Plan, shots: Sequence[Shot]) -> str:
+def _set_up_wrong(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
     """Tell when the control ball's speed is not what the machine is to be set to."""
     wanted, tolerance = plan.set_up.control_ball_speed, plan.set_up.tolerance
     speeds = [shot.ball_speed_mps for shot in shots if shot.ball_speed_mps is not None]

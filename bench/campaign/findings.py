@@ -12,12 +12,12 @@ import numpy as np
 
 from bench.campaign.analysis import COLUMN, SectionAnalysis, analyse, shots_still_needed
 from bench.campaign.mixed_model import MixedModel, mixed_model
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.rules import rule_sets
 from bench.campaign.sequence import sections
 from bench.campaign.verdicts import Verdict, section_verdicts
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 SCHEMA = 1
 """Version of the JSON."""
@@ -55,7 +55,7 @@ class Findings:
     rules: tuple[RuleFinding, ...]
 
 
-def findings(plan: Plan, shots: Sequence[Shot]) -> Findings:
+def findings(plan: CampaignPlan, shots: Sequence[Shot]) -> Findings:
     """Return all figures of the campaign's `shots`."""
     analyses, models = [], []
     for section in sections(plan):
@@ -74,14 +74,14 @@ def findings(plan: Plan, shots: Sequence[Shot]) -> Findings:
     )
 
 
-def _needed(plan: Plan, analysis: SectionAnalysis) -> tuple[int | None, int | None]:
+def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[int | None, int | None]:
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         return None, None
     return shots_still_needed(plan, comparison)
 
 
-def _rules(plan: Plan, shots: Sequence[Shot]) -> list[RuleFinding]:
+def _rules(plan: CampaignPlan, shots: Sequence[Shot]) -> list[RuleFinding]:
     known, found = rule_sets(), []
     for name in plan.rules.apply:
         rule = known[name]
@@ -91,7 +91,7 @@ def _rules(plan: Plan, shots: Sequence[Shot]) -> list[RuleFinding]:
             values = [
                 value
                 for shot in shots
-                if shot.ball == ball and shot.role == "test" and shot.status is Status.VALID
+                if shot.ball == ball and shot.role == "test" and shot.status is ShotStatus.VALID
                 if (value := getattr(shot, column)) is not None
             ]
             if values:

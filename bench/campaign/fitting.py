@@ -11,13 +11,13 @@ from enum import StrEnum
 from typing import Any, NamedTuple
 
 from bench.campaign.course import Step
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import Arm, Role, block_trials, sections
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import Hit, Prompt
 
 
-class Kind(StrEnum):
+class PromptKind(StrEnum):
     """What a person is asked for."""
 
     CLUB = "club"
@@ -26,10 +26,10 @@ class Kind(StrEnum):
     """To start the bench anew: no simulation does that by itself."""
 
 
-class Wish(NamedTuple):
+class Preparation(NamedTuple):
     """What must be done before a shot, in words, and what is in place then."""
 
-    kind: Kind
+    kind: PromptKind
     text: str
     content: Mapping[str, Any]
 
@@ -56,7 +56,7 @@ class Fitting(NamedTuple):
 
     def after(self, shot: Shot) -> Fitting:
         """Return what is left after `shot`; after one that failed nobody knows what the feeder holds."""
-        return self._replace(feeder=() if shot.status is Status.FAILED else self.feeder[1:])
+        return self._replace(feeder=() if shot.status is ShotStatus.FAILED else self.feeder[1:])
 
 
 def fitting_after(club: str, shots: Sequence[Shot], prompts: Sequence[Prompt]) -> Fitting:
@@ -74,11 +74,15 @@ def fitting_after(club: str, shots: Sequence[Shot], prompts: Sequence[Prompt]) -
     return fitting
 
 
-def missing(plan: Plan, fitting: Fitting, step: Step, sample: int, hits: Mapping[Hit, int]) -> Wish | None:
+def missing(
+    plan: CampaignPlan, fitting: Fitting, step: Step, sample: int, hits: Mapping[Hit, int]
+) -> Preparation | None:
     """Return what must be done before `step` is taken with ball `sample`; None: all is in place."""
     arm, handling = step.trial.arm, plan.ball_handling
     if fitting.club != arm.club:
-        return Wish(Kind.CLUB, f"Mount club {arm.club} in place of {fitting.club}.", {"club": arm.club})
+        return Preparation(
+            PromptKind.CLUB, f"Mount club {arm.club} in place of {fitting.club}.", {"club": arm.club}
+        )
     if not handling.magazine or fitting.feeder[:1] == ((arm.ball, sample),):
         return None
     balls = coming_balls(plan, step, hits)
@@ -88,10 +92,10 @@ def missing(plan: Plan, fitting: Fitting, step: Step, sample: int, hits: Mapping
         f"{empty} it in this order: {order}. Balls kept at {handling.temperature - 273.15:.0f} ± "
         f"{handling.temperature_tolerance:g} °C for {handling.conditioning_time / 3600:g} h."
     ).replace("Fill it", "Fill the feeder")
-    return Wish(Kind.BALLS, text, {"balls": [list(ball) for ball in balls]})
+    return Preparation(PromptKind.BALLS, text, {"balls": [list(ball) for ball in balls]})
 
 
-def coming_balls(plan: Plan, step: Step, hits: Mapping[Hit, int]) -> list[Numbered]:
+def coming_balls(plan: CampaignPlan, step: Step, hits: Mapping[Hit, int]) -> list[Numbered]:
     """Return the balls from `step` on as far as the magazine goes, as if every shot were valid.
 
     A ball comes once: it must be picked up before it can be filled in again.
@@ -106,7 +110,7 @@ def coming_balls(plan: Plan, step: Step, hits: Mapping[Hit, int]) -> list[Number
     return found
 
 
-def sample_for(plan: Plan, ball: str, hits: Counter[Hit]) -> int | None:
+def sample_for(plan: CampaignPlan, ball: str, hits: Counter[Hit]) -> int | None:
     """Return the number of the ball to take: the one of its model with the fewest hits; None: all used up."""
     handling = plan.ball_handling
     numbers = range(handling.first_sample, handling.first_sample + handling.samples)
@@ -114,7 +118,7 @@ def sample_for(plan: Plan, ball: str, hits: Counter[Hit]) -> int | None:
     return number if hits[Hit("ball", ball, number)] < handling.hits else None
 
 
-def _coming_arms(plan: Plan, step: Step) -> list[Arm]:
+def _coming_arms(plan: CampaignPlan, step: Step) -> list[Arm]:
     """Return the arms from `step` to the end of its warm-up's window or its section, with the same club."""
     trial = step.trial
     if trial.role is Role.WARM_UP:

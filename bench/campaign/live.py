@@ -20,24 +20,24 @@ from typing import Any, Self
 
 import numpy as np
 
-from bench.campaign.corrections import Swung
+from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.course import Step
-from bench.campaign.fitting import Kind, Wish
-from bench.campaign.plan import Plan
+from bench.campaign.fitting import Preparation, PromptKind
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Drift
-from bench.campaign.runner import Hindrance, NotNow, Suspended
+from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
-from bench.from_toml import shown
-from bench.learning.learn import Lecture
+from bench.from_toml import format_value
+from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
+from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, BenchClient, CommandRefused
-from bench.network.desk import Status as BenchStatus
 from bench.network.live_swing import HOLD, LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.processes.bench_folder import bench_folder
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import told_figures
 from bench.shot.shot_message import ShotMessage, launch_to_json
 from bench.swing.correction import digest_of
@@ -47,7 +47,7 @@ from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.impact import Delivery, strike
-from sim.live.surroundings import Surroundings as PlantSurroundings
+from sim.live.surroundings import SurroundingsWriter
 from sim.robot import Club
 
 HOLDER = "campaign "
@@ -66,7 +66,9 @@ _RESETS = 3
 Events = tuple[tuple[str, str], ...]
 
 
-def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus) -> None:
+def require_live(
+    plan: CampaignPlan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus
+) -> None:
     """Refuse a plan that the running bench cannot take its shots for, not even with a person's help.
 
     Raises:
@@ -102,13 +104,15 @@ def require_live(plan: Plan, profiles: Profiles, clubs: Mapping[str, Club], stat
     if plan.ball_handling.identify or not plan.ball_handling.magazine:
         raise Refused(
             f"{place}: ball_handling",
-            f"identify {shown(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
+            f"identify {format_value(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
             "identify false and a magazine of at least 1",
             "A real feeder reads no numbers: a person fills it in the order asked for, and answers for it.",
         )
 
 
-def _fits(plan: Plan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus) -> bool:
+def _fits(
+    plan: CampaignPlan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus
+) -> bool:
     """Tell whether the bench as it was started swings `club` with `profile`."""
     alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
     return alike and profile.name == status["profile"]
@@ -119,8 +123,8 @@ class LiveShots:
 
     def __init__(
         self,
-        plan: Plan,
-        swings: Swung,
+        plan: CampaignPlan,
+        swings: CorrectedProfiles,
         clubs: Mapping[str, Club],
         client: BenchClient,
         holder: str,
@@ -215,7 +219,7 @@ class LiveShots:
 
     # A person at the robot -------------------------------------------------------------------------
 
-    def lacks(self, step: Step) -> Wish | None:
+    def lacks(self, step: Step) -> Preparation | None:
         """Return what the bench must be started anew with before `step`."""
         with _suspending():
             status = self._client.status()
@@ -225,25 +229,25 @@ class LiveShots:
             return None
         wanted = profile.name
         text = (
-            f"Start the bench anew with profile {wanted} and [swing] club = {shown(arm.club)}: it runs with "
-            f"profile {status['profile']} and club {status['club']}."
+            f"Restart the bench with profile {wanted} and [swing] club = {format_value(arm.club)}: "
+            f"it runs with profile {status['profile']} and club {status['club']}."
         )
-        return Wish(Kind.BENCH, text, {"profile": wanted, "club": arm.club})
+        return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
 
-    def hand_over(self, kind: Kind) -> None:
+    def hand_over(self, kind: PromptKind) -> None:
         """Vent the robot and unlock the guard; for Kind.BENCH give the bench back altogether."""
         with _suspending():
             self.rest()
-            if kind is Kind.BENCH:
+            if kind is PromptKind.BENCH:
                 self._lease.close()
                 self._held = False
                 return
             self._take_lease()
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
-    def take_back(self, kind: Kind) -> None:
+    def take_back(self, kind: PromptKind) -> None:
         """Lock the guard, once the person has closed it."""
-        if kind is Kind.BENCH:
+        if kind is PromptKind.BENCH:
             return
         with _suspending():
             self._take_lease()
@@ -280,7 +284,7 @@ class LiveShots:
         """Swing as soon as the robot rests at its address; return a tick before, None when no ball came.
 
         Raises:
-            NotNow: it rests there, with too little air.
+            ShotPostponed: it rests there, with too little air.
         """
         deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
         while True:
@@ -293,7 +297,7 @@ class LiveShots:
                     held_since = min(held_since, status["time"])
                     if status["time"] - held_since >= HOLD:
                         if self._short_of_air(step, status):
-                            raise NotNow(*events)
+                            raise ShotPostponed(*events)
                         if self._must_practise and not status["ball_present"]:
                             self._practise(events)
                             deadline, held_since = time.monotonic() + _READY, np.inf
@@ -334,7 +338,7 @@ class LiveShots:
         with _suspending():
             return self._swings.refresh(drift, number, self._learner)
 
-    def _learner(self, lecture: Lecture) -> LiveSwinger:
+    def _learner(self, lecture: LearningProblem) -> LiveSwinger:
         return LiveSwinger(self._client, lecture, "encoders+model", lambda text: None, with_ball=False)
 
     @property
@@ -394,7 +398,7 @@ class LiveShots:
     def _choose_ball(self, ball: Ball | None) -> bool:
         """Let the simulated tee raise balls like `ball`; tell whether it is on this machine and does."""
         try:
-            with PlantSurroundings(bench_folder(self._client.bench)) as hands:
+            with SurroundingsWriter(bench_folder(self._client.bench)) as hands:
                 hands.choose_ball(ball)
         except SharedMemoryError:
             return False
@@ -412,7 +416,7 @@ class LiveShots:
     ) -> Taken:
         """Return the shot that the robot did not swing for, or whose record is missing."""
         shot = Shot.from_measurements(
-            **_row(step, number, sample), delivery=None, launch=None, flight=None, status=Status.FAILED,
+            **_row(step, number, sample), delivery=None, launch=None, flight=None, status=ShotStatus.FAILED,
             reason=reason, time_utc=datetime.now(UTC),
         )  # fmt: skip
         return Taken(shot, None, {}, False, events)
@@ -439,9 +443,12 @@ class LiveShots:
             plant = replace(plant, robot=replace(plant.robot, club=mounted))
         delivery, struck = delivery_of_cycles(cycles, plant), ball_struck(cycles)
         reason = _failure(metadata, delivery, struck)
-        status = Status.FAILED if reason else Status.VALID
+        status = ShotStatus.FAILED if reason else ShotStatus.VALID
         if not reason and not metadata["complete"]:
-            status, reason = Status.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
+            status, reason = (
+                ShotStatus.EXCLUDED,
+                f"{metadata['lost_records']} cycles of its record are missing",
+            )
         ball, more = self._plan.balls[arm.ball], dict[str, Any]()
         if self.simulated:
             ball = self._ball_as_hit(step, number, sample)
@@ -469,7 +476,7 @@ class LiveShots:
             except ValueError as error:
                 doubt = f"no flight: {error}"
         if doubt and not reason:
-            status, reason = Status.EXCLUDED, doubt
+            status, reason = ShotStatus.EXCLUDED, doubt
         if air is not None:
             row |= {
                 "air_temperature_k": air.temperature,

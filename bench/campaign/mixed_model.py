@@ -19,7 +19,7 @@ from scipy import linalg, optimize, stats
 
 from bench.campaign.analysis import values_of
 from bench.campaign.block_model import Array, Codes, holm
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import Role
 from bench.shot.shot import Shot
 
@@ -69,7 +69,7 @@ class Reml(NamedTuple):
     converged: bool
 
 
-def mixed_model(plan: Plan, shots: Sequence[Shot]) -> MixedModel | None:
+def mixed_model(plan: CampaignPlan, shots: Sequence[Shot]) -> MixedModel | None:
     """Return the mixed model of one section's `shots`; None when there is too little for one."""
     names, factor = levels(plan), plan.design.compare
     every, values = values_of(plan, [shot for shot in shots if shot.role == Role.TEST])

@@ -13,20 +13,20 @@ from typing import Any
 
 from bench.campaign.analysis import decide
 from bench.campaign.broadcast import Broadcast, Together
-from bench.campaign.corrections import Corrections
+from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.course import Course, course
 from bench.campaign.gate import planned_delivery
 from bench.campaign.live import HOLDER, LiveShots, require_live
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
-from bench.campaign.runner import Operator, Outcome, Runner, Watcher
+from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
+from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
-from bench.network.desk import Status
 from bench.network.lease import LONGEST_HOLDER
 from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
@@ -38,7 +38,7 @@ PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "
 
 
 def new_entry(
-    plan: Plan,
+    plan: CampaignPlan,
     configuration: Configuration,
     now: datetime,
     *,
@@ -66,7 +66,7 @@ def new_entry(
     )
 
 
-def course_of(plan: Plan, profiles: Profiles, lie: float) -> Course:
+def course_of(plan: CampaignPlan, profiles: Profiles, lie: float) -> Course:
     """Return the course of `plan` from its first shot."""
     return course(plan, {arm: planned_delivery(profile, lie) for arm, profile in profiles.items()}, decide)
 
@@ -78,7 +78,7 @@ def run_simulated(
     watcher: Watcher,
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Begin or go on with a simulated campaign until its end or a stop.
 
     Raises:
@@ -88,7 +88,7 @@ def run_simulated(
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     profiles = require_swings(plan, configuration)
-    corrections = Corrections(entry, plan, configuration, store.database, profiles, simulated=True)
+    corrections = CampaignCorrections(entry, plan, configuration, store.database, profiles, simulated=True)
     data_dir = configuration.bench.data_dir
     with runner_lock(data_dir, entry.id):
         runner = Runner(
@@ -110,7 +110,7 @@ def run_live(
     watcher: Watcher,
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Begin or go on with a campaign on the running bench; every shot is stored at once.
 
     Raises:
@@ -142,7 +142,7 @@ def run_live(
         client.campaign_told(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
-        corrections = Corrections(
+        corrections = CampaignCorrections(
             entry, plan, configuration, store.database, profiles, simulated=entry.simulated
         )
         shots = LiveShots(
@@ -162,7 +162,7 @@ def run_live(
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
-def bench_facts(plan: Plan, configuration: Configuration, status: Status) -> dict[str, Any]:
+def bench_facts(plan: CampaignPlan, configuration: Configuration, status: BenchStatus) -> dict[str, Any]:
     """Return what a campaign notes of the running bench that takes its shots.
 
     Raises:
@@ -175,7 +175,7 @@ def bench_facts(plan: Plan, configuration: Configuration, status: Status) -> dic
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 
 
-def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:
+def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
     """Refuse a plan whose balls have taken too many hits already.
 
     Raises:
@@ -195,7 +195,7 @@ def require_balls(plan: Plan, store: CampaignStore, scope: str) -> None:
 
 
 def require_resumable(
-    entry: CampaignEntry, state: CampaignState, configuration: Configuration, plan: Plan | None
+    entry: CampaignEntry, state: CampaignState, configuration: Configuration, plan: CampaignPlan | None
 ) -> None:
     """Refuse to go on with a campaign that is over, or with another plan or configuration than its own.
 

@@ -35,7 +35,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Design:
+class ExperimentDesign:
     """What is swung at what, in which order."""
 
     compare: Factor
@@ -105,7 +105,7 @@ class Learning:
 
 
 @dataclass(frozen=True)
-class Supply:
+class SupplyRequirement:
     """The air that a running bench must have before each swing."""
 
     least: Annotated[float, Range(0.0, 1.5, "")]
@@ -213,16 +213,16 @@ class Simulation:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """A campaign as its file plans it, with the balls and clubs it names."""
 
     campaign: Heading
-    design: Design
+    design: ExperimentDesign
     control: Control
     warm_up: WarmUp
     ball_handling: BallHandling
     learning: Learning
-    supply: Supply
+    supply: SupplyRequirement
     air: AirSettings
     gate: Gate
     stop: Stop
@@ -255,12 +255,12 @@ class Plan:
         return sha256(json.dumps(self.record(), sort_keys=True).encode()).hexdigest()[:16]
 
 
-def levels(plan: Plan) -> tuple[str, ...]:
+def levels(plan: CampaignPlan) -> tuple[str, ...]:
     """Return the levels of the compared factor."""
     found: tuple[str, ...] = getattr(plan.design, f"{plan.design.compare}s")
     return found
 
 
-def controls_per_block(plan: Plan) -> int:
+def controls_per_block(plan: CampaignPlan) -> int:
     """Return how often a block hits the control ball: at start and end, and between where there is one."""
     return 0 if not plan.control.ball else 2 + (len(levels(plan)) > 1)

@@ -14,12 +14,12 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
 from bench.config import Configuration
 from bench.errors import BenchError, did_you_mean
-from bench.from_toml import Builder, Leaf, Tree, as_tree, laid_over, place_of, read_toml, shown
+from bench.from_toml import Builder, Leaf, Tree, as_tree, format_value, laid_over, place_of, read_toml
 from sim.ball import Ball
 from sim.robot import Club
 
@@ -48,7 +48,7 @@ def find_plan(wanted: Path) -> Path:
     raise BenchError(f"campaign {wanted}", "no such file", known, cure)
 
 
-def load_plan(path: Path, configuration: Configuration) -> Plan:
+def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
     """Return the checked plan at `path` (as `find_plan` takes it).
 
     Raises:
@@ -76,8 +76,8 @@ def load_plan(path: Path, configuration: Configuration) -> Plan:
     return plan
 
 
-def plan_from_record(record: Mapping[str, Any], place: str) -> Plan:
-    """Return the plan that `Plan.record` gave.
+def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
+    """Return the plan that `CampaignPlan.record` gave.
 
     Raises:
         ExceptionGroup: of BenchErrors; it is one of another version of golfbench, or damaged.
@@ -95,11 +95,11 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> Plan:
     return plan
 
 
-def _build(tree: Tree, file: Path, faults: list[BenchError]) -> Plan | None:
+def _build(tree: Tree, file: Path, faults: list[BenchError]) -> CampaignPlan | None:
     builder = Builder(
         tree, file, f"Correct it; keys and units: {DEFAULTS.name}.", "Add it.", frozenset(), faults
     )
-    plan: Plan | None = builder.build(Plan)
+    plan: CampaignPlan | None = builder.build(CampaignPlan)
     return plan
 
 
@@ -108,7 +108,9 @@ def _completed(
 ) -> Tree:
     """Return a section's entries, those that say `like` completed from the one it names."""
     if isinstance(node, Leaf):
-        faults.append(BenchError(f"{file}: {section}", shown(node.value), "tables", "Write [balls.name]."))
+        faults.append(
+            BenchError(f"{file}: {section}", format_value(node.value), "tables", "Write [balls.name].")
+        )
         return {}
     done: Tree = {}
     for name, entry in node.items():
@@ -117,7 +119,9 @@ def _completed(
             if like.value not in known:
                 place = f"{file}: {section}.{name}.like"
                 faults.append(
-                    BenchError(place, shown(like.value), f"one of {', '.join(known)}", "Name one of them.")
+                    BenchError(
+                        place, format_value(like.value), f"one of {', '.join(known)}", "Name one of them."
+                    )
                 )
                 continue
             other = known[like.value]
@@ -137,11 +141,14 @@ class Mistake(NamedTuple):
     cure: str
 
 
-def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
+def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
     d, stop, analysis = plan.design, plan.stop, plan.analysis
     if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
         yield Mistake(
-            "campaign.name", shown(plan.campaign.name), "small letters, digits and -", "It names files."
+            "campaign.name",
+            format_value(plan.campaign.name),
+            "small letters, digits and -",
+            "It names files.",
         )
     for key, names, known in (
         ("design.balls", d.balls, balls),
@@ -151,10 +158,12 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
         for name in names:
             if name not in known:
                 cure = did_you_mean(name, known, f"Add [{key.split('.')[1]}.{name}].")
-                yield Mistake(key, f"{shown(name)}, unknown", f"one of {', '.join(known)}", cure)
+                yield Mistake(key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure)
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         if not names or len(set(names)) < len(names):
-            yield Mistake(f"design.{key}", shown(list(names)), "at least one, each once", "Correct it.")
+            yield Mistake(
+                f"design.{key}", format_value(list(names)), "at least one, each once", "Correct it."
+            )
     for swing, profiles in plan.swings.items():
         if swing not in d.swings:
             yield Mistake(
@@ -180,7 +189,7 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
     if stop.rule == "equivalence" and not analysis.margin:
         yield Mistake("analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it.")
     if stop.rule != "fixed" and len(levels(plan)) < 2:
-        yield Mistake("stop.rule", shown(stop.rule), '"fixed": there is one level only', "Correct it.")
+        yield Mistake("stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it.")
     if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
         yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
@@ -189,10 +198,10 @@ def _mistakes(plan: Plan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) 
     yield from _hits(plan)
     for name in plan.rules.apply:
         if name not in rule_names():
-            yield Mistake("rules.apply", shown(name), f"of {', '.join(rule_names())}", "Correct it.")
+            yield Mistake("rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it.")
 
 
-def _hits(plan: Plan) -> Iterator[Mistake]:
+def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
     """Tell of balls that would be hit more often than they may, repeats left out."""
     handling = plan.ball_handling
     allowed = handling.samples * handling.hits
@@ -201,7 +210,7 @@ def _hits(plan: Plan) -> Iterator[Mistake]:
             samples = -(-needed // handling.hits)
             yield Mistake(
                 "ball_handling.samples",
-                f"{handling.samples}; {needed} hits of {shown(name)} are planned",
+                f"{handling.samples}; {needed} hits of {format_value(name)} are planned",
                 f"at most {handling.samples} x {handling.hits} = {allowed} hits",
                 f"Take {samples} samples of each ball, or fewer blocks.",
             )

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bench.campaign.plan import Plan, controls_per_block, levels
+from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import (
     block_freedom,
     power_of_difference,
@@ -19,7 +19,7 @@ from bench.campaign.power import (
     resolution,
     shots_needed,
 )
-from bench.campaign.sequence import Role, Trial, all_trials, hits_needed, sections
+from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",
@@ -56,7 +56,7 @@ class Outlook:
     """Chance to call equal levels the same."""
 
 
-def outlook(plan: Plan) -> Outlook:
+def outlook(plan: CampaignPlan) -> Outlook:
     """Return what a section of `plan` can tell when all its blocks are done and every shot is valid."""
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
     pairs = len(list(combinations(range(count), 2)))
@@ -80,7 +80,7 @@ def outlook(plan: Plan) -> Outlook:
     )
 
 
-def preview_record(plan: Plan) -> dict[str, Any]:
+def preview_record(plan: CampaignPlan) -> dict[str, Any]:
     """Return what `check` tells, for a program to read."""
     trials = all_trials(plan)
     return {
@@ -105,7 +105,7 @@ def preview_record(plan: Plan) -> dict[str, Any]:
     }
 
 
-def show_preview(plan: Plan, console: Console, *, everything: bool = False) -> None:
+def show_preview(plan: CampaignPlan, console: Console, *, everything: bool = False) -> None:
     """Print the plan's order, hits and resolution; the first blocks only unless `everything`."""
     d, trials = plan.design, all_trials(plan)
     hours = len(trials) * d.seconds_per_shot / 3600
@@ -136,19 +136,19 @@ def show_preview(plan: Plan, console: Console, *, everything: bool = False) -> N
         console.print(line, highlight=False, markup=False)
 
 
-def _warm_up(plan: Plan) -> str:
+def _warm_up(plan: CampaignPlan) -> str:
     w = plan.warm_up
     if not w.at_most:
         return "none"
     return f"until {w.window} club speeds lie within {w.tolerance:g} m/s, at most {w.at_most} shots a section"
 
 
-def _word(plan: Plan, trial: Trial) -> str:
+def _word(plan: CampaignPlan, trial: PlannedShot) -> str:
     level = escape(getattr(trial.arm, plan.design.compare))
     return f"[dim]({escape(trial.arm.ball)})[/]" if trial.role is Role.CONTROL else level
 
 
-def outlook_words(plan: Plan) -> list[str]:
+def outlook_words(plan: CampaignPlan) -> list[str]:
     """Say in words what the plan can tell."""
     a, found = plan.analysis, outlook(plan)
     unit = UNITS[a.quantity]

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from bench.campaign.course import Step
 from bench.campaign.gate import delivered
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import Role
 from bench.learning.figures import Tolerance
 from bench.learning.store import drifted
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 Array = NDArray[np.float64]
 Arm = tuple[str, str]
@@ -40,7 +40,7 @@ class Drift(NamedTuple):
 class Drifts:
     """Told of every shot in order, asked before each step; all it knows follows from the shots."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: CampaignPlan) -> None:
         self._plan = plan
         self._block = (0, 0)
         self._seen: dict[Arm, list[Array]] = defaultdict(list)
@@ -64,7 +64,7 @@ class Drifts:
 
     def note(self, shot: Shot) -> None:
         """Take note of a shot; warm-up and what does not count say nothing."""
-        if shot.status is not Status.VALID or shot.role == Role.WARM_UP:
+        if shot.status is not ShotStatus.VALID or shot.role == Role.WARM_UP:
             return
         centre = delivered(shot, self._plan.clubs[shot.club])
         figures = np.array([np.nan if value is None else value for value in centre])

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.block_model import Array, Codes
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 FIGURES = (
     ("club_speed_mps", "Club speed", "m/s", 3),
@@ -60,7 +60,7 @@ def repeatability(shots: Sequence[Shot]) -> dict[tuple[str, str], list[Repeatabi
     """Return what was delivered in the valid `shots`, for each (swing, club)."""
     groups: dict[tuple[str, str], list[Shot]] = {}
     for shot in shots:
-        if shot.status is Status.VALID and shot.block:
+        if shot.status is ShotStatus.VALID and shot.block:
             groups.setdefault((shot.swing, shot.club), []).append(shot)
     return {key: [r for row in FIGURES if (r := _figure(*row, mine))] for key, mine in groups.items()}
 

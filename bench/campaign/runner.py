@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from bench.campaign.course import Course, Ending, Step
-from bench.campaign.fitting import Fitting, Kind, Wish, fitting_after, missing, sample_for
+from bench.campaign.fitting import Fitting, Preparation, PromptKind, fitting_after, missing, sample_for
 from bench.campaign.gate import outside
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Drift, Drifts
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
 from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS
@@ -48,7 +48,7 @@ class Hindrance(NamedTuple):
     """s; then it is left to a person."""
 
 
-class NotNow(Exception):
+class ShotPostponed(Exception):
     """A hindrance was met on the way to the swing; the arguments are the (kind, text) of what happened."""
 
 
@@ -66,7 +66,7 @@ class ShotSource(Protocol):
 
         Raises:
             Suspended: it was not taken, and none can be for now.
-            NotNow: it was not taken; `hindrance` tells why.
+            ShotPostponed: it was not taken; `hindrance` tells why.
             KeyboardInterrupt: somebody asked to stop before the swing.
         """
         ...
@@ -87,15 +87,15 @@ class ShotSource(Protocol):
         """Leave nothing armed: it is not known when the next shot comes."""
         ...
 
-    def lacks(self, step: Step) -> Wish | None:
+    def lacks(self, step: Step) -> Preparation | None:
         """Return what the bench must be started anew with before `step`; None: nothing."""
         ...
 
-    def hand_over(self, kind: Kind) -> None:
+    def hand_over(self, kind: PromptKind) -> None:
         """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
         ...
 
-    def take_back(self, kind: Kind) -> None:
+    def take_back(self, kind: PromptKind) -> None:
         """Go on after the person has said that it is done; also when nothing was handed over. Raises so."""
         ...
 
@@ -104,7 +104,7 @@ class Operator(Protocol):
     """Who is asked to do what the robot cannot; the answer may also come from elsewhere, by the database."""
 
     name: str
-    kinds: frozenset[Kind]
+    kinds: frozenset[PromptKind]
     """What is asked for; anything else that a person would do happens by itself, as in simulation."""
 
     def show(self, prompt: Prompt) -> None:
@@ -130,7 +130,7 @@ class _Pending(NamedTuple):
     original: Path | None
 
 
-class Outcome(NamedTuple):
+class RunOutcome(NamedTuple):
     """Where a run left its campaign."""
 
     state: CampaignState
@@ -159,7 +159,7 @@ class Runner:
     def __init__(
         self,
         entry: CampaignEntry,
-        plan: Plan,
+        plan: CampaignPlan,
         store: CampaignStore,
         data_dir: Path,
         source: ShotSource,
@@ -183,7 +183,7 @@ class Runner:
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
 
-    def run(self, course: Course, interrupted: Callable[[], bool]) -> Outcome:
+    def run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
         """Go on from where the campaign stands; shots taken so far are told to the watcher first.
 
         Raises:
@@ -202,7 +202,7 @@ class Runner:
                     self._commit()
         self._store.change(self._entry.id, requested="")
         self._stand(state, reason)
-        return Outcome(state, reason, self.taken, self.valid)
+        return RunOutcome(state, reason, self.taken, self.valid)
 
     def _replay(self, course: Course) -> Step | Ending:
         """Send the stored shots to the course and return what comes next."""
@@ -233,7 +233,7 @@ class Runner:
             self._fitting = self._fitting._replace(
                 feeder=()
             )  # a ball may have gone into a shot that was cut off
-        if not entry.simulated and (last := self._store.last_answered(entry, Kind.CLUB)):
+        if not entry.simulated and (last := self._store.last_answered(entry, PromptKind.CLUB)):
             self._fitting = self._fitting.with_done(last[1])  # perhaps one of another campaign
 
     def _require_same(self, step: Step, shot: Shot) -> None:
@@ -284,7 +284,7 @@ class Runner:
                 self._say("learned", self._source.relearn(drift, number))
             try:
                 taken = self._source.take(step, number, sample)
-            except NotNow as trouble:
+            except ShotPostponed as trouble:
                 for kind, text in trouble.args:
                     self._say(kind, text)
                 continue
@@ -304,7 +304,7 @@ class Runner:
             self._note(shot)
             if len(self._pending) >= self._batch:
                 self._commit()
-            failures = 0 if shot.status is Status.VALID else failures + 1
+            failures = 0 if shot.status is ShotStatus.VALID else failures + 1
             try:
                 step = course.send(shot)
             except StopIteration as stop:
@@ -321,7 +321,7 @@ class Runner:
         """Take the bench back from a person who answered while no runner was there."""
         waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
         if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
-            self._source.take_back(Kind(prompts[-1].kind))
+            self._source.take_back(PromptKind(prompts[-1].kind))
         if self._open is None:
             self._stand(CampaignState.RUNNING, "")
 
@@ -332,7 +332,7 @@ class Runner:
         while wish := missing(self._plan, self._fitting, step, sample, self._hits) or self._source.lacks(
             step
         ):
-            if wish.kind not in (self._operator.kinds if self._operator else {Kind.BENCH}):
+            if wish.kind not in (self._operator.kinds if self._operator else {PromptKind.BENCH}):
                 now = self._source.time_of(number)
                 prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
                 self._source.hand_over(wish.kind)
@@ -347,11 +347,11 @@ class Runner:
             self._fitting = self._fitting.with_done(prompt)
         return None
 
-    def _prompt(self, wish: Wish, number: int, now: datetime) -> Prompt:
+    def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
         self._asked_so_far += 1
         return Prompt(self._asked_so_far, number, wish.kind, wish.text, wish.content, now)
 
-    def _opened(self, wish: Wish, number: int) -> Prompt:
+    def _opened(self, wish: Preparation, number: int) -> Prompt:
         """Return the open prompt if it asks for `wish`, else a new one."""
         before, self._open = self._open, None
         if before and (before.kind, before.content) == (wish.kind, wish.content):
@@ -363,7 +363,7 @@ class Runner:
         return prompt
 
     def _wait_for_answer(
-        self, prompt: Prompt, kind: Kind, interrupted: Callable[[], bool]
+        self, prompt: Prompt, kind: PromptKind, interrupted: Callable[[], bool]
     ) -> tuple[CampaignState, str] | None:
         campaign, operator = self._entry.id, self._operator
         self._source.hand_over(kind)
@@ -456,10 +456,10 @@ class Runner:
     def _gated(self, step: Step, taken: Taken) -> Shot:
         """Return the shot, excluded when its delivery does not count."""
         shot = taken.shot
-        if shot.status is Status.VALID:
+        if shot.status is ShotStatus.VALID:
             club = self._plan.clubs[step.trial.arm.club]
             if reason := outside(shot, club, step.centre, self._plan.gate):
-                return replace(shot, status=Status.EXCLUDED, reason=reason)
+                return replace(shot, status=ShotStatus.EXCLUDED, reason=reason)
         return shot
 
     def _written(self, shot: Shot, taken: Taken) -> StoredShot:
@@ -473,7 +473,7 @@ class Runner:
 
     def _note(self, shot: Shot) -> None:
         self.taken += 1
-        self.valid += shot.status is Status.VALID
+        self.valid += shot.status is ShotStatus.VALID
         self._drifts.note(shot)
         self._watcher.shot(shot)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 
 
 class Arm(NamedTuple):
@@ -31,7 +31,7 @@ class Role(StrEnum):
     TEST = "test"
 
 
-class Trial(NamedTuple):
+class PlannedShot(NamedTuple):
     """One planned shot."""
 
     role: Role
@@ -60,7 +60,7 @@ class Section(NamedTuple):
         return ", ".join(shared)
 
 
-def sections(plan: Plan) -> tuple[Section, ...]:
+def sections(plan: CampaignPlan) -> tuple[Section, ...]:
     """Return the plan's sections in their order, that of its lists."""
     d = plan.design
     factors = {"swing": d.swings, "club": d.clubs, "ball": d.balls}
@@ -74,7 +74,7 @@ def sections(plan: Plan) -> tuple[Section, ...]:
     return tuple(found)
 
 
-def block_trials(plan: Plan, section: Section, number: int) -> list[Trial]:
+def block_trials(plan: CampaignPlan, section: Section, number: int) -> list[PlannedShot]:
     """Return the shots of a section's block `number` (from 1), in order.
 
     The order of a block depends on seed, section and number only: it is the same after a restart.
@@ -88,10 +88,10 @@ def block_trials(plan: Plan, section: Section, number: int) -> list[Trial]:
         middle = (len(line) + 1) // 2
         between = [control] if len(line) > 1 else []
         line = [control, *line[:middle], *between, *line[middle:], control]
-    return [Trial(role, section.number, block, place, arm) for place, (role, arm) in enumerate(line, 1)]
+    return [PlannedShot(role, section.number, block, place, arm) for place, (role, arm) in enumerate(line, 1)]
 
 
-def all_trials(plan: Plan) -> list[Trial]:
+def all_trials(plan: CampaignPlan) -> list[PlannedShot]:
     """Return every block's shots in order, warm-up and repeats left out."""
     return [
         trial
@@ -107,7 +107,7 @@ def warm_up_arms(section: Section) -> list[Arm]:
     return list(arms.values())
 
 
-def hits_needed(plan: Plan) -> Counter[str]:
+def hits_needed(plan: CampaignPlan) -> Counter[str]:
     """Return how often each ball is hit at most, without repeats."""
     hits = Counter(trial.arm.ball for trial in all_trials(plan))
     for section in sections(plan):

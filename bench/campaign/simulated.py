@@ -13,18 +13,19 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.corrections import Swung
+from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.course import Step
-from bench.campaign.fitting import Kind
-from bench.campaign.plan import Plan, Simulation
+from bench.campaign.fitting import PromptKind
+from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.refreshing import Drift
-from bench.campaign.simulated_monitor import Heard, hear
+from bench.campaign.simulated_monitor import MonitorResult, hear
 from bench.config import Configuration
-from bench.learning.learn import Lecture, Swinger, on_series
-from bench.shot.shot import Shot, Status
+from bench.learning.learn import LearningProblem, Swinger, on_series
+from bench.shot.recorded_shot import FlightConditions
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import told_figures
 from bench.simulation.series import Series
-from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, Surroundings, SwingResult
+from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
 from bench.simulation.variation import Variation
 from drivers.base import Launch
 from sim.ball import Ball
@@ -56,12 +57,12 @@ class Taken(NamedTuple):
     """The bench's own record, which moves to the campaign's."""
 
 
-def random_of(plan: Plan, number: int) -> np.random.Generator:
+def random_of(plan: CampaignPlan, number: int) -> np.random.Generator:
     """Return the random numbers of shot `number`; the first six are normal: ball, supply, launch monitor."""
     return np.random.default_rng((plan.design.seed, _SHOTS, number))
 
 
-def ball_as_hit(plan: Plan, name: str, sample: int, number: int, draw: float) -> Ball:
+def ball_as_hit(plan: CampaignPlan, name: str, sample: int, number: int, draw: float) -> Ball:
     """Return ball `sample` of a model as it is at shot `number`."""
     s, ball = plan.simulation, plan.balls[name]
     own = np.random.default_rng((plan.design.seed, _SAMPLES, crc32(name.encode()), sample))
@@ -87,9 +88,9 @@ class SimulatedShots:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: CampaignPlan,
         configuration: Configuration,
-        swings: Swung,
+        swings: CorrectedProfiles,
         stop: Callable[[], bool],
     ) -> None:
         self._plan, self._configuration, self._stop = plan, configuration, stop
@@ -116,7 +117,7 @@ class SimulatedShots:
         """Learn a swing anew on the robot as it is at shot `number`."""
         truth = self._worn(drift.arm[1], number)
 
-        def robot(lecture: Lecture) -> AbstractContextManager[Swinger]:
+        def robot(lecture: LearningProblem) -> AbstractContextManager[Swinger]:
             return nullcontext(on_series(lecture, Series(lecture.bench, truth)))
 
         text = self._swings.refresh(drift, number, robot, truth)
@@ -132,10 +133,10 @@ class SimulatedShots:
     def lacks(self, step: Step) -> None:
         """Return nothing: it swings every profile."""
 
-    def hand_over(self, kind: Kind) -> None:
+    def hand_over(self, kind: PromptKind) -> None:
         """Nothing is to be done."""
 
-    def take_back(self, kind: Kind) -> None:
+    def take_back(self, kind: PromptKind) -> None:
         """Nothing is to be done."""
 
     def arm_all(self) -> None:
@@ -160,7 +161,7 @@ class SimulatedShots:
         if number in s.monitor_away:
             events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
         if trouble := self._feeder_trouble(arm.ball, number, sample):
-            shot = self._shot(step, number, sample, None, None, None, Status.FAILED, trouble)
+            shot = self._shot(step, number, sample, None, None, None, ShotStatus.FAILED, trouble)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
@@ -200,7 +201,7 @@ class SimulatedShots:
     ) -> Shot:
         """Return the shot as launch monitor and flight model see it."""
         status, reason = result.status, result.reason
-        heard, flight = Heard(None, ""), None
+        heard, flight = MonitorResult(None, ""), None
         if result.launch is not None:
             c, s = self._configuration, self._plan.simulation
             speed = None if result.delivery is None else result.delivery.speed
@@ -209,12 +210,12 @@ class SimulatedShots:
                 seen, number, speed, self._monitor, c.launch_monitor.plausible, c.launch_monitor.window
             )
             if heard.reason:
-                status, reason = Status.EXCLUDED, reason or heard.reason
+                status, reason = ShotStatus.EXCLUDED, reason or heard.reason
             elif heard.launch is not None and heard.launch.launch is not None:
                 try:
                     flight = fly(heard.launch.launch, c.air, ball, c.wind, c.turf)
                 except ValueError as error:
-                    status, reason = Status.EXCLUDED, reason or f"no flight: {error}"
+                    status, reason = ShotStatus.EXCLUDED, reason or f"no flight: {error}"
         shot = self._shot(step, number, sample, result, None, flight, status, reason)
         if heard.launch is not None:
             shot = replace(shot, **{**told_figures(heard.launch), "launch_source": "simulated"})
@@ -228,7 +229,7 @@ class SimulatedShots:
         result: SwingResult | None,
         launch: Launch | None,
         flight: Flight | None,
-        status: Status,
+        status: ShotStatus,
         reason: str,
     ) -> Shot:
         trial, air = step.trial, self._configuration.air
@@ -258,7 +259,7 @@ class SimulatedShots:
         """Return the bench armed with a swing and a club, and what stands in all its records."""
         if (swing, club) not in self._armed:
             c = self._configuration
-            around = Surroundings(c.air, c.wind, c.turf)
+            around = FlightConditions(c.air, c.wind, c.turf)
             bench = SimulatedBench(
                 self._swings.profile((swing, club)),
                 self._nominal(club),

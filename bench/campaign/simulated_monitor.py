@@ -11,13 +11,13 @@ from typing import NamedTuple
 from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation
-from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.plausibility import PlausibleFigures, judged
 from drivers.launch_monitor.record import LaunchRecord
 from sim.launch_monitor import MonitorParameters, messages_of
 
 
-class Heard(NamedTuple):
+class MonitorResult(NamedTuple):
     """What came of a shot at the launch monitor."""
 
     launch: LaunchRecord | None
@@ -32,7 +32,7 @@ def hear(
     parameters: MonitorParameters,
     plausible: PlausibleFigures,
     window: MatchWindow,
-) -> Heard:
+) -> MonitorResult:
     """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own."""
     talk, records = Conversation(plausible, 0.0), list[LaunchRecord]()
     for delay, message in messages_of(launch, number, parameters):
@@ -42,7 +42,7 @@ def hear(
     found: Match = next(
         one for one in match([swing], records, late + 1.0, window).decided if one.shot == swing.shot
     )
-    if found.outcome is Outcome.NO_LAUNCH or found.launch is None:
-        return Heard(None, NOT_TOLD)
+    if found.outcome is MatchOutcome.NO_LAUNCH or found.launch is None:
+        return MonitorResult(None, NOT_TOLD)
     record = judged(found.launch, plausible, club_speed)
-    return Heard(record, "; ".join(filter(None, (found.reason, record.reason))))
+    return MonitorResult(record, "; ".join(filter(None, (found.reason, record.reason))))

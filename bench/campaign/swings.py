@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from itertools import product
 
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.config import Configuration
 from bench.design.validate import require_possible
 from bench.errors import BenchError
@@ -23,7 +23,7 @@ _ON_THE_BALL_ONLY = frozenset(
 """Fields of a club that the robot does not feel."""
 
 
-def require_swings(plan: Plan, configuration: Configuration) -> Profiles:
+def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles:
     """Return the plan's profiles.
 
     Raises:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis, shots_still_needed
 from bench.campaign.page import MPH
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import Repeatability
 
@@ -32,7 +32,7 @@ class Verdict(NamedTuple):
     detail: str
 
 
-def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
+def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
     """Return one answer for a pair, or one for all pairs and one for each that was resolved."""
     name = NAMES[plan.analysis.quantity]
     if len(levels(plan)) < 2:
@@ -78,7 +78,7 @@ def section_verdicts(plan: Plan, analysis: SectionAnalysis) -> tuple[Verdict, ..
     return (Verdict(not open_, f"{headline}.", f"{detail}. Every pair is in the table below."),)
 
 
-def _pair(plan: Plan, comparison: Comparison, pair: Pair) -> Verdict:
+def _pair(plan: CampaignPlan, comparison: Comparison, pair: Pair) -> Verdict:
     a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     seen = (
         f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
@@ -119,7 +119,7 @@ def _pair(plan: Plan, comparison: Comparison, pair: Pair) -> Verdict:
             )
 
 
-def _margin(plan: Plan) -> str:
+def _margin(plan: CampaignPlan) -> str:
     return f"{plan.analysis.margin:g} {UNITS[plan.analysis.quantity]}"
 
 

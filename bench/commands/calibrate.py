@@ -12,7 +12,7 @@ from bench.commands.session import Session
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from bench.calibration.values import Kind
+    from bench.calibration.values import CalibrationKind
     from bench.config import Configuration
 
 app = typer.Typer(
@@ -76,7 +76,7 @@ def encoders(
     """Set the encoders' zeros: counts at angle zero, or the pose at which the robot is locked now."""
     from math import radians
 
-    from bench.calibration.values import Kind
+    from bench.calibration.values import CalibrationKind
     from bench.calibration.values import zero_counts as zeros_at
     from bench.errors import BenchError
 
@@ -106,7 +106,9 @@ def encoders(
         content["zero_count"] = zeros_at(counts, (a, b, c), sign, here.counts_per_revolution)
     else:
         content["zero_count"] = zero_counts
-    _add(context, Kind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_)
+    _add(
+        context, CalibrationKind.ENCODERS, content, method or "counts entered", by, expires_days, note, json_
+    )
 
 
 @app.command()
@@ -122,10 +124,10 @@ def ball(
     json_: Json = False,
 ) -> None:
     """Set where the ball's centre is on its tee, in the swing plane."""
-    from bench.calibration.values import Kind
+    from bench.calibration.values import CalibrationKind
 
     content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3}
-    _add(context, Kind.BALL, content, method, by, expires_days, note, json_)
+    _add(context, CalibrationKind.BALL, content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -153,7 +155,7 @@ def club(
     """Set a club's length to the face, loft and lie as it sits in the mount."""
     from math import radians
 
-    from bench.calibration.values import Kind
+    from bench.calibration.values import CalibrationKind
 
     content = {
         "club": name or context.ensure_object(Session).configuration().swing.club,
@@ -163,7 +165,7 @@ def club(
         "length_uncertainty": length_uncertainty_mm / 1e3,
         "angle_uncertainty": radians(angle_uncertainty_deg),
     }
-    _add(context, Kind.CLUB, content, method, by, expires_days, note, json_)
+    _add(context, CalibrationKind.CLUB, content, method, by, expires_days, note, json_)
 
 
 @app.command()
@@ -189,7 +191,7 @@ def valves(
     json_: Json = False,
 ) -> None:
     """Set the valves' centres and dead bands, entered or found by a slow ramp."""
-    from bench.calibration.values import Kind
+    from bench.calibration.values import CalibrationKind
     from bench.errors import BenchError
 
     place = "calibrate valves"
@@ -205,7 +207,7 @@ def valves(
     if measure:
         content = _measured_valves(context.ensure_object(Session).configuration())
         method = method or "slow ramp on the software plant"
-    _add(context, Kind.VALVES, content, method or "values entered", by, expires_days, note, json_)
+    _add(context, CalibrationKind.VALVES, content, method or "values entered", by, expires_days, note, json_)
 
 
 @app.command("list")
@@ -291,7 +293,7 @@ def _calibrated(context: typer.Context) -> Configuration:
 
 def _add(
     context: typer.Context,
-    kind: Kind,
+    kind: CalibrationKind,
     content: dict[str, Any],
     method: str,
     by: str | None,

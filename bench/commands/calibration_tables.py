@@ -11,7 +11,14 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Kind, Values, ValveCentres
+from bench.calibration.values import (
+    BallPosition,
+    CalibrationKind,
+    ClubInMount,
+    EncoderZeros,
+    Values,
+    ValveCentres,
+)
 
 
 def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
@@ -19,7 +26,7 @@ def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> T
     table = Table.grid(padding=(0, 2, 1, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for entry in sorted(entries, key=lambda entry: (list(Kind).index(entry.kind), entry.version)):
+    for entry in sorted(entries, key=lambda entry: (list(CalibrationKind).index(entry.kind), entry.version)):
         title = Text.assemble(
             (" ".join(filter(None, (entry.kind, entry.subject))), "bold"), f"\nversion {entry.version}\n"
         )
@@ -38,7 +45,7 @@ def overview(in_force: Calibration, now: datetime) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in ("kind", "version", "date (UTC)", "expires", "values", ""):
         table.add_column(column, overflow="fold")
-    for kind in Kind:
+    for kind in CalibrationKind:
         entry = in_force.of(kind)
         if entry is None:
             mark = Text("missing", "bold red") if in_force.required else Text("nominal", "dim")

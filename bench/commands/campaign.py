@@ -13,8 +13,8 @@ from bench.commands.session import Session
 
 if TYPE_CHECKING:
     from bench.campaign.findings import Findings
-    from bench.campaign.plan import Plan
-    from bench.campaign.runner import Outcome
+    from bench.campaign.plan import CampaignPlan
+    from bench.campaign.runner import RunOutcome
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignEntry, CampaignStore
@@ -70,7 +70,7 @@ def check(
         show_preview(plan, Console(), everything=everything)
 
 
-def _checked(context: typer.Context, file: Path) -> tuple[Plan, Configuration]:
+def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration]:
     """Return the plan in `file`, whose swings fit its clubs, and the configuration."""
     from bench.campaign.plan_file import load_plan
     from bench.campaign.swings import require_swings
@@ -163,7 +163,7 @@ def resume(
         _run(store, entry, configuration, Outputs(json_, junit, None, []), ask=ask_)
 
 
-def _bench_facts(plan: Plan, configuration: Configuration) -> dict[str, Any]:
+def _bench_facts(plan: CampaignPlan, configuration: Configuration) -> dict[str, Any]:
     """Return what there is to note of the running bench, which can swing `plan`."""
     from bench.campaign.operate import bench_facts
     from bench.network.client import BenchClient
@@ -180,7 +180,7 @@ def _run(
 
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.fitting import Kind
+    from bench.campaign.fitting import PromptKind
     from bench.campaign.operate import run_live, run_simulated
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
@@ -197,7 +197,7 @@ def _run(
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt() as asked, progress_bar() as bar:
         take = run_live if entry.real_time else run_simulated
-        asked_for = frozenset(Kind) if ask or not entry.simulated else frozenset({Kind.BENCH})
+        asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
         operator = TerminalOperator(bar, entry.id, asked_for)
         outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator)
     record = load_record(store, entry)
@@ -222,7 +222,7 @@ def _run(
         raise typer.Exit(ExitCode.REFUSED)
 
 
-def _tell(outcome: Outcome, found: Findings, checks: Sequence[Checked]) -> None:
+def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked]) -> None:
     """Print how a run ended and what it found."""
     reason = f": {outcome.reason}" if outcome.reason else ""
     typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
-from bench.from_toml import read_toml, shown
+from bench.from_toml import format_value, read_toml
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _fault(entry: Any) -> str:
     if not bounds or any(
         isinstance(b, bool) or not isinstance(b, int | float) or not isfinite(b) for b in bounds
     ):
-        return f"bounds {shown(bounds)}"
+        return f"bounds {format_value(bounds)}"
     return "low above high" if len(bounds) == 2 and bounds[0] > bounds[1] else ""
 
 

@@ -6,17 +6,17 @@ import re
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from bench.campaign.runner import Outcome
+from bench.campaign.runner import RunOutcome
 from bench.campaign.sequence import Role
 from bench.commands.campaign_baseline import Checked
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_xml(
-    entry: CampaignEntry, outcome: Outcome, shots: Sequence[Shot], checks: Sequence[Checked] = ()
+    entry: CampaignEntry, outcome: RunOutcome, shots: Sequence[Shot], checks: Sequence[Checked] = ()
 ) -> bytes:
     """Return the XML; a planned shot fails when its last attempt was not valid."""
     last: dict[tuple[int, int], Shot] = {
@@ -26,7 +26,7 @@ def junit_xml(
         (
             f"block {block} position {position}: {shot.ball}, {shot.club}, {shot.swing}",
             "shots",
-            "" if shot.status is Status.VALID else f"{shot.status}: {shot.reason}",
+            "" if shot.status is ShotStatus.VALID else f"{shot.status}: {shot.reason}",
         )
         for (block, position), shot in sorted(last.items())
     ]

@@ -12,10 +12,10 @@ from rich.progress import Progress
 from rich.table import Column, Table
 
 from bench.campaign.course import is_settled
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
 from bench.campaign.sequence import all_trials
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, Standing
 
 Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
@@ -24,14 +24,14 @@ Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
 class ProgressWatcher(Watcher):
     """Moves a progress bar: one step for each planned shot that is done with."""
 
-    def __init__(self, bar: Progress, plan: Plan) -> None:
+    def __init__(self, bar: Progress, plan: CampaignPlan) -> None:
         self._bar, self._plan = bar, plan
         self._task = bar.add_task("warming up", total=len(all_trials(plan)))
         self._invalid = 0
 
     def shot(self, shot: Shot) -> None:
         """Show a shot."""
-        self._invalid += shot.status is not Status.VALID
+        self._invalid += shot.status is not ShotStatus.VALID
         text = f"shot {shot.shot}, block {shot.block}" + (
             f", {self._invalid} invalid" if self._invalid else ""
         )
@@ -52,7 +52,7 @@ def listing(found: Listed) -> Table:
             f"{entry.date:%Y-%m-%d %H:%M}",
             f"{standing.state}{' (sim)' if entry.simulated else ''}",
             str(sum(counts.values())),
-            str(counts[Status.VALID]),
+            str(counts[ShotStatus.VALID]),
         )
     return table
 
@@ -69,7 +69,7 @@ def listing_record(found: Listed) -> list[dict[str, Any]]:
             "plan": entry.digest,
             "state": str(standing.state),
             "reason": standing.reason,
-            "shots": {str(status): counts[status] for status in Status},
+            "shots": {str(status): counts[status] for status in ShotStatus},
         }
         for entry, standing, counts in found
     ]

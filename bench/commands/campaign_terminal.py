@@ -13,15 +13,15 @@ from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import Progress
 
-from bench.campaign.fitting import Kind
+from bench.campaign.fitting import PromptKind
 from bench.store.campaigns import Prompt
 
 _GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
 _BENCH = "Answer when it runs again"
 _AFTER = {
-    Kind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
-    Kind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
-    Kind.BENCH: f"{_BENCH}: the campaign takes the bench and goes on.",
+    PromptKind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    PromptKind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    PromptKind.BENCH: f"{_BENCH}: the campaign takes the bench and goes on.",
 }
 
 
@@ -33,7 +33,7 @@ def user_name() -> str:
 class TerminalOperator:
     """Shows prompts above the progress bar and takes Enter for an answer, where input is a terminal."""
 
-    def __init__(self, bar: Progress, campaign: str, kinds: frozenset[Kind]) -> None:
+    def __init__(self, bar: Progress, campaign: str, kinds: frozenset[PromptKind]) -> None:
         """`kinds` are asked for; what else a person would do happens by itself."""
         self.name, self.kinds = user_name(), kinds
         self._bar, self._campaign = bar, campaign
@@ -47,7 +47,7 @@ class TerminalOperator:
         if self._listening:
             termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer to this
         title = f"before shot {prompt.before_shot}"
-        text = f"[bold]{escape(prompt.text)}[/]\n{_AFTER[Kind(prompt.kind)]}\nTo answer: {escape(how)}"
+        text = f"[bold]{escape(prompt.text)}[/]\n{_AFTER[PromptKind(prompt.kind)]}\nTo answer: {escape(how)}"
         self._bar.console.print(Panel(text, title=title, title_align="left", expand=False))
 
     def answered(self) -> bool:

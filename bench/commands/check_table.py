@@ -6,12 +6,12 @@ from typing import Any
 
 from rich.table import Table
 
-from bench.design.check import Outcome, Summary
+from bench.design.check import TrialOutcome, TrialSummary
 
 SCHEMA_VERSION = 1
 
 
-def check_table(name: str, outcomes: list[Outcome], summaries: list[Summary]) -> Table:
+def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:
     """Return one row a fault: how many instants, the worst ends and when they began."""
     unsafe = sum(bool(outcome.unsafe) for outcome in outcomes)
     table = Table(
@@ -44,10 +44,10 @@ def check_table(name: str, outcomes: list[Outcome], summaries: list[Summary]) ->
     return table
 
 
-def check_record(name: str, outcomes: list[Outcome], summaries: list[Summary]) -> dict[str, Any]:
+def check_record(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> dict[str, Any]:
     """Return all outcomes as a JSON-ready record; a time that never came is null."""
 
-    def one(outcome: Outcome) -> dict[str, Any]:
+    def one(outcome: TrialOutcome) -> dict[str, Any]:
         record = {key: getattr(outcome, key) for key in outcome.__dataclass_fields__}
         rests = outcome.rest_time < float("inf")
         return record | {

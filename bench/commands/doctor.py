@@ -65,7 +65,7 @@ _TOOLS = {
 """Optional programs: Debian package, purpose, names on the PATH."""
 
 
-class Status(StrEnum):
+class CheckStatus(StrEnum):
     """How far an item goes."""
 
     OK = "ok"
@@ -74,16 +74,16 @@ class Status(StrEnum):
 
 
 _STYLES = {
-    (status, required): "green" if status is Status.OK else "red" if required else "yellow"
-    for status in Status
+    (status, required): "green" if status is CheckStatus.OK else "red" if required else "yellow"
+    for status in CheckStatus
     for required in (False, True)
 }
 
 
-class Outcome(NamedTuple):
+class ItemResult(NamedTuple):
     """What looking at an item found."""
 
-    status: Status
+    status: CheckStatus
     value: str
     advice: str = ""
     figures: dict[str, float] = {}  # noqa: RUF012 - never changed
@@ -94,7 +94,7 @@ class Probe(NamedTuple):
 
     group: str
     item: str
-    look: Callable[[], Outcome]
+    look: Callable[[], ItemResult]
     required: bool = False
     """Without it nothing works, not even the simulation."""
 
@@ -105,7 +105,7 @@ class Finding(NamedTuple):
     group: str
     item: str
     required: bool
-    status: Status
+    status: CheckStatus
     value: str
     advice: str
     figures: dict[str, float]
@@ -117,13 +117,13 @@ def examine(probes: Sequence[Probe]) -> Iterator[Finding]:
         try:
             outcome = probe.look()
         except Exception as error:
-            outcome = Outcome(Status.LIMITED, f"not examined: {type(error).__name__}: {error}")
+            outcome = ItemResult(CheckStatus.LIMITED, f"not examined: {type(error).__name__}: {error}")
         yield Finding(probe.group, probe.item, probe.required, *outcome)
 
 
 def usable(findings: Sequence[Finding]) -> bool:
     """Tell whether everything required is there, so that at least the simulation runs."""
-    return not any(finding.required and finding.status is Status.MISSING for finding in findings)
+    return not any(finding.required and finding.status is CheckStatus.MISSING for finding in findings)
 
 
 def report(findings: Sequence[Finding]) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def report(findings: Sequence[Finding]) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "time_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "usable": usable(findings),
-        "count": {status: sum(f.status is status for f in findings) for status in Status},
+        "count": {status: sum(f.status is status for f in findings) for status in CheckStatus},
         "findings": [finding._asdict() for finding in findings],
     }
 
@@ -149,7 +149,7 @@ def table(findings: Sequence[Finding]) -> Group:
             status = Text(finding.status, _STYLES[finding.status, finding.required])
             rows.add_row(Text(f"  {finding.item}"), status, Text(finding.value), Text(finding.advice))
         rows.add_section()
-    count = ", ".join(f"{sum(f.status is status for f in findings)} {status}" for status in Status)
+    count = ", ".join(f"{sum(f.status is status for f in findings)} {status}" for status in CheckStatus)
     verdict = "the simulation runs here" if usable(findings) else "golfbench cannot run here"
     return Group(rows, Text(f"{verdict}: {count}", "bold"))
 
@@ -176,24 +176,24 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
 # The machine -----------------------------------------------------------------------------------------
 
 
-def python() -> Outcome:
+def python() -> ItemResult:
     """Look at the running interpreter; an installation has already refused one that is too old."""
-    return Outcome(Status.OK, f"{sys.implementation.name} {sys.version.split()[0]} in {sys.prefix}")
+    return ItemResult(CheckStatus.OK, f"{sys.implementation.name} {sys.version.split()[0]} in {sys.prefix}")
 
 
-def kernel() -> Outcome:
+def kernel() -> ItemResult:
     """Look for a kernel with full preemption."""
     release = f"{os.uname().sysname} {os.uname().release}"
     if _read("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in os.uname().version:
-        return Outcome(Status.OK, f"{release}, PREEMPT_RT")
-    return Outcome(
-        Status.LIMITED,
+        return ItemResult(CheckStatus.OK, f"{release}, PREEMPT_RT")
+    return ItemResult(
+        CheckStatus.LIMITED,
         f"{release}, no PREEMPT_RT",
         "enough for simulation; boot a PREEMPT_RT kernel to run hardware (Debian: linux-image-rt-amd64)",
     )
 
 
-def processors() -> Outcome:
+def processors() -> ItemResult:
     """Count the processors this process may use."""
     count = len(os.sched_getaffinity(0))
     isolated = _read("/sys/devices/system/cpu/isolated")
@@ -201,36 +201,38 @@ def processors() -> Outcome:
     value = f"{count}" + (f", isolated: {isolated}" if isolated else "")
     figures = {"count": float(count)}
     if count < 2:
-        return Outcome(Status.LIMITED, value, "the loop and the rest share one: give it two or more", figures)
+        return ItemResult(
+            CheckStatus.LIMITED, value, "the loop and the rest share one: give it two or more", figures
+        )
     if governor == "powersave":
         advice = "clock rises late under load: cpupower frequency-set -g performance"
-        return Outcome(Status.LIMITED, f"{value}, governor {governor}", advice, figures)
-    return Outcome(Status.OK, value + (f", governor {governor}" if governor else ""), figures=figures)
+        return ItemResult(CheckStatus.LIMITED, f"{value}, governor {governor}", advice, figures)
+    return ItemResult(CheckStatus.OK, value + (f", governor {governor}" if governor else ""), figures=figures)
 
 
-def virtual_machine() -> Outcome:
+def virtual_machine() -> ItemResult:
     """Look whether a hypervisor may take the processor away."""
     if "hypervisor" in _read("/proc/cpuinfo").split():
-        return Outcome(
-            Status.LIMITED,
+        return ItemResult(
+            CheckStatus.LIMITED,
             "yes",
             "the host adds stalls: run hardware and timing proofs on a machine of its own",
         )
-    return Outcome(Status.OK, "no")
+    return ItemResult(CheckStatus.OK, "no")
 
 
-def memory() -> Outcome:
+def memory() -> ItemResult:
     """Look at the memory that is free or can be freed."""
     lines = dict(line.split(":", 1) for line in _read("/proc/meminfo").splitlines())
     available = int(lines["MemAvailable"].split()[0]) * 1024
     value = f"{available / GIBIBYTE:.1f} GiB available"
     figures = {"available_bytes": float(available)}
     if available < 2 * GIBIBYTE:
-        return Outcome(Status.LIMITED, value, "2 GiB are wanted: close other programs", figures)
-    return Outcome(Status.OK, value, figures=figures)
+        return ItemResult(CheckStatus.LIMITED, value, "2 GiB are wanted: close other programs", figures)
+    return ItemResult(CheckStatus.OK, value, figures=figures)
 
 
-def data_folder(data_dir: Path) -> Outcome:
+def data_folder(data_dir: Path) -> ItemResult:
     """Look whether records can be stored in `data_dir`, which need not exist yet."""
     existing = _existing(data_dir)
     free = shutil.disk_usage(existing).free
@@ -238,10 +240,12 @@ def data_folder(data_dir: Path) -> Outcome:
     figures = {"free_bytes": float(free)}
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         advice = f"make {existing.absolute()} a folder you may write to, or set data_dir elsewhere"
-        return Outcome(Status.MISSING, f"{value}, not writable", advice, figures)
+        return ItemResult(CheckStatus.MISSING, f"{value}, not writable", advice, figures)
     if free < GIBIBYTE:
-        return Outcome(Status.LIMITED, value, "a campaign of 100 swings may fill it: free 1 GiB", figures)
-    return Outcome(Status.OK, value, figures=figures)
+        return ItemResult(
+            CheckStatus.LIMITED, value, "a campaign of 100 swings may fill it: free 1 GiB", figures
+        )
+    return ItemResult(CheckStatus.OK, value, figures=figures)
 
 
 # Packages --------------------------------------------------------------------------------------------
@@ -255,7 +259,9 @@ def package_probes() -> Iterator[Probe]:
         wanted = [Requirement(line) for line in importlib.metadata.requires("golfbench") or ()]
     except (ImportError, importlib.metadata.PackageNotFoundError) as error:
         found = f"{type(error).__name__}: {error}"
-        outcome = Outcome(Status.MISSING, found, "install golfbench: `make demo`, or `pip install -e .`")
+        outcome = ItemResult(
+            CheckStatus.MISSING, found, "install golfbench: `make demo`, or `pip install -e .`"
+        )
         yield Probe("packages", "golfbench", lambda: outcome, required=True)
         return
     wanted = [
@@ -274,19 +280,19 @@ def package_probes() -> Iterator[Probe]:
 
 def package(
     name: str, allowed: Callable[[str], bool], answers: Callable[[], Mapping[str, str]], module: str
-) -> Outcome:
+) -> ItemResult:
     """Look whether distribution `name` is installed in an `allowed` version and `module` imports."""
     cure = "install what constraints.txt pins: `make clean demo`"
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return Outcome(Status.MISSING, "not installed", cure)
+        return ItemResult(CheckStatus.MISSING, "not installed", cure)
     answer = answers()[module]
     if answer != "ok":
-        return Outcome(Status.MISSING, f"{version}, import fails: {answer}", cure)
+        return ItemResult(CheckStatus.MISSING, f"{version}, import fails: {answer}", cure)
     if not allowed(version):
-        return Outcome(Status.LIMITED, f"{version}, outside the tested versions", cure)
-    return Outcome(Status.OK, version)
+        return ItemResult(CheckStatus.LIMITED, f"{version}, outside the tested versions", cure)
+    return ItemResult(CheckStatus.OK, version)
 
 
 def import_answers(modules: Sequence[str]) -> dict[str, str]:
@@ -310,22 +316,24 @@ def import_answers(modules: Sequence[str]) -> dict[str, str]:
     return answers
 
 
-def compiled_code() -> Outcome:
+def compiled_code() -> ItemResult:
     """Look whether compiled code can be kept, and whether it already is."""
     folder = Path(json.loads(_child("cache")))
     functions = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
     if not os.access(_existing(folder), os.W_OK | os.X_OK):
-        return Outcome(
-            Status.LIMITED,
+        return ItemResult(
+            CheckStatus.LIMITED,
             f"{folder} is not writable",
             "every start compiles anew: set NUMBA_CACHE_DIR to a folder you may write to",
         )
     if not functions:
-        return Outcome(
-            Status.LIMITED, f"cold, will be kept in {folder}", "the first run compiles, later ones do not"
+        return ItemResult(
+            CheckStatus.LIMITED,
+            f"cold, will be kept in {folder}",
+            "the first run compiles, later ones do not",
         )
-    return Outcome(
-        Status.OK, f"warm, {functions} functions in {folder}", figures={"functions": float(functions)}
+    return ItemResult(
+        CheckStatus.OK, f"warm, {functions} functions in {folder}", figures={"functions": float(functions)}
     )
 
 
@@ -340,20 +348,20 @@ def realtime_probes() -> Iterator[Probe]:
         answer: dict[str, Any] = json.loads(_child("realtime"))
         return answer
 
-    def setting(name: str) -> Outcome:
+    def setting(name: str) -> ItemResult:
         found = granted()["settings"][name]
         if found["held"]:
-            return Outcome(Status.OK, f"{found['granted']}: granted and read back")
-        return Outcome(Status.LIMITED, f"{found['granted']}: {found['reason']}", found["cure"])
+            return ItemResult(CheckStatus.OK, f"{found['granted']}: granted and read back")
+        return ItemResult(CheckStatus.LIMITED, f"{found['granted']}: {found['reason']}", found["cure"])
 
-    def wake_up() -> Outcome:
+    def wake_up() -> ItemResult:
         figures: dict[str, float] = granted()["latency"]
         value = "median {p50_us:.0f} µs, 99 % {p99_us:.0f} µs, longest {max_us:.0f} µs".format(**figures)
         value += f" of 500 at 1 kHz, scheduling {granted()['settings'][SCHEDULING]['granted']}"
         if figures["p99_us"] <= LATE * 1e6:
-            return Outcome(Status.OK, value, figures=figures)
-        return Outcome(
-            Status.LIMITED, value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures
+            return ItemResult(CheckStatus.OK, value, figures=figures)
+        return ItemResult(
+            CheckStatus.LIMITED, value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures
         )
 
     for item, name in (("SCHED_FIFO", SCHEDULING), (MEMORY, MEMORY), (SLACK, SLACK), (IDLE, IDLE)):
@@ -365,7 +373,7 @@ def realtime_probes() -> Iterator[Probe]:
     yield Probe("real time", "wake-up latency", wake_up)
 
 
-def limits() -> Outcome:
+def limits() -> ItemResult:
     """Look at the resource limits, and at the capabilities that lift them."""
     priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
@@ -374,41 +382,45 @@ def limits() -> Outcome:
     held = int(status.get("CapEff", "0"), 16)
     nice, lock = held >> _CAP_SYS_NICE & 1, held >> _CAP_IPC_LOCK & 1
     if nice and lock:
-        return Outcome(Status.OK, f"{value}, lifted by capabilities")
+        return ItemResult(CheckStatus.OK, f"{value}, lifted by capabilities")
     priority_enough = nice or priority == resource.RLIM_INFINITY or priority >= PRIORITY
     locked_enough = lock or locked == resource.RLIM_INFINITY
     if priority_enough and locked_enough:
-        return Outcome(Status.OK, value)
+        return ItemResult(CheckStatus.OK, value)
     wanted = [] if priority_enough else [f"rtprio {PRIORITY}"]
     wanted += [] if locked_enough else ["memlock unlimited"]
-    return Outcome(Status.LIMITED, value, f"raise to {' and '.join(wanted)} in /etc/security/limits.conf")
+    return ItemResult(
+        CheckStatus.LIMITED, value, f"raise to {' and '.join(wanted)} in /etc/security/limits.conf"
+    )
 
 
-def throttling() -> Outcome:
+def throttling() -> ItemResult:
     """Look how much of each period real-time tasks may run before the kernel stops them."""
     runtime = int(_read("/proc/sys/kernel/sched_rt_runtime_us"))
     period = int(_read("/proc/sys/kernel/sched_rt_period_us"))
     if runtime < 0:
-        return Outcome(Status.OK, "off")
+        return ItemResult(CheckStatus.OK, "off")
     value = f"{runtime / period:.0%} of each {period / 1e6:g} s"
     if runtime < 0.9 * period:
-        return Outcome(Status.LIMITED, value, "sysctl kernel.sched_rt_runtime_us=950000")
-    return Outcome(Status.OK, f"{value}; the loop needs far less")
+        return ItemResult(CheckStatus.LIMITED, value, "sysctl kernel.sched_rt_runtime_us=950000")
+    return ItemResult(CheckStatus.OK, f"{value}; the loop needs far less")
 
 
-def huge_pages() -> Outcome:
+def huge_pages() -> ItemResult:
     """Look whether the kernel gathers everybody's small pages into huge ones, which stalls every task."""
     found = _read("/sys/kernel/mm/transparent_hugepage/enabled")
     if "[always]" in found:
-        return Outcome(
-            Status.LIMITED,
+        return ItemResult(
+            CheckStatus.LIMITED,
             "always",
             "the kernel copies whole huge pages every ten seconds: boot with transparent_hugepage=madvise",
         )
-    return Outcome(Status.OK, next((w[1:-1] for w in found.split() if w[0] == "["), "this kernel has none"))
+    return ItemResult(
+        CheckStatus.OK, next((w[1:-1] for w in found.split() if w[0] == "["), "this kernel has none")
+    )
 
 
-def clock() -> Outcome:
+def clock() -> ItemResult:
     """Look at the monotonic clock: its stated and its observed step, and the kernel's source."""
     stated = time.clock_getres(time.CLOCK_MONOTONIC)
     stamps = [time.monotonic_ns() for _ in range(10_000)]
@@ -417,8 +429,10 @@ def clock() -> Outcome:
     value = f"resolution {stated * 1e9:.0f} ns, observed step {step} ns, source {source}"
     figures = {"resolution_s": stated, "observed_step_s": step * 1e-9}
     if stated > 1e-6 or step > 5_000:
-        return Outcome(Status.LIMITED, value, "too coarse for 1 kHz: boot with clocksource=tsc", figures)
-    return Outcome(Status.OK, value, figures=figures)
+        return ItemResult(
+            CheckStatus.LIMITED, value, "too coarse for 1 kHz: boot with clocksource=tsc", figures
+        )
+    return ItemResult(CheckStatus.OK, value, figures=figures)
 
 
 def _limit(value: int, unit: int = 1, name: str = "") -> str:
@@ -428,13 +442,13 @@ def _limit(value: int, unit: int = 1, name: str = "") -> str:
 # CAN -------------------------------------------------------------------------------------------------
 
 
-def socketcan() -> Outcome:
+def socketcan() -> ItemResult:
     """Look whether the kernel speaks CAN and which interfaces it has."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except (OSError, AttributeError) as error:
-        return Outcome(
-            Status.MISSING,
+        return ItemResult(
+            CheckStatus.MISSING,
             f"no CAN sockets: {error}",
             "simulation needs none; hardware: load can, can_raw, can_dev",
         )
@@ -444,57 +458,57 @@ def socketcan() -> Outcome:
         if _read(folder / "type") == _ARPHRD_CAN
     ]
     if names:
-        return Outcome(Status.OK, ", ".join(names))
-    return Outcome(
-        Status.LIMITED,
+        return ItemResult(CheckStatus.OK, ", ".join(names))
+    return ItemResult(
+        CheckStatus.LIMITED,
         "CAN sockets, no interface",
         "attach one and `ip link set can0 up type can bitrate 1000000`, or add a vcan to try",
     )
 
 
-def can_channels() -> Outcome:
+def can_channels() -> ItemResult:
     """Look for adapters with drivers of their own, through python-can."""
     channels = json.loads(_child("can"))
     if channels:
-        return Outcome(Status.OK, ", ".join(channels))
-    return Outcome(Status.MISSING, "none", "simulation needs none; attach an adapter and its driver")
+        return ItemResult(CheckStatus.OK, ", ".join(channels))
+    return ItemResult(CheckStatus.MISSING, "none", "simulation needs none; attach an adapter and its driver")
 
 
 # DAQ -------------------------------------------------------------------------------------------------
 
 
-def daq_cards() -> Outcome:
+def daq_cards() -> ItemResult:
     """Look for the package nidaqmx, for NI's own driver that it needs, and for cards."""
     found = json.loads(_child("daq"))
     if not found["package"]:
-        return Outcome(
-            Status.MISSING,
+        return ItemResult(
+            CheckStatus.MISSING,
             "no package nidaqmx",
             'simulation needs none; for a card: pip install "golfbench[daq]", and NI\'s driver',
         )
     package = f"nidaqmx {found['package']}"
     if not found["runtime"]:
-        return Outcome(
-            Status.MISSING,
+        return ItemResult(
+            CheckStatus.MISSING,
             f"{package}, but NI's driver does not answer: {found['trouble']}",
             "simulation needs none; for a card: install NI-DAQmx for Linux from ni.com, then restart",
         )
     driver = f"{package}, NI-DAQmx {found['runtime']}"
     if found["trouble"] or not found["cards"]:
         advice = "attach one, and see that NI's tool nilsdev lists it"
-        return Outcome(Status.LIMITED, f"{driver}, {found['trouble'] or 'no card'}", advice)
-    return Outcome(Status.OK, f"{driver}: {', '.join(found['cards'])}")
+        return ItemResult(CheckStatus.LIMITED, f"{driver}, {found['trouble'] or 'no card'}", advice)
+    return ItemResult(CheckStatus.OK, f"{driver}: {', '.join(found['cards'])}")
 
 
 # Tools -----------------------------------------------------------------------------------------------
 
 
-def tool(package_name: str, purpose: str, programs: Sequence[str]) -> Outcome:
+def tool(package_name: str, purpose: str, programs: Sequence[str]) -> ItemResult:
     """Look for the first of `programs` on the PATH."""
     path = next(filter(None, map(shutil.which, programs)), None)
     if path:
-        return Outcome(Status.OK, path)
-    return Outcome(Status.MISSING, "not found", f"{purpose}; Debian: apt-get install {package_name}")
+        return ItemResult(CheckStatus.OK, path)
+    return ItemResult(CheckStatus.MISSING, "not found", f"{purpose}; Debian: apt-get install {package_name}")
 
 
 def _child(question: str) -> str:

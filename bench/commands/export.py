@@ -11,7 +11,7 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.export.record import Record
+    from bench.export.record import ExportRecord
 
 
 class Format(StrEnum):
@@ -87,7 +87,7 @@ def planned(
     return targets
 
 
-def _writer(format_: Format) -> Callable[[Path, Record], list[Path]]:
+def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:

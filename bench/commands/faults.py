@@ -11,8 +11,8 @@ from bench.commands.session import Session
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.faults.case import Outcome
-    from bench.faults.matrix import Plan
+    from bench.faults.case import CaseOutcome
+    from bench.faults.matrix import MatrixPlan
     from bench.swing.profile import Profile
 
 app = typer.Typer(no_args_is_help=True)
@@ -96,7 +96,7 @@ def _matrix(
     configuration: Configuration,
     profile: Profile,
     folder: Path,
-    plan: Plan,
+    plan: MatrixPlan,
     model_check: bool,
     compare: bool,
     processes: int,
@@ -126,8 +126,13 @@ def _is_compared(signal: str) -> bool:
 
 
 def _outcomes(
-    configuration: Configuration, profile: Profile, plan: Plan, path: Path, model_check: bool, processes: int
-) -> tuple[list[Outcome], float]:
+    configuration: Configuration,
+    profile: Profile,
+    plan: MatrixPlan,
+    path: Path,
+    model_check: bool,
+    processes: int,
+) -> tuple[list[CaseOutcome], float]:
     """Return the outcomes, and the seconds that they took over all runs."""
     from time import monotonic
 

@@ -27,7 +27,7 @@ _SHORT = 0.1
 """m/s below which nothing is short: the strike differs as much from swing to swing."""
 
 
-class Row(NamedTuple):
+class GolferRow(NamedTuple):
     """A golfer beside a swing of the robot."""
 
     golfer: Golfer
@@ -41,13 +41,13 @@ class Row(NamedTuple):
         return max(self.golfer.head_speed - self.swing.delivery.get("head_speed_mps", 0.0), 0.0)
 
 
-def golfer_row(plant: PlantParameters, golfer: Golfer, swing: Profile) -> Row:
+def golfer_row(plant: PlantParameters, golfer: Golfer, swing: Profile) -> GolferRow:
     """Return how far `swing` is from `golfer`."""
     human = human_downswing(plant, golfer)
-    return Row(golfer, human, swing, deviation(plant, swing, human))
+    return GolferRow(golfer, human, swing, deviation(plant, swing, human))
 
 
-def golfer_record(plant: PlantParameters, row: Row) -> dict[str, Any]:
+def golfer_record(plant: PlantParameters, row: GolferRow) -> dict[str, Any]:
     """Return `row` for a program to read; deviations are shares of the human's range."""
     return {
         "golfer": row.golfer.name,
@@ -88,7 +88,7 @@ def _table(title: str, caption: str, *columns: str) -> Table:
     return table
 
 
-def deviations_table(rows: list[Row]) -> Table:
+def deviations_table(rows: list[GolferRow]) -> Table:
     """Return a row a golfer: how far each joint and the head are from his or hers."""
     table = _table(
         "The robot against golfers",
@@ -101,7 +101,7 @@ def deviations_table(rows: list[Row]) -> Table:
     return table
 
 
-def reach_table(rows: list[Row], plant: PlantParameters) -> Table:
+def reach_table(rows: list[GolferRow], plant: PlantParameters) -> Table:
     """Return a row a golfer: speed, downswing and attack of golfer and robot, and what is out of reach."""
     table = _table(
         "What of a golfer the robot reaches",
@@ -125,7 +125,7 @@ def reach_table(rows: list[Row], plant: PlantParameters) -> Table:
     return table
 
 
-def draw_golfers(rows: list[Row], plant: PlantParameters, path: Path) -> None:
+def draw_golfers(rows: list[GolferRow], plant: PlantParameters, path: Path) -> None:
     """Write a picture (PNG, SVG or PDF by the suffix of `path`): each golfer's downswing and the robot's.
 
     Raises:

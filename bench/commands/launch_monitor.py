@@ -101,7 +101,7 @@ def play(
     Raises:
         NoPlant: the plant there is of other code.
     """
-    from bench.interrupt import wish_to_end
+    from bench.interrupt import stop_on_signals
     from drivers.base.shared_record import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
     from sim.live.contact_watch import ContactWatch, warm_up
@@ -113,7 +113,7 @@ def play(
     balls, attach_at = 0, -1.0
     told: tuple[bool, bool] | None = None
     try:
-        with wish_to_end() as wish:
+        with stop_on_signals() as wish:
             while not wish.wait(_LOOK):
                 now = time.monotonic()
                 if now >= attach_at:

@@ -14,7 +14,7 @@ from bench.learning.source import Source
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from bench.learning.learn import Lesson
+    from bench.learning.learn import LearningResult
     from bench.learning.store import Learned
 
 
@@ -181,7 +181,7 @@ def _mark_from_person() -> tuple[float, float] | None:
         typer.echo(f"{text!r}: two numbers are wanted, each within {_FACE:g} mm, such as: 3.5 -2", err=True)
 
 
-def _table(lesson: Lesson, name: str) -> Table:
+def _table(lesson: LearningResult, name: str) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -208,7 +208,7 @@ def _table(lesson: Lesson, name: str) -> Table:
     return table
 
 
-def _verdict(lesson: Lesson, entry: Learned, version: int) -> str:
+def _verdict(lesson: LearningResult, entry: Learned, version: int) -> str:
     kept = f"Kept as version {version} of {entry.profile} for {entry.conditions.text}."
     if lesson.within:
         return f"Within the tolerances after {lesson.chosen} learning swings. {kept}"

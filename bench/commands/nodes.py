@@ -90,10 +90,10 @@ def play(plan: NodesPlan) -> None:
     import can
 
     from drivers.base.shared_record import SharedMemoryError
-    from sim.nodes.process import Wish, run_nodes
+    from sim.nodes.process import StopRequest, run_nodes
 
     typer.echo("starting; the first start compiles for about half a minute", err=True)
-    wish = Wish(signal.SIGTERM, signal.SIGINT)
+    wish = StopRequest(signal.SIGTERM, signal.SIGINT)
     numbers = ", ".join(map(str, (*plan.encoders, plan.valve_node)))
     where = f"{plan.interface} {plan.channel}"
     try:

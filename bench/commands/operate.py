@@ -17,7 +17,7 @@ from bench.commands.session import Session
 
 if TYPE_CHECKING:
     from bench.network.client import BenchClient
-    from bench.network.command import Answer
+    from bench.network.command import CommandAnswer
 
 PANEL = "A running bench"
 
@@ -115,7 +115,7 @@ def swing_when_armed(context: typer.Context) -> None:
     """Swing, if the bench is ARMED and this user holds its lease: `golfbench swing`."""
     from bench.errors import Refused
 
-    def ask(bench: BenchClient) -> Answer:
+    def ask(bench: BenchClient) -> CommandAnswer:
         state = bench.status()["state"]
         if state != "ARMED":
             cure = "golfbench arm, then wait until the robot is at its address."
@@ -228,7 +228,7 @@ def _holding(context: typer.Context) -> Iterator[BenchClient]:
             file.write(bench.held)
 
 
-def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], Answer]) -> None:
+def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
     from bench.network.client import CommandRefused
 
     with _holding(context) as bench:
@@ -238,12 +238,12 @@ def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], Answer])
             bench.renew_lease()
 
 
-def _ask(context: typer.Context, ask: Callable[[BenchClient], Answer]) -> None:
+def _ask(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
     with _client(context) as bench:
         _tell(bench, ask(bench))
 
 
-def _tell(bench: BenchClient, answer: Answer) -> None:
+def _tell(bench: BenchClient, answer: CommandAnswer) -> None:
     typer.echo(f"bench {bench.bench}: {answer.state}")
     if answer.note:
         typer.echo(answer.note)

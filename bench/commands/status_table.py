@@ -12,8 +12,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus
 from bench.network.client import BenchClient
-from bench.network.desk import DeviceStatus, LaunchMonitorStatus, Status
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
@@ -34,7 +34,7 @@ _STYLES = {
 """Yellow: the robot moves or may move."""
 
 
-def status_table(status: Status, age: float) -> Table:
+def status_table(status: BenchStatus, age: float) -> Table:
     """Return `status`, heard `age` s ago, as a table."""
     silent = age > SILENT
     table = Table(
@@ -70,14 +70,14 @@ def watch_status(bench: BenchClient, console: Console) -> NoReturn:
     raise RuntimeError("the states of a bench do not end")
 
 
-def _title(status: Status, age: float, silent: bool) -> Text:
+def _title(status: BenchStatus, age: float, silent: bool) -> Text:
     bench, state = (f"bench {status['bench']}  ", "bold"), status["state"]
     if silent:
         return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", in {state} then")
     return Text.assemble(bench, (f" {state} ", _STYLES.get(state, "bold")))
 
 
-def _rows(status: Status) -> list[tuple[str, Text]]:
+def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     cause, lease, loop = status["cause"], status["lease"], status["loop"]
     moves = f"{status['phase']}, reaction {status['reaction']}"
     chambers = [_bar(pressure) for pressure in status["chamber_pressure_pa"]]
@@ -132,7 +132,7 @@ def _flags(*flags: tuple[str, bool, str]) -> Text:
     return Text(", ").join(Text(yes) if holds else Text(no, "yellow") for yes, holds, no in flags)
 
 
-def _processes(status: Status) -> Text:
+def _processes(status: BenchStatus) -> Text:
     words = []
     for name, process in status["processes"].items():
         note = f": {process['note']}" if process["note"] else ""

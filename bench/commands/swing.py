@@ -118,7 +118,8 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt
-    from bench.simulation.simulated_bench import SimulatedBench, Surroundings, simulate_swing
+    from bench.shot.recorded_shot import FlightConditions
+    from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
@@ -126,7 +127,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     swing = load_profile(path)
     plant = configuration.plant_with(ball=ball)
     require_possible(swing, plant, configuration.envelope, str(path))
-    around = Surroundings(configuration.air, configuration.wind, configuration.turf)
+    around = FlightConditions(configuration.air, configuration.wind, configuration.turf)
     bench = SimulatedBench(
         swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
     )
@@ -270,7 +271,7 @@ def design(
 
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
     from bench.commands.progress import progress_bar
-    from bench.design.designer import Demand, DesignFailed, design_swing, highest_speed
+    from bench.design.designer import DesignFailed, SwingDemand, design_swing, highest_speed
     from bench.design.follow import demand_like, gave_way
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
@@ -283,7 +284,7 @@ def design(
     plant = configuration.plant_with(club=club)
     whose = None if golfer is None else find_golfer(golfer)
     begin = None if start == "nothing" else load_profile(find_profile(start or configuration.swing.profile))
-    demand = Demand(
+    demand = SwingDemand(
         head_speed=45.0 if speed is None else speed,
         attack=math.radians(attack),
         lean=None if lean is None else math.radians(lean),

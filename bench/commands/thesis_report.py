@@ -22,7 +22,7 @@ from rich.text import Text
 from bench.swing.tables import Table
 from bench.swing.thesis_experiment import (
     QUARTER_DECAY,
-    Summary,
+    ExperimentSummary,
     ThesisExperiment,
     ThesisParameters,
     Triple,
@@ -76,7 +76,7 @@ def simulate_thesis(
     return experiment
 
 
-def statements(experiment: ThesisExperiment, others: dict[str, Summary]) -> list[Statement]:
+def statements(experiment: ThesisExperiment, others: dict[str, ExperimentSummary]) -> list[Statement]:
     """Return the thesis' statements on its experiment beside our figures, differences as found."""
     s = experiment.summary
     free, strong = others["no friction"], others["actuators without limits"]
@@ -138,7 +138,7 @@ def statements(experiment: ThesisExperiment, others: dict[str, Summary]) -> list
     ]
 
 
-def show(experiment: ThesisExperiment, others: dict[str, Summary], console: Console) -> None:
+def show(experiment: ThesisExperiment, others: dict[str, ExperimentSummary], console: Console) -> None:
     """Print the table, the choices behind it and what other choices would give."""
     table = _grid(
         "The thesis' experiment, run again", "", "thesis", "found", "remark", wrapped=("found", "remark")
@@ -192,7 +192,7 @@ def assumptions(experiment: ThesisExperiment) -> list[str]:
     ]
 
 
-def as_record(experiment: ThesisExperiment, others: dict[str, Summary]) -> dict[str, Any]:
+def as_record(experiment: ThesisExperiment, others: dict[str, ExperimentSummary]) -> dict[str, Any]:
     """Return everything the table says as plain values for JSON; SI units."""
     return {
         "version": 1,
@@ -400,7 +400,7 @@ def _grid(title: str, *columns: str, wrapped: Sequence[str] = ()) -> Grid:
     return grid
 
 
-def _cells(s: Summary) -> tuple[str, ...]:
+def _cells(s: ExperimentSummary) -> tuple[str, ...]:
     at_ball = ("–", "–", "–")
     if s.contact_time is not None and s.height_error is not None and s.club_speed is not None:
         at_ball = (f"{s.contact_time:.3f}", f"{100 * s.height_error:+.1f}", f"{s.club_speed:.1f}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.commands.session import Session
-from bench.interrupt import wish_to_end
+from bench.interrupt import stop_on_signals
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -110,7 +110,7 @@ def _view_records(
         recording.flush(timeout_sec=60.0)
     _say_where(window)
     if window is not None:
-        with wish_to_end() as wish:
+        with stop_on_signals() as wish:
             while window.alive and not wish.wait(_TURN):
                 pass
 
@@ -144,7 +144,7 @@ def _view_bench(
     import rerun as rr
 
     from bench.network.zenoh_session import open_client
-    from bench.shot.recorded_shot import Surroundings
+    from bench.shot.recorded_shot import FlightConditions
     from bench.viewer.feed import Feed
     from bench.viewer.recording import live_layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
@@ -152,10 +152,10 @@ def _view_bench(
     c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
     stack.callback(session.close)
-    around = Surroundings(c.air, c.wind, c.turf)
+    around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id, time.time))
-    wish = stack.enter_context(wish_to_end())
+    wish = stack.enter_context(stop_on_signals())
     window = _window(stack, web, connect, port, memory_limit) if web or connect or save is None else None
     sinks = [] if window is None and connect is None else [_sink(window, connect)]
     if save is not None:

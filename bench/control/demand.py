@@ -27,7 +27,7 @@ _TURNING = 0.05
 """rad/s over which friction changes sides."""
 
 
-class Demand(NamedTuple):
+class ForceDemand(NamedTuple):
     """Forces of the three actuators at the profile's samples, (n, 3), and their rates."""
 
     force: Array
@@ -36,14 +36,14 @@ class Demand(NamedTuple):
     """N/s, N m/s"""
 
 
-def demand_for(feed_forward: FeedForward, plant: PlantParameters, profile: Profile) -> Demand:
+def demand_for(feed_forward: FeedForward, plant: PlantParameters, profile: Profile) -> ForceDemand:
     """Return what a controller with `feed_forward` needs: `demand_of`, or zeros where it looks at none."""
     if CODES.index(feed_forward) >= KANE:
         return demand_of(plant, profile)
-    return Demand(np.zeros(profile.angle.shape), np.zeros(profile.angle.shape))
+    return ForceDemand(np.zeros(profile.angle.shape), np.zeros(profile.angle.shape))
 
 
-def demand_of(plant: PlantParameters, profile: Profile) -> Demand:
+def demand_of(plant: PlantParameters, profile: Profile) -> ForceDemand:
     """Return what `profile` demands of the actuators of `plant`, friction included.
 
     The tables are early by what the spools are late.
@@ -60,7 +60,7 @@ def demand_of(plant: PlantParameters, profile: Profile) -> Demand:
         force[rows] = actuator_forces(plant, angle, velocity, acceleration)
         rate[rows] = _slope(force[rows], period, 1)
     force[window:] = force[max(window - 1, 0)]
-    return Demand(*(_earlier(table, plant, profile) for table in (force, rate)))
+    return ForceDemand(*(_earlier(table, plant, profile) for table in (force, rate)))
 
 
 def actuator_forces(plant: PlantParameters, angle: Array, velocity: Array, acceleration: Array) -> Array:

@@ -35,7 +35,7 @@ _WATCHED = 14.0
 """How long a stop is watched (s): a raised arm sinks slowly on the air that its throttled vents let go."""
 
 
-class Trial(NamedTuple):
+class FaultTrial(NamedTuple):
     """What is tried, by name: things that break, a request, a missing ball."""
 
     name: str
@@ -49,18 +49,18 @@ _LOST = tuple(Fault(f"{joint} encoder", f"{joint} encoder", "off") for joint in 
 _SILENT = (Fault("bench silent", "loop", "off"),)
 
 TRIALS = (
-    Trial("none"),
-    Trial("no ball", ball=False),
-    Trial("operator stop", request=STOP),
-    Trial("operator stop, no ball", request=STOP, ball=False),
-    Trial("emergency stop", _ESTOP),
-    Trial("emergency stop, no ball", _ESTOP, ball=False),
-    Trial("encoders lost", _LOST),
-    Trial("encoders lost, no ball", _LOST, ball=False),
-    Trial("bench silent", _SILENT),
-    Trial("bench silent, no ball", _SILENT, ball=False),
+    FaultTrial("none"),
+    FaultTrial("no ball", ball=False),
+    FaultTrial("operator stop", request=STOP),
+    FaultTrial("operator stop, no ball", request=STOP, ball=False),
+    FaultTrial("emergency stop", _ESTOP),
+    FaultTrial("emergency stop, no ball", _ESTOP, ball=False),
+    FaultTrial("encoders lost", _LOST),
+    FaultTrial("encoders lost, no ball", _LOST, ball=False),
+    FaultTrial("bench silent", _SILENT),
+    FaultTrial("bench silent, no ball", _SILENT, ball=False),
     *(
-        Trial(f"{joint} valve stuck {name}", (Fault("valve", f"{joint} valve", "stuck", opening),))
+        FaultTrial(f"{joint} valve stuck {name}", (Fault("valve", f"{joint} valve", "stuck", opening),))
         for joint in JOINTS
         for name, opening in (("open", 1.0), ("open in reverse", -1.0), ("shut", 0.0))
     ),
@@ -68,7 +68,7 @@ TRIALS = (
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """How one fault at one instant ended; shares are of the ratings, 1 is the limit."""
 
     fault: str
@@ -134,10 +134,10 @@ class SwingCheck:
 
     def outcomes(
         self,
-        trials: tuple[Trial, ...] = TRIALS,
+        trials: tuple[FaultTrial, ...] = TRIALS,
         spacing: int = 10,
         progress: Callable[[float], None] = lambda part: None,
-    ) -> list[Outcome]:
+    ) -> list[TrialOutcome]:
         """Return how each of `trials` ends from every `spacing`-th tick of the swing.
 
         Raises:
@@ -151,7 +151,7 @@ class SwingCheck:
                 progress((part + tick / len(self.profile.angle)) / 2)
         return found
 
-    def _outcome(self, trial: Trial, tick: int, base: Lockstep) -> Outcome:
+    def _outcome(self, trial: FaultTrial, tick: int, base: Lockstep) -> TrialOutcome:
         bench = base.copy()
         plant_state = bench.plant_state
         plant_state["stop_energy"] = plant_state["stop_work"] = 0.0
@@ -170,7 +170,7 @@ class SwingCheck:
         )
         joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
         unrest = rest >= (self.watched - 1) * self.plant.parameters.tick
-        return Outcome(
+        return TrialOutcome(
             fault=trial.name,
             time=tick * self.profile.period,
             phase=self.profile.phase_of(tick),
@@ -200,24 +200,24 @@ class SwingCheck:
 
 
 @dataclass(frozen=True)
-class Summary:
+class TrialSummary:
     """All instants of one fault."""
 
     fault: str
     instants: int
     unsafe: int
-    worst_stop: Outcome
-    worst_pressure: Outcome
-    lowest: Outcome
-    slowest: Outcome
+    worst_stop: TrialOutcome
+    worst_pressure: TrialOutcome
+    lowest: TrialOutcome
+    slowest: TrialOutcome
 
 
-def summarise(outcomes: list[Outcome]) -> list[Summary]:
+def summarise(outcomes: list[TrialOutcome]) -> list[TrialSummary]:
     """Return one summary a fault, in the order of first appearance."""
     names = list(dict.fromkeys(outcome.fault for outcome in outcomes))
     groups = [[outcome for outcome in outcomes if outcome.fault == name] for name in names]
     return [
-        Summary(
+        TrialSummary(
             name,
             len(group),
             sum(bool(outcome.unsafe) for outcome in group),

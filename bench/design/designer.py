@@ -30,12 +30,12 @@ from bench.design.optimal_control import (
     NO_CONCESSIONS,
     STATES,
     Concessions,
+    DownswingPlan,
     DownswingProblem,
-    Plan,
     solve_downswing,
 )
 from bench.design.refine import NEAR, UNITS, NotReached, refine
-from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, Trial
+from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
 from bench.simulation.simulated_bench import SimulatedBench
 from bench.swing.profile import Profile, as_written
 from sim.impact import in_plane_error
@@ -73,7 +73,7 @@ class DesignFailed(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Demand:
+class SwingDemand:
     """What the swing is to do at the ball, and how gently."""
 
     head_speed: float | None = 45.0
@@ -121,12 +121,12 @@ class Demand:
 
 
 @dataclass(frozen=True)
-class Design:
+class DesignedSwing:
     """A swing, and how it came about."""
 
     profile: Profile
-    plan: Plan
-    trial: Trial
+    plan: DownswingPlan
+    trial: ShootingTrial
     """Of the refined openings on the plant."""
     rounds: int
 
@@ -152,8 +152,8 @@ class Downswing(NamedTuple):
     """(n, 3), one row a tick."""
     wanted: Array
     """Arrival at the ball as in `bench.design.refine.arrival_errors`."""
-    plan: Plan
-    trial: Trial
+    plan: DownswingPlan
+    trial: ShootingTrial
 
 
 def slope_of(attack: float, lie: float) -> float:
@@ -167,7 +167,7 @@ def slope_of(attack: float, lie: float) -> float:
     return asin(sin(attack) / sin(lie))
 
 
-def address_pose(parameters: PlantParameters, demand: Demand) -> Array:
+def address_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at address (rad)."""
     robot = parameters.robot
     return np.array(
@@ -179,7 +179,7 @@ def address_pose(parameters: PlantParameters, demand: Demand) -> Array:
     )
 
 
-def top_pose(parameters: PlantParameters, demand: Demand) -> Array:
+def top_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at the top of the backswing (rad)."""
     robot = parameters.robot
     return np.array(
@@ -198,7 +198,7 @@ def _quintic(start: Array, end: Array, duration: float, samples: int) -> tuple[A
     return start + (end - start) * shape, (end - start) * slope
 
 
-def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Array) -> Profile:
+def _sketch(demand: SwingDemand, period: float, address: Array, top: Array, gain: Array) -> Profile:
     """Return a provisional profile: smooth reference from address to top, then hold."""
     n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
     angle, velocity = _quintic(address, top, demand.backswing_time, n)
@@ -211,7 +211,7 @@ def _sketch(demand: Demand, period: float, address: Array, top: Array, gain: Arr
     )  # fmt: skip
 
 
-def _swing_up(bench: SimulatedBench, demand: Demand) -> _Start:
+def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
     """Let the controller itself take the plant to the top; what it did is the nominal motion."""
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
@@ -233,7 +233,7 @@ def _swing_up(bench: SimulatedBench, demand: Demand) -> _Start:
     )
 
 
-def _first_guess(parameters: PlantParameters, state: Array, demand: Demand) -> tuple[float, Array]:
+def _first_guess(parameters: PlantParameters, state: Array, demand: SwingDemand) -> tuple[float, Array]:
     """Return time and states of a downswing that speeds up evenly from the top to the ball."""
     site, time = parameters.site, sum(demand.downswing_time) / 2
     ball = inverse_kinematics(parameters.robot, (site.ball_x, site.ball_y, SHAFT_DOWN))
@@ -258,7 +258,7 @@ def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tu
 
 
 def _problem(
-    parameters: PlantParameters, demand: Demand, envelope: EnvelopeSettings, state: Array
+    parameters: PlantParameters, demand: SwingDemand, envelope: EnvelopeSettings, state: Array
 ) -> DownswingProblem:
     lean = demand.lean_freedom if demand.lean is None else (demand.lean, demand.lean)
     speeds = envelope.greatest_speed
@@ -287,20 +287,20 @@ def _problem(
     )
 
 
-def _furthest_back(parameters: PlantParameters, demand: Demand) -> float:
+def _furthest_back(parameters: PlantParameters, demand: SwingDemand) -> float:
     """Return the least theta1 of the downswing, rad: a golfer does not swing back again from the top."""
     if demand.follow is None:
         return parameters.shoulder.lower
     return demand.top_shoulder - _SAG
 
 
-def _concessions(parameters: PlantParameters, demand: Demand) -> Concessions:
+def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concessions:
     lie, longest = parameters.robot.lie, demand.downswing_time[1]
     rise = slope_of(demand.attack + _GIVES_WAY.rise, lie) - slope_of(demand.attack, lie)
     return Concessions(_GIVES_WAY.time * longest, rise, _GIVES_WAY.speed)
 
 
-def _openings(plan: Plan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
+def _openings(plan: DownswingPlan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
     """Return openings tick by tick, and on past the ball, with which the plant keeps near the plan.
 
     They are the plan's, early by the spools' lag, with the loop's own feedback on its joints.
@@ -317,7 +317,7 @@ def _openings(plan: Plan, shooter: Shooter, control: ControlSettings, highest: f
     return shooter.follow(rows(13, lag), angle, rows(3), control.pid, highest)
 
 
-def _wanted(plan: Plan, parameters: PlantParameters, demand: Demand) -> Array:
+def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return what `refine` is to reach: the plan's arrival, at the demanded strike point."""
     head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
     return np.array([demand.strike, *head[2:6]])
@@ -330,7 +330,7 @@ def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
     return np.array([error, *head[2:6]])
 
 
-def _loads(trial: Trial, parameters: PlantParameters, demand: Demand) -> Array:
+def _loads(trial: ShootingTrial, parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the upper cushions' energies of right arm and wrist over what they may take, J."""
     ratings = np.array([a.stop.energy for a in parameters.actuators])
     worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
@@ -343,7 +343,7 @@ def _shooter(bench: SimulatedBench, begun: _Start) -> Shooter:
 
 
 def design_downswing(
-    bench: SimulatedBench, demand: Demand, start: Profile | None, begun: _Start, progress: Progress
+    bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: _Start, progress: Progress
 ) -> tuple[Downswing, int]:
     """Return a downswing whose openings meet `demand` on the plant, and in how many rounds it came.
 
@@ -438,13 +438,13 @@ def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProbl
 class Highest(NamedTuple):
     """The fastest downswing that was found."""
 
-    plan: Plan
+    plan: DownswingPlan
     limit: str
     """Why a little more was not."""
 
 
 def highest_speed(
-    parameters: PlantParameters, demand: Demand, control: ControlSettings, envelope: EnvelopeSettings,
+    parameters: PlantParameters, demand: SwingDemand, control: ControlSettings, envelope: EnvelopeSettings,
     estimator: EstimatorSettings, *, start: Profile | None = None,
     progress: Progress = lambda what, part: None,
 ) -> Highest:  # fmt: skip
@@ -463,7 +463,7 @@ def highest_speed(
     free = replace(demand, head_speed=None, follow=None)
     begun = _swing_up(bench, free)
 
-    def fastest(speed: float | None, what: str) -> Plan:
+    def fastest(speed: float | None, what: str) -> DownswingPlan:
         def told(_: str, part: float) -> None:
             progress(what, part)
 
@@ -489,10 +489,10 @@ def _model_state(begun: _Start) -> Array:
 
 def _assemble(
     parameters: PlantParameters,
-    demand: Demand,
+    demand: SwingDemand,
     begun: _Start,
     opening: Array,
-    trial: Trial,
+    trial: ShootingTrial,
     name: str,
     golfer: str,
 ) -> Profile:
@@ -527,7 +527,11 @@ def _assemble(
 
 
 def _told(
-    profile: Profile, parameters: PlantParameters, state: NDArray[Any], demand: Demand, trial: Trial
+    profile: Profile,
+    parameters: PlantParameters,
+    state: NDArray[Any],
+    demand: SwingDemand,
+    trial: ShootingTrial,
 ) -> Profile:
     """Return `profile` with its delivery in closed loop and the limits it was made for."""
     error, lean, *velocity = _delivered(state, parameters)[:4]
@@ -556,7 +560,7 @@ def _told(
 
 def design_swing(
     parameters: PlantParameters,
-    demand: Demand,
+    demand: SwingDemand,
     name: str,
     *,
     golfer: str = "robot",
@@ -566,7 +570,7 @@ def design_swing(
     estimator: EstimatorSettings | None = None,
     start: Profile | None = None,
     progress: Progress = lambda what, part: None,
-) -> Design:
+) -> DesignedSwing:
     """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or with nothing.
 
     Raises:
@@ -586,11 +590,11 @@ def design_swing(
         )
     except LoopFailed as failure:
         raise DesignFailed(str(failure)) from None
-    return Design(replace(profile, blind_brake=blind), downswing.plan, downswing.trial, rounds)
+    return DesignedSwing(replace(profile, blind_brake=blind), downswing.plan, downswing.trial, rounds)
 
 
 def _into_the_loop(
-    bench: SimulatedBench, demand: Demand, begun: _Start, downswing: Downswing, name: str, golfer: str,
+    bench: SimulatedBench, demand: SwingDemand, begun: _Start, downswing: Downswing, name: str, golfer: str,
     progress: Progress,
 ) -> tuple[Profile, Downswing]:  # fmt: skip
     """Return the profile whose swing in closed loop delivers what `downswing` was to, and its downswing.
@@ -632,7 +636,7 @@ def _bench(
     estimator: EstimatorSettings | None,
 ) -> SimulatedBench:  # fmt: skip
     """Return the bench that the design is rehearsed on, still with an empty profile."""
-    nothing = _sketch(Demand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
+    nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
     return SimulatedBench(
         nothing, parameters, control or ControlSettings(), envelope or EnvelopeSettings(),
         estimator or EstimatorSettings(),

@@ -14,7 +14,7 @@ from math import degrees, pi
 
 import numpy as np
 
-from bench.design.designer import Demand
+from bench.design.designer import SwingDemand
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -31,8 +31,12 @@ _TOLD = 0.003, 0.1, 0.1
 
 
 def demand_like(
-    plant: PlantParameters, golfer: Golfer, human: HumanDownswing, demand: Demand, speed: float | None = None
-) -> Demand:
+    plant: PlantParameters,
+    golfer: Golfer,
+    human: HumanDownswing,
+    demand: SwingDemand,
+    speed: float | None = None,
+) -> SwingDemand:
     """Return `demand` with the motion of `human`, at `speed` (m/s), or at the golfer's."""
     top = human.angle[0]
     extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
@@ -58,7 +62,7 @@ def demand_like(
     )
 
 
-def gave_way(demand: Demand, profile: Profile) -> list[str]:
+def gave_way(demand: SwingDemand, profile: Profile) -> list[str]:
     """Return where `profile` does another thing than `demand`, with both figures; empty when it does not."""
     told = []
     longest = demand.downswing_time[1]

@@ -277,7 +277,7 @@ class DownswingProblem:
     concessions: Concessions = NO_CONCESSIONS
 
 
-class Plan(NamedTuple):
+class DownswingPlan(NamedTuple):
     """A downswing as the collocation found it."""
 
     time: Array
@@ -297,7 +297,7 @@ class Plan(NamedTuple):
 def solve_downswing(
     plant: PlantParameters, problem: DownswingProblem, guess_time: float, guess: Array, intervals: int = 50,
     watch: Any = None, iterations: int = 600,
-) -> Plan:  # fmt: skip
+) -> DownswingPlan:  # fmt: skip
     """Solve `problem` from `guess` (intervals + 1, 16)."""
     ca = load_casadi()
     equations = build_equations(plant)
@@ -424,7 +424,7 @@ def solve_downswing(
         found["x"]
     )
     total = float(values[0])
-    return Plan(
+    return DownswingPlan(
         np.linspace(0.0, total, n + 1),
         np.array(values[1]).T,
         float(values[2]),

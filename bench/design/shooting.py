@@ -48,7 +48,7 @@ class Arrival(NamedTuple):
     """Ball off the face's centre along the cut of swing plane and face, m."""
 
 
-class Trial(NamedTuple):
+class ShootingTrial(NamedTuple):
     """What came of one trial."""
 
     contact: int
@@ -204,7 +204,7 @@ class Shooter:
         error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, self.plant.impact)
         return head, float(error)
 
-    def shoot(self, valve: Array) -> Trial:
+    def shoot(self, valve: Array) -> ShootingTrial:
         """Play openings `valve` (n, 3), one row a tick, and all that may follow."""
         records, period = self.plant.records, self.plant.parameters.tick
         states, command, contact = self._down(valve)
@@ -226,7 +226,7 @@ class Shooter:
             silent[row] = left["stop_energy"][0]
 
         head, error = self._at_ball(hit, states, last)
-        return Trial(
+        return ShootingTrial(
             contact,
             bool(hit["struck"][0]),
             head,

@@ -54,7 +54,7 @@ class Check(NamedTuple):
     faults: list[BenchError]
 
 
-class Plan(NamedTuple):
+class MachineSwing(NamedTuple):
     """A swing on a machine."""
 
     profile: Profile
@@ -80,7 +80,7 @@ def check_profile(
     profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
 ) -> list[Check]:
     """Return every check of `profile` on the machine; `place` names its file in the faults."""
-    plan = Plan(profile, plant, envelope, Motion(profile, plant), place or profile.name)
+    plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), place or profile.name)
     done = [check(plan) for check in _CHECKS]
     # What the air must do follows from the tables' slopes.
     return done if _tables(plan).faults else [*done, _air(plan)]
@@ -117,12 +117,12 @@ def _lasting(values: Array, time: float, period: float) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, samples, axis=0).min(axis=-1))
 
 
-def _impact(plan: Plan) -> slice:
+def _impact(plan: MachineSwing) -> slice:
     """Return the ticks from before the impact window to after it."""
     return slice(max(plan.profile.begins[5] - 1, 0), plan.profile.begins[6] + 1)
 
 
-def _machine(plan: Plan) -> Check:
+def _machine(plan: MachineSwing) -> Check:
     """Compare what the profile was made for with the machine: club, period, supply."""
     profile, plant, faults = plan.profile, plan.plant, []
     club, supply = plant.robot.club.name, plant.supply.pressure
@@ -142,7 +142,7 @@ def _machine(plan: Plan) -> Check:
     return Check("made for", found, f"{club}, {1e3 * plant.tick:g} ms, {supply / 1e5:.2f} bar", faults)
 
 
-def _tables(plan: Plan) -> Check:
+def _tables(plan: MachineSwing) -> Check:
     """Ask the tables to hold together: velocity is the angle's slope, and the swing begins at rest."""
     angle, velocity, faults = plan.profile.angle, plan.profile.velocity, []
     slope = np.diff(angle, axis=0) / plan.profile.period
@@ -171,7 +171,7 @@ def _tables(plan: Plan) -> Check:
     return Check("tables agree", text, f"{SLOPE_TOLERANCE:g} rad/s · {allowed[j, i]:.3g} rad", faults)
 
 
-def _allowed_steps(plan: Plan) -> Array:
+def _allowed_steps(plan: MachineSwing) -> Array:
     """Return the greatest step of the reference (n - 1, 3) that leaves following its share, rad."""
     following = plan.envelope.following
     limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
@@ -195,7 +195,7 @@ def _beyond(actuator: Actuator, position: Array) -> Array:
     return np.asarray(np.maximum(actuator.lower - position, position - actuator.upper))
 
 
-def _range(plan: Plan) -> Check:
+def _range(plan: MachineSwing) -> Check:
     """Keep the swing off the end stops: within the envelope's share of the cushion and its rated energy."""
     share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
     for i, actuator in enumerate(plan.plant.actuators):
@@ -236,7 +236,7 @@ def _greatest_visit(work: Array) -> float:
     return greatest
 
 
-def _speed(plan: Plan) -> Check:
+def _speed(plan: MachineSwing) -> Check:
     """Compare with the envelope's limits of speed."""
     limits, faults = plan.envelope.greatest_speed, []
     speed = np.abs(plan.motion.speed)
@@ -254,7 +254,7 @@ def _joined(values: Iterable[float], form: str) -> str:
     return " · ".join(f"{form.format(value)} {unit}" for value, unit in zip(values, _SPEED, strict=True))
 
 
-def _clearance(plan: Plan) -> Check:
+def _clearance(plan: MachineSwing) -> Check:
     """Keep the club off ground and frame as the envelope will."""
     robot, site, envelope, faults = plan.plant.robot, plan.plant.site, plan.envelope, []
     head = forward_kinematics(robot, plan.profile.angle)
@@ -278,7 +278,7 @@ def _clearance(plan: Plan) -> Check:
     return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
 
 
-def _lever(plan: Plan) -> Check:
+def _lever(plan: MachineSwing) -> Check:
     """Keep the wrist where its cylinder has a lever (thesis figure 11)."""
     authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
     k, least, faults = int(authority.argmin()), plan.envelope.least_lever, []
@@ -289,7 +289,7 @@ def _lever(plan: Plan) -> Check:
     return Check("wrist lever |sin beta|", f"{authority[k]:.2f}", f"at least {least:g}", faults)
 
 
-def _valves(plan: Plan) -> Check:
+def _valves(plan: MachineSwing) -> Check:
     """Compare the feed-forward with what the envelope passes."""
     opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.greatest_opening, []
     k, joint = _peak(opening)
@@ -299,7 +299,7 @@ def _valves(plan: Plan) -> Check:
     return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 
 
-def _ball(plan: Plan) -> Check:
+def _ball(plan: MachineSwing) -> Check:
     """Compare the place of the ball, and whether the head is there at the planned contact."""
     profile, site, faults = plan.profile, plan.plant.site, []
     x, y = profile.ball
@@ -322,7 +322,7 @@ def _ball(plan: Plan) -> Check:
     return Check("ball", found, allowed, faults)
 
 
-def _air(plan: Plan) -> Check:
+def _air(plan: MachineSwing) -> Check:
     """Compare the force the motion needs with what valves and supply can give at its speed."""
     plant, faults, shares = plan.plant, [], []
     need = needed_force(plan.motion)
@@ -350,6 +350,6 @@ def _air(plan: Plan) -> Check:
     return Check("air", found, "the force that valves and supply give", faults)
 
 
-_CHECKS: tuple[Callable[[Plan], Check], ...] = (
+_CHECKS: tuple[Callable[[MachineSwing], Check], ...] = (
     _machine, _tables, _range, _speed, _clearance, _lever, _valves, _ball,
 )  # fmt: skip

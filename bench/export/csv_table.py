@@ -14,14 +14,14 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.csv as pc
 
-from bench.export.record import Record, columns
+from bench.export.record import ExportRecord, columns
 from bench.telemetry.cycle_record import to_arrow
 from bench.telemetry.whole_file import whole_file
 
 _TYPES = {"double": "number", "int64": "integer", "int32": "integer", "uint8": "integer", "bool": "boolean"}
 
 
-def write_csv(path: Path, record: Record) -> list[Path]:
+def write_csv(path: Path, record: ExportRecord) -> list[Path]:
     """Write `record` to `path` and its metadata beside it; return both paths.
 
     Raises:
@@ -36,7 +36,7 @@ def write_csv(path: Path, record: Record) -> list[Path]:
     return [path, beside]
 
 
-def _metadata(path: Path, record: Record, schema: pa.Schema) -> dict[str, Any]:
+def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, Any]:
     described = [
         {
             "name": column.name,

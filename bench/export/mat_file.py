@@ -13,12 +13,12 @@ from typing import Any, cast
 import numpy as np
 from scipy.io import savemat
 
-from bench.export.record import Record
+from bench.export.record import ExportRecord
 from bench.telemetry.cycle_record import FIELDS
 from bench.telemetry.whole_file import whole_file
 
 
-def write_mat(path: Path, record: Record) -> list[Path]:
+def write_mat(path: Path, record: ExportRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:

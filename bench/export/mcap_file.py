@@ -16,14 +16,14 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from bench.export.record import Record
+from bench.export.record import ExportRecord
 from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
 from bench.telemetry.whole_file import whole_file
 
 TOPIC = "/cycle"
 
 
-def write_mcap(path: Path, record: Record) -> list[Path]:
+def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -67,7 +67,7 @@ def _property(field: Field) -> dict[str, Any]:
     return {"type": "object", "description": field.text, "properties": inner}
 
 
-def _rows(record: Record) -> Iterator[dict[str, Any]]:
+def _rows(record: ExportRecord) -> Iterator[dict[str, Any]]:
     """Yield the messages' contents."""
     values = [record.cycles[field.name].tolist() for field in FIELDS]
     for row in zip(*values, strict=True):

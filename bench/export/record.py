@@ -12,7 +12,7 @@ from bench.telemetry.cycle_record import arrow_schema
 from bench.telemetry.recorder import read_swing
 
 
-class Column(NamedTuple):
+class ExportColumn(NamedTuple):
     """What a column is."""
 
     name: str
@@ -21,7 +21,7 @@ class Column(NamedTuple):
     description: str
 
 
-class Record(NamedTuple):
+class ExportRecord(NamedTuple):
     """What stands in a record's file."""
 
     path: Path
@@ -38,18 +38,18 @@ class Record(NamedTuple):
         return datetime.fromisoformat(told).timestamp() - float(self.cycles["time"][0])
 
 
-def read_record(path: Path) -> Record:
+def read_record(path: Path) -> ExportRecord:
     """Return the record at `path`.
 
     Raises:
         BenchError: it is missing, damaged or no record.
     """
-    return Record(path, *read_swing(path))
+    return ExportRecord(path, *read_swing(path))
 
 
-def columns() -> list[Column]:
+def columns() -> list[ExportColumn]:
     """Return what the columns of a record are, in order."""
     return [
-        Column(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
+        ExportColumn(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
         for field in arrow_schema()
     ]

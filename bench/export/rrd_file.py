@@ -12,14 +12,14 @@ from typing import Any, cast
 
 import rerun as rr
 
-from bench.export.record import Record
+from bench.export.record import ExportRecord
 from bench.shot.recorded_shot import recorded_shot
 from bench.telemetry.cycle_record import FIELDS
 from bench.viewer.recording import log_shots, writing_recording
 from bench.viewer.signals import bench_time, send_scalars
 
 
-def write_rrd(path: Path, record: Record) -> list[Path]:
+def write_rrd(path: Path, record: ExportRecord) -> list[Path]:
     """Write `record` to `path` and return it.
 
     Raises:
@@ -38,7 +38,7 @@ def write_rrd(path: Path, record: Record) -> list[Path]:
     return [path]
 
 
-def _log_fields(recording: rr.RecordingStream, record: Record) -> None:
+def _log_fields(recording: rr.RecordingStream, record: ExportRecord) -> None:
     time = bench_time(record.cycles["time"] - record.cycles["time"][0])
     for field in FIELDS:
         entity = f"record/{field.name}"

@@ -94,7 +94,7 @@ def instants_of(profile: Profile) -> tuple[Instant, ...]:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CaseOutcome:
     """How one case ended. Shares are of a rating or limit: 1 is the limit. Times are ticks from the fault."""
 
     breakage: str
@@ -202,7 +202,7 @@ class Workbench:
             )
         return bench
 
-    def run(self, breakage: Breakage, instant: Instant) -> Outcome:
+    def run(self, breakage: Breakage, instant: Instant) -> CaseOutcome:
         """Return how `breakage` at `instant` ends."""
         end = self._watched(instant, breakage)
         healthy = self._healthy(instant, without_ball=breakage.event == "no ball")
@@ -368,7 +368,7 @@ def _first(mask: NDArray[np.bool_]) -> int:
     return int(found[0]) if len(found) else -1
 
 
-def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healthy: _End) -> Outcome:
+def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healthy: _End) -> CaseOutcome:
     cycles, state, control = end.cycles, end.state[0], end.control[0]
     actuators = w.configuration.plant.actuators
     energies = state["stop_energy"] / np.array([[a.stop.energy] for a in actuators])
@@ -404,7 +404,7 @@ def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healt
         reasons.append(change)
     final = State(int(control["state"]))
     told = CAUSE_TEXT[cause] if cause else "; ".join(end.refusals) or "nothing"
-    return Outcome(
+    return CaseOutcome(
         breakage.name, breakage.fault.signal, breakage.fault.kind, instant.phase, instant.name, verdict,
         tuple(reasons), detected_by, tripped, reaction, reacted, round(float(energies.max()), 4), stop,
         round(float(pressures.max()), 4), round(float(depths.max()), 4), round(fastest_at_stop, 2),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import Configuration
-from bench.faults.case import Instant, Outcome, Workbench, instants_of
+from bench.faults.case import CaseOutcome, Instant, Workbench, instants_of
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
 from bench.swing.profile import Profile
 from drivers.base.compiled import source_digest
@@ -38,7 +38,7 @@ class Skipped:
 
 
 @dataclass(frozen=True)
-class Plan:
+class MatrixPlan:
     """What is to be run."""
 
     cases: tuple[tuple[Breakage, Instant], ...]
@@ -52,7 +52,7 @@ def plan_matrix(
     signals: Sequence[str] = (),
     phases: Sequence[str] = (),
     one_instant: bool = False,
-) -> Plan:
+) -> MatrixPlan:
     """Return the cases of `profile`; `signals` (parts of names), `phases`, `one_instant` narrow them."""
     cases, skipped = [], []
     instants = instants_of(profile)
@@ -72,7 +72,7 @@ def plan_matrix(
                 skipped.append(Skipped(breakage.name, f.signal, f.kind, instant.name, instant.phase, rule))
             else:
                 cases.append((breakage, instant))
-    return Plan(tuple(cases), tuple(skipped))
+    return MatrixPlan(tuple(cases), tuple(skipped))
 
 
 def digest_of(configuration: Configuration, profile: Profile, model_check: bool) -> str:
@@ -92,7 +92,7 @@ class CaseStore:
     def __init__(self, path: Path, digest: str) -> None:
         """Read what is there; a file of another matrix, or a torn last line, is begun anew or cut off."""
         self.path = path
-        self.outcomes: dict[tuple[str, str], Outcome] = {}
+        self.outcomes: dict[tuple[str, str], CaseOutcome] = {}
         self.seconds = 0.0
         """That its cases took, over all runs."""
         lines = path.read_text().splitlines() if path.exists() else []
@@ -111,7 +111,7 @@ class CaseStore:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("\n".join(kept) + "\n")
 
-    def add(self, outcomes: Sequence[Outcome]) -> None:
+    def add(self, outcomes: Sequence[CaseOutcome]) -> None:
         """Store `outcomes`."""
         with self.path.open("a") as file:
             for outcome in outcomes:
@@ -133,13 +133,13 @@ def _parsed(line: str) -> dict[str, Any]:
     return record if isinstance(record, dict) else {}
 
 
-def outcome_of(record: dict[str, Any]) -> Outcome:
-    """Return the Outcome that `Outcome.as_json` made."""
-    return Outcome(**{**record, "reasons": tuple(record["reasons"])})
+def outcome_of(record: dict[str, Any]) -> CaseOutcome:
+    """Return the Outcome that `CaseOutcome.as_json` made."""
+    return CaseOutcome(**{**record, "reasons": tuple(record["reasons"])})
 
 
 def run_matrix(
-    plan: Plan,
+    plan: MatrixPlan,
     configuration: Configuration,
     profile: Profile,
     store: CaseStore,
@@ -148,7 +148,7 @@ def run_matrix(
     processes: int = 0,
     progress: Callable[[int], None] = lambda done: None,
     stop: Callable[[], bool] = lambda: False,
-) -> list[Outcome]:
+) -> list[CaseOutcome]:
     """Run what `store` does not hold yet, and return the outcomes of all of `plan` in its order.
 
     In this process with `processes` 1, else in so many, by default one a core. `progress` is told of cases
@@ -171,7 +171,7 @@ def run_matrix(
         with ProcessPoolExecutor(
             count, get_context("spawn"), _begin, (os.getpid(), configuration, profile, model_check)
         ) as pool:
-            waiting: set[Future[list[Outcome]]] = set()
+            waiting: set[Future[list[CaseOutcome]]] = set()
             queue = iter(tasks)
             while True:
                 while len(waiting) < 2 * count and not stop() and (task := next(queue, None)) is not None:
@@ -209,7 +209,7 @@ def _begin(parent: int, configuration: Configuration, profile: Profile, model_ch
     _bench = Workbench(configuration, profile, model_check=model_check)
 
 
-def _run(instant: Instant, breakages: list[Breakage]) -> list[Outcome]:
+def _run(instant: Instant, breakages: list[Breakage]) -> list[CaseOutcome]:
     if _bench is None:
         raise RuntimeError("a worker that was not begun")
     return [_bench.run(breakage, instant) for breakage in breakages]

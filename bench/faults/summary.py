@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from bench.faults.case import Outcome
+from bench.faults.case import CaseOutcome
 from bench.faults.matrix import Skipped
 from sim.faults import MEANINGS, sort_of
 
@@ -23,7 +23,7 @@ PROMISED_TICKS = {"encoder off": 5, "switch off": 1, "link off": 5, "loop stall"
 
 
 def summarise(
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[CaseOutcome],
     skipped: Sequence[Skipped],
     *,
     model_check: bool,
@@ -72,7 +72,7 @@ def _usual(texts: list[str]) -> list[str]:
     return [text for text, _ in Counter(filter(None, texts)).most_common(3)]
 
 
-def _phase(phase: str, own: Sequence[Outcome], skipped: Sequence[Skipped]) -> dict[str, Any]:
+def _phase(phase: str, own: Sequence[CaseOutcome], skipped: Sequence[Skipped]) -> dict[str, Any]:
     here = [o for o in own if o.phase == phase]
     if not here:
         rule = next((s.rule for s in skipped if s.phase == phase), "")
@@ -81,13 +81,13 @@ def _phase(phase: str, own: Sequence[Outcome], skipped: Sequence[Skipped]) -> di
     return {"verdict": worst.verdict, "reason": "; ".join(worst.reasons), "detected_by": worst.detected_by}
 
 
-def _reasons(own: Sequence[Outcome]) -> list[str]:
+def _reasons(own: Sequence[CaseOutcome]) -> list[str]:
     """Return each sort of bad end once, the worst first."""
     bad = sorted((o for o in own if o.reasons), key=lambda o: -VERDICTS.index(o.verdict))
     return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}" for o in bad))
 
 
-def reaction_ticks(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
+def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float]]:
     """Return least, median and greatest ticks to the reaction by sort of fault, where it is detected."""
     groups: dict[str, list[int]] = {}
     for outcome in outcomes:
@@ -103,7 +103,7 @@ def reaction_ticks(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:
     }  # fmt: skip
 
 
-def compare(with_check: Sequence[Outcome], without: Sequence[Outcome]) -> list[dict[str, Any]]:
+def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -> list[dict[str, Any]]:
     """Return what the model-based check makes of the cases that were run with it and without."""
     before = {(o.breakage, o.instant): o for o in without}
     pairs = [(o, before[o.breakage, o.instant]) for o in with_check if (o.breakage, o.instant) in before]

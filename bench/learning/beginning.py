@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.learning.figures import Figures, Tolerance, figures_of
-from bench.learning.learn import Lecture, learn, on_series
+from bench.learning.learn import LearningProblem, learn, on_series
 from bench.learning.learner import Beginning, LearningSettings
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.recorded import Recorded
@@ -40,7 +40,9 @@ _SWINGS = 3
 """Simulated ones that are averaged, as one may be lucky; one before them begins with the air of arming."""
 
 
-def begun_on(lecture: Lecture, plant: PlantParameters, recorded: Sequence[Recorded] = ()) -> Lecture:
+def begun_on(
+    lecture: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
+) -> LearningProblem:
     """Return `lecture` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
 
     Without them what the identification left over is not known: the first swing only begins nearer.

@@ -20,9 +20,9 @@ from bench.control.settings import ControlSettings, EnvelopeSettings, PidSetting
 from bench.control.step import ControlParameters
 from bench.errors import BenchError, Refused
 from bench.learning.figures import UNKNOWN, Figures, figures_of
-from bench.learning.learn import Lecture, learn, on_series, prepare
+from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.lifecycle import Cause, Phase
-from bench.simulation.series import Bench, Series, Swing
+from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
 from bench.swing.thesis_experiment import ThesisParameters
 from sim.kinematics import forward_kinematics
@@ -123,7 +123,7 @@ def controllers(bench: Bench) -> list[Controller]:
     ]
 
 
-def lecture_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> Lecture:
+def lecture_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
     """Return what is to be learned: the profile's plan, by the model's response.
 
     Raises:
@@ -138,7 +138,7 @@ def compare(
     bench: Bench,
     plant: PlantParameters,
     swings: int = 3,
-    lecture: Lecture | None = None,
+    lecture: LearningProblem | None = None,
     told: Callable[[str], None] = lambda name: None,
 ) -> list[Compared]:
     """Return a row for each of `controllers`, and with a `lecture` one for learning, on the robot `plant`.
@@ -187,7 +187,9 @@ def _compared(
     return _row(controller.name, made, bench, envelope, planned)
 
 
-def _learned(name: str, lecture: Lecture, plant: PlantParameters, planned: Figures, swings: int) -> Compared:
+def _learned(
+    name: str, lecture: LearningProblem, plant: PlantParameters, planned: Figures, swings: int
+) -> Compared:
     bench = lecture.bench
     series = Series(bench, plant)
     lesson = learn(lecture, on_series(lecture, series))
@@ -205,7 +207,7 @@ def _parameters(bench: Bench, controller: Controller) -> ControlParameters:
 
 
 def _row(
-    name: str, made: list[Swing], bench: Bench, envelope: EnvelopeSettings, planned: Figures
+    name: str, made: list[SeriesSwing], bench: Bench, envelope: EnvelopeSettings, planned: Figures
 ) -> Compared:
     profile, robot = bench.profile, bench.model.robot
     figures = np.array([figures_of(swing.delivery).array for swing in made])
@@ -235,7 +237,7 @@ def _row(
     )
 
 
-def _delivered(swing: Swing, profile: Profile) -> bool:
+def _delivered(swing: SeriesSwing, profile: Profile) -> bool:
     """Tell whether the contact is the swing's: in its downswing or later, and before any stop."""
     stops = np.flatnonzero(swing.cycles["trip"] != 0)
     end = stops[0] if len(stops) else len(swing.cycles)

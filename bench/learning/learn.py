@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.learning.figures import Figures, Tolerance, figures_of
-from bench.learning.learner import Beginning, Learner, LearningSettings, Trial
+from bench.learning.learner import Beginning, Learner, LearnerTrial, LearningSettings
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
 from bench.lifecycle import Cause
@@ -19,7 +19,7 @@ from bench.swing.correction import Basis, Correction, basis_of
 Array = NDArray[np.float64]
 
 
-class Swung(NamedTuple):
+class ObservedSwing(NamedTuple):
     """A swing as the learner sees it."""
 
     cycles: np.ndarray[Any, Any]
@@ -31,7 +31,7 @@ class Swung(NamedTuple):
     """Whether it began with the air that a swing had left, not with that of arming."""
 
 
-Swinger = Callable[[Array], Swung]
+Swinger = Callable[[Array], ObservedSwing]
 """Swings with the weights (m,) of a correction and comes back to the address, also after a stop."""
 
 
@@ -51,7 +51,7 @@ class Attempt(NamedTuple):
     """Norm of the correction's weights."""
 
 
-class Lesson(NamedTuple):
+class LearningResult(NamedTuple):
     """What was learned."""
 
     target: Figures
@@ -78,7 +78,7 @@ class Lesson(NamedTuple):
         return len(self.attempts) - 1
 
 
-class Lecture(NamedTuple):
+class LearningProblem(NamedTuple):
     """What is to be learned: the model's response, its path as the plan, its delivery as the target."""
 
     bench: Bench
@@ -89,7 +89,7 @@ class Lecture(NamedTuple):
     """Where an identified robot lets learning begin; None: without correction."""
 
 
-def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> Lecture:
+def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
     """Return the response of `bench`'s model; the target is what the profile delivers on that model.
 
     Raises:
@@ -98,29 +98,29 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
     """
     basis = basis_of(bench.profile)
     response = Model(bench, basis).response(progress=progress)
-    return Lecture(bench, basis, response, Figures(*map(float, response.figures)))
+    return LearningProblem(bench, basis, response, Figures(*map(float, response.figures)))
 
 
-def on_series(lecture: Lecture, series: Series) -> Swinger:
+def on_series(lecture: LearningProblem, series: Series) -> Swinger:
     """Return the swinger that a simulated bench is; the source of the delivery is encoders and model."""
     bench, free = lecture.bench, lecture.response.free
 
-    def swing(weights: Array) -> Swung:
+    def swing(weights: Array) -> ObservedSwing:
         made = series.swing(lecture.basis.correction(weights).applied_to(bench.profile))
         delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.model, free)
-        return Swung(made.cycles, figures_of(delivery), made.cause, made.settled)
+        return ObservedSwing(made.cycles, figures_of(delivery), made.cause, made.settled)
 
     return swing
 
 
 def learn(
-    lecture: Lecture,
+    lecture: LearningProblem,
     swing: Swinger,
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
     told: Callable[[Attempt], None] = lambda attempt: None,
     start: Array | None = None,
-) -> Lesson:
+) -> LearningResult:
     """Swing until the target is reached and confirmed, or the swings are used up.
 
     It is reached when swings with the same correction lie well within every tolerance in the mean, two at the
@@ -144,7 +144,7 @@ def learn(
             break
     chosen = learner.chosen
     weights = learner.trials[chosen].point
-    return Lesson(
+    return LearningResult(
         lecture.target,
         tolerance,
         tuple(attempts),
@@ -155,12 +155,12 @@ def learn(
     )
 
 
-def _attempt(lecture: Lecture, swing: Swinger, learner: Learner) -> tuple[Trial, Attempt]:
+def _attempt(lecture: LearningProblem, swing: Swinger, learner: Learner) -> tuple[LearnerTrial, Attempt]:
     bench, response, point = lecture.bench, lecture.response, learner.point
     cycles, figures, cause, settled = swing(point)
     path = cycles["angle"][response.rows].copy()
     path[cycles["trip"][response.rows] != 0] = np.nan
-    trial = Trial(point, figures.array, path, settled)
+    trial = LearnerTrial(point, figures.array, path, settled)
     down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
     off = path - response.path
     attempt = Attempt(

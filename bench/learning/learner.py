@@ -79,7 +79,7 @@ class LearningSettings:
     """Share within which the repetition must lie."""
 
 
-class Trial(NamedTuple):
+class LearnerTrial(NamedTuple):
     """What one swing told."""
 
     point: Array
@@ -137,7 +137,7 @@ class Learner:
         self._doubt, self._offset = s.doubt, np.full(len(self._prior), _OFFSET)
         self._expected = np.zeros(len(self._prior))
         self._radius = s.radius
-        self.trials: list[Trial] = []
+        self.trials: list[LearnerTrial] = []
         self._errors: list[Array] = []
         self._best = 0
         self.point = self._origin
@@ -158,7 +158,7 @@ class Learner:
         return np.concatenate([self.error(figures), self._path_factor * (path - self._plan).ravel()])
 
     @property
-    def best(self) -> Trial:
+    def best(self) -> LearnerTrial:
         """The swing that came nearest, all in all."""
         return self.trials[self._best]
 
@@ -221,7 +221,7 @@ class Learner:
                 count += len(errors) - 1
         return np.sqrt(squares / count) if count else np.array(self._settings.scatter)
 
-    def note(self, trial: Trial) -> None:
+    def note(self, trial: LearnerTrial) -> None:
         """Take note of the swing made with `trial.point` and set the next `point`."""
         self.trials.append(trial)
         self._errors.append(self._error(trial.figures, trial.path))

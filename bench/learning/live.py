@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from bench.errors import Refused
 from bench.learning.figures import UNKNOWN
-from bench.learning.learn import Lecture, Swung
+from bench.learning.learn import LearningProblem, ObservedSwing
 from bench.learning.measured import figures_from
 from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request
+from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, BenchClient, CommandRefused
-from bench.network.desk import Status
 from bench.network.live_swing import HOLD, LOOK, ShotNews, SwingRecord, in_words, tee_up
 from bench.shot.recorded_shot import plant_of
 from bench.swing.correction import digest_of
@@ -56,7 +56,7 @@ class LiveSwinger:
     def __init__(
         self,
         client: BenchClient,
-        lecture: Lecture,
+        lecture: LearningProblem,
         source: Source,
         say: Callable[[str], None],
         ask_mark: Callable[[], tuple[float, float] | None] = lambda: None,
@@ -87,7 +87,7 @@ class LiveSwinger:
     ) -> None:
         self._stack.close()
 
-    def __call__(self, weights: Array) -> Swung:
+    def __call__(self, weights: Array) -> ObservedSwing:
         """Swing with the correction `weights` (m,) and come to rest.
 
         Raises:
@@ -125,15 +125,15 @@ class LiveSwinger:
             raise self._refused("no record of the swing", "its Parquet file", "Look at golfbench status.")
         return record
 
-    def _seen(self, record: SwingRecord) -> tuple[Swung, bool]:
+    def _seen(self, record: SwingRecord) -> tuple[ObservedSwing, bool]:
         """Return what `record` tells of its swing, and whether it has no gap before the ball."""
         profile, metadata = self._lecture.bench.profile, record.metadata
         cycles, missing = swung_cycles(record.cycles, len(profile.angle))
         cause = Cause[metadata["outcome"]["cause"]]
         if cause:
-            return Swung(cycles, UNKNOWN, cause), True
+            return ObservedSwing(cycles, UNKNOWN, cause), True
         if missing[profile.begins[3] : profile.begins[6] + 1].any():
-            return Swung(cycles, UNKNOWN, cause), False
+            return ObservedSwing(cycles, UNKNOWN, cause), False
         # Its calibration, at the model's masses and friction.
         encoders = plant_of(metadata, str(record.path))[0].encoders
         plant = replace(self._lecture.bench.model, encoders=encoders)
@@ -145,7 +145,7 @@ class LiveSwinger:
         figures = figures_from(
             self._source, cycles, plant, self._lecture.response.free, mark=mark, **monitor._asdict()
         )
-        return Swung(cycles, figures, cause), True
+        return ObservedSwing(cycles, figures, cause), True
 
     def _told(self, record: SwingRecord) -> MonitorFigures:
         told = self._news.told_of(record, self._client.status())
@@ -197,7 +197,7 @@ class LiveSwinger:
                 )
             _pause()
 
-    def _bring_nearer(self, status: Status) -> None:
+    def _bring_nearer(self, status: BenchStatus) -> None:
         """Take the lease, or ask for the next step to the address."""
         if not self._held:
             self._lease.enter_context(self._client.lease("learn", _LEASE))
@@ -226,7 +226,7 @@ def _pause() -> None:
     time.sleep(LOOK)
 
 
-def require_bench(status: Status, profile: Profile, source: Source) -> None:
+def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None:
     """Refuse a bench that swings something else, or has no launch monitor where that is the `source`.
 
     Raises:

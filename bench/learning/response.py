@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.learning.figures import figures_of
 from bench.lifecycle import CAUSE_TEXT
-from bench.simulation.series import Bench, Swing, quiet, settled
+from bench.simulation.series import Bench, SeriesSwing, quiet, settled
 from bench.swing.correction import Basis
 from sim.plant import PlantParameters
 
@@ -59,7 +59,7 @@ class Model:
         self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
         self.rows = path_rows(bench)
 
-    def swing(self, point: Array) -> Swing:
+    def swing(self, point: Array) -> SeriesSwing:
         """Swing with the correction `point` (m,)."""
         corrected = self._basis.correction(point).applied_to(self._bench.profile)
         return self._series.swing_from(self._mark, corrected, self._ticks)
@@ -104,5 +104,5 @@ class Model:
             progress((i + 1) / m)
         return Response(figures, path, self.rows, by_figures, by_path, free)
 
-    def _seen(self, swing: Swing) -> tuple[Array, Array]:
+    def _seen(self, swing: SeriesSwing) -> tuple[Array, Array]:
         return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]

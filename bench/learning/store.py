@@ -12,7 +12,7 @@ import numpy as np
 from sqlalchemy import Engine, func, insert, select
 
 from bench.errors import BenchError
-from bench.learning.learn import Lesson
+from bench.learning.learn import LearningResult
 from bench.store.tables import LearnedSwingRow
 from bench.swing.correction import Correction, basis_of, digest_of
 from bench.swing.profile import Profile
@@ -96,7 +96,7 @@ class Learned:
 
 
 def stored(
-    lesson: Lesson,
+    lesson: LearningResult,
     bench: str,
     profile: str,
     conditions: Conditions,

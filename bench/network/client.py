@@ -22,16 +22,16 @@ import zenoh
 
 from bench.errors import BenchError, Refused
 from bench.lifecycle import ACCEPTED_IN
+from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
     REQUESTS,
     STOPS,
-    Answer,
+    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,
     parse_error,
 )
-from bench.network.desk import STATUS_VERSION, Status
 from bench.network.lease import DEFAULT
 from bench.network.zenoh_session import NoAnswer, open_client
 from bench.shot.shot_message import ShotMessage, read_shot_message
@@ -48,7 +48,7 @@ LATCHED = frozenset({"ESTOP", "FAULT"})
 class CommandRefused(Refused):
     """The bench refused; `answer` is what it said."""
 
-    def __init__(self, bench: str, verb: Verb, answer: Answer) -> None:
+    def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
         why, _, cure = answer.reason.partition(": ")
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         super().__init__(
@@ -72,10 +72,10 @@ class HeldLease:
     """Of the newest command sent with it."""
 
 
-class Heard(NamedTuple):
+class ReceivedState(NamedTuple):
     """A state that the bench published, and when it came (s, time.monotonic)."""
 
-    status: Status
+    status: BenchStatus
     at: float
 
 
@@ -115,11 +115,11 @@ class BenchClient:
 
     # Looking -------------------------------------------------------------------------------------
 
-    def status(self) -> Status:
+    def status(self) -> BenchStatus:
         """Return the state of the bench."""
         return _checked_status(self._ask(Verb.STATUS).content)
 
-    def states(self, timeout: float) -> Generator[Heard | None, None, None]:
+    def states(self, timeout: float) -> Generator[ReceivedState | None, None, None]:
         """Yield each state that the bench publishes, and None whenever `timeout` s pass without one."""
         newest: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
         subscriber = self._session.declare_subscriber(f"{self._root}/state", newest)
@@ -128,7 +128,7 @@ class BenchClient:
             while True:
                 sample, now = subscriber.try_recv(), time.monotonic()
                 if sample is not None:
-                    yield Heard(_read_status(sample.payload.to_bytes()), now)
+                    yield ReceivedState(_read_status(sample.payload.to_bytes()), now)
                 elif now >= due:
                     yield None
                 else:
@@ -177,7 +177,7 @@ class BenchClient:
         finally:
             queryable.undeclare()
 
-    def wait_for(self, state: str, *, phase: str | None = None, timeout: float = 30.0) -> Status:
+    def wait_for(self, state: str, *, phase: str | None = None, timeout: float = 30.0) -> BenchStatus:
         """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
 
         "ARMED" in phase "HOLD" is at the address, ready to swing.
@@ -253,50 +253,50 @@ class BenchClient:
 
     # Verbs ---------------------------------------------------------------------------------------
 
-    def home(self) -> Answer:
+    def home(self) -> CommandAnswer:
         """Prove the encoders' zeros."""
         return self._ask_keyed(Verb.HOME)
 
-    def arm(self) -> Answer:
+    def arm(self) -> CommandAnswer:
         """Warn, let the air on, go to the address."""
         return self._ask_keyed(Verb.ARM)
 
-    def disarm(self) -> Answer:
+    def disarm(self) -> CommandAnswer:
         """End what moves in order, and vent; needs no lease."""
         return self._ask(Verb.DISARM)
 
-    def access(self) -> Answer:
+    def access(self) -> CommandAnswer:
         """Unlock the guard of a vented bench."""
         return self._ask_keyed(Verb.ACCESS)
 
-    def secure(self) -> Answer:
+    def secure(self) -> CommandAnswer:
         """End the access: lock the guard."""
         return self._ask_keyed(Verb.SECURE)
 
-    def swing(self) -> Answer:
+    def swing(self) -> CommandAnswer:
         """Swing from the address."""
         return self._ask_keyed(Verb.SWING)
 
-    def tee(self) -> Answer:
+    def tee(self) -> CommandAnswer:
         """Raise the next ball."""
         return self._ask_keyed(Verb.TEE)
 
-    def reset(self) -> Answer:
+    def reset(self) -> CommandAnswer:
         """Leave ESTOP or FAULT once the cause is gone; enables, never moves."""
         return self._ask_keyed(Verb.RESET)
 
-    def correct(self, profile: str, weights: Sequence[float]) -> Answer:
+    def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Let the swings to come be made with the correction `weights` of the profile of digest `profile`.
 
         Without weights they are made as designed. It holds until another is given, or the bench starts anew.
         """
         return self._ask_keyed(Verb.CORRECT, profile=profile, weights=list(weights))
 
-    def stop(self) -> Answer:
+    def stop(self) -> CommandAnswer:
         """Stop as the stopping table says; needs no lease."""
         return self._ask(Verb.STOP)
 
-    def emergency_stop(self) -> Answer:
+    def emergency_stop(self) -> CommandAnswer:
         """Stop and latch ESTOP; needs no lease. A convenience, not a safety function."""
         return self._ask(Verb.ESTOP)
 
@@ -312,14 +312,14 @@ class BenchClient:
             )
         return self.held
 
-    def _ask_keyed(self, verb: Verb, **values: Any) -> Answer:
+    def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:
         # One at a time: two that overtake each other would be out of order.
         with self._lock:
             held = self._require_lease(verb)
             held.sequence += 1
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
-    def _ask(self, verb: Verb, **values: Any) -> Answer:
+    def _ask(self, verb: Verb, **values: Any) -> CommandAnswer:
         """Send `verb` and return the accepted answer."""
         payload = self.send(verb, encode_command(verb, **values))
         answer = parse_answer(payload)
@@ -353,7 +353,7 @@ class BenchClient:
         raise NoAnswer(self.bench, self._network.endpoint, waited)
 
 
-def _read_status(payload: bytes) -> Status:
+def _read_status(payload: bytes) -> BenchStatus:
     try:
         read = json.loads(payload)
     except (ValueError, RecursionError):
@@ -361,13 +361,13 @@ def _read_status(payload: bytes) -> Status:
     return _checked_status(read)
 
 
-def _checked_status(read: Any) -> Status:
+def _checked_status(read: Any) -> BenchStatus:
     """Return `read` as a status if it is one of this version with all its parts."""
     if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
         raise _not_understood(read)
-    if missing := Status.__required_keys__ - read.keys():
+    if missing := BenchStatus.__required_keys__ - read.keys():
         raise _not_understood(f"no {', '.join(sorted(missing))}")
-    return cast(Status, read)
+    return cast(BenchStatus, read)
 
 
 def _not_understood(found: object) -> BenchError:

@@ -291,7 +291,7 @@ def _shown(value: Any) -> str:
 # Answers ---------------------------------------------------------------------------------------------
 
 
-class Answer(NamedTuple):
+class CommandAnswer(NamedTuple):
     """The bench's answer to a command that held."""
 
     accepted: bool
@@ -305,7 +305,7 @@ class Answer(NamedTuple):
     """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease."""
 
 
-def encode_answer(answer: Answer) -> bytes:
+def encode_answer(answer: CommandAnswer) -> bytes:
     """Return `answer` as the message that `parse_answer` reads.
 
     Raises:
@@ -320,7 +320,7 @@ def encode_error(error: BenchError) -> bytes:
     return json.dumps({"version": VERSION, "error": parts}).encode()
 
 
-def parse_answer(payload: bytes) -> Answer:
+def parse_answer(payload: bytes) -> CommandAnswer:
     """Return the answer in `payload`.
 
     Raises:
@@ -336,7 +336,7 @@ def parse_answer(payload: bytes) -> Answer:
                 "note": str(note),
                 "content": dict(content),
             }:
-                return Answer(accepted, state, reason, note, content)
+                return CommandAnswer(accepted, state, reason, note, content)
     except (ValueError, RecursionError):
         pass
     raise _other_version(payload)

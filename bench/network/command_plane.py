@@ -20,14 +20,15 @@ import zenoh
 
 from bench.errors import BenchError
 from bench.lifecycle import State
+from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
 from bench.network.command import (
     CONVENIENCE,
     LONGEST_MESSAGE,
     REQUESTS,
     STOPS,
     VERSION,
-    Answer,
     Command,
+    CommandAnswer,
     Correct,
     Keyed,
     Plain,
@@ -40,7 +41,6 @@ from bench.network.command import (
     parse_command,
     too_long,
 )
-from bench.network.desk import CountStatus, Desk, LeaseStatus, Reply, Status
 from bench.network.lease import Lease, LeaseBook, LeaseRefused
 
 QUEUE = 64
@@ -139,7 +139,11 @@ class CommandPlane:
     """Answers commands for `desk` on an open session, and publishes what the supervisor gives it."""
 
     def __init__(
-        self, session: zenoh.Session, bench: str, desk: Desk, clock: Callable[[], float] = time.monotonic
+        self,
+        session: zenoh.Session,
+        bench: str,
+        desk: BenchService,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin to answer. `bench` is the bench's id; leases run on `clock` (s)."""
         self._root, self._desk, self._clock = f"golfbench/{bench}", desk, clock
@@ -203,7 +207,7 @@ class CommandPlane:
                 commands=c["commands"], refused=c["refused"], malformed=c["malformed"], dropped=c["dropped"]
             )
 
-    def publish_state(self, status: Status) -> bool:
+    def publish_state(self, status: BenchStatus) -> bool:
         """Publish `status` if it tells of a change or a heartbeat is due; return whether it was."""
         status = self._completed(status)
         lease, monitor, now = status["lease"], status["launch_monitor"], self._clock()
@@ -246,7 +250,7 @@ class CommandPlane:
                 return
             if lane is self._stops and not self._closing:
                 note = f"Others asked before. {CONVENIENCE}" if verb == Verb.ESTOP else "Others asked before."
-                self._answer(query, verb, Answer(True, self._last_state, note=note))
+                self._answer(query, verb, CommandAnswer(True, self._last_state, note=note))
             else:
                 self._refuse(query, verb, _GOING_DOWN if self._closing else _BUSY)
         except Exception:  # whatever it was, zenoh's thread has to go on
@@ -262,7 +266,7 @@ class CommandPlane:
 
     def _do_stops(self, messages: list[Message], verbs: frozenset[str]) -> None:
         """Stop once for all who asked, then answer each."""
-        replies: dict[str, Answer] = {}
+        replies: dict[str, CommandAnswer] = {}
         for verb, stop in ((Verb.ESTOP, self._desk.emergency_stop), (Verb.STOP, self._desk.stop)):
             if verb in verbs:
                 note = CONVENIENCE if verb is Verb.ESTOP else ""
@@ -300,12 +304,12 @@ class CommandPlane:
         try:
             answer = self._obey(command)
         except LeaseRefused as refused:
-            answer = Answer(False, self._state_now(), str(refused))
+            answer = CommandAnswer(False, self._state_now(), str(refused))
         except Exception as error:  # the desk may fail in any way; who asked gets an answer all the same
             answer = self._failed(error)
         self._answer(query, verb, answer)
 
-    def _obey(self, command: Command) -> Answer:
+    def _obey(self, command: Command) -> CommandAnswer:
         match command:
             case TakeLease(holder, seconds):
                 with self._book_lock:
@@ -318,7 +322,7 @@ class CommandPlane:
             case ReleaseLease(key, sequence):
                 with self._book_lock:
                     self._book.release(key, sequence, self._clock())
-                return Answer(True, self._state_now())
+                return CommandAnswer(True, self._state_now())
             case Keyed(verb, key, sequence):
                 with self._book_lock:
                     self._book.use(key, sequence, self._clock())
@@ -329,23 +333,25 @@ class CommandPlane:
                 return self._asked(lambda: self._desk.correct(profile, weights))
             case Plain(Verb.STATUS):
                 status = self._completed(self._desk.status())
-                return Answer(True, status["state"], content=dict(status))
+                return CommandAnswer(True, status["state"], content=dict(status))
             case Plain(verb):
                 return self._asked(lambda: self._desk.request(REQUESTS[verb]))
 
-    def _asked(self, ask: Callable[[], Reply]) -> Answer:
+    def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
         """Return the desk's reply to `ask`; a desk that fails has refused."""
         try:
-            return Answer(*ask())
+            return CommandAnswer(*ask())
         except Exception as error:  # see _do
             return self._failed(error)
 
-    def _failed(self, error: Exception) -> Answer:
-        return Answer(False, self._last_state, f"the bench could not do it, {type(error).__name__}: {error}")
+    def _failed(self, error: Exception) -> CommandAnswer:
+        return CommandAnswer(
+            False, self._last_state, f"the bench could not do it, {type(error).__name__}: {error}"
+        )
 
-    def _of_lease(self, lease: Lease, **more: str) -> Answer:
+    def _of_lease(self, lease: Lease, **more: str) -> CommandAnswer:
         content = {"holder": lease.holder, "seconds_left": lease.expiry - self._clock(), **more}
-        return Answer(True, self._state_now(), content=content)
+        return CommandAnswer(True, self._state_now(), content=content)
 
     def _state_now(self) -> str:
         try:
@@ -353,7 +359,7 @@ class CommandPlane:
         except Exception:  # see _do
             return self._last_state
 
-    def _completed(self, status: Status) -> Status:
+    def _completed(self, status: BenchStatus) -> BenchStatus:
         """Return `status` with what only the plane knows."""
         self._last_state = status["state"]
         lease, now = self.lease(), self._clock()
@@ -363,9 +369,9 @@ class CommandPlane:
     # Answering -----------------------------------------------------------------------------------
 
     def _refuse(self, query: zenoh.Query, verb: str, reason: str) -> None:
-        self._answer(query, verb, Answer(False, self._last_state, reason))
+        self._answer(query, verb, CommandAnswer(False, self._last_state, reason))
 
-    def _answer(self, query: zenoh.Query, verb: str, answer: Answer) -> None:
+    def _answer(self, query: zenoh.Query, verb: str, answer: CommandAnswer) -> None:
         try:
             payload = encode_answer(answer)
         except (TypeError, ValueError) as error:  # a desk's status that is no JSON

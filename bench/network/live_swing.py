@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
-from bench.network.desk import Status
 from bench.shot.shot_message import ShotMessage
 from bench.telemetry.recorder import read_swing
-from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.matching import MatchOutcome
 
 HOLD = 1.0
 """s at the address before a swing: the air in the chambers comes to rest later than the robot."""
@@ -59,7 +59,7 @@ class ShotNews:
                 return SwingRecord(message.record, cycles, metadata)
         return None
 
-    def told_of(self, record: SwingRecord, status: Status) -> ShotMessage | None:
+    def told_of(self, record: SwingRecord, status: BenchStatus) -> ShotMessage | None:
         """Return what the launch monitor's side says of the swing of `record`; None when it says nothing."""
         shot, link = record.metadata.get("shot_id"), status["launch_monitor"]
         deadline = time.monotonic() + STORED + (0.0 if link is None else link["settled_s"])
@@ -72,7 +72,7 @@ class ShotNews:
         message = self._next_message()
         if message is None:
             time.sleep(LOOK)
-        elif message.shot_id and message.outcome in (Outcome.MATCHED, Outcome.NO_LAUNCH):
+        elif message.shot_id and message.outcome in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
             self._outcomes[message.shot_id] = message
         return message
 
@@ -88,7 +88,7 @@ def tee_up(client: BenchClient, pause: Callable[[], None]) -> bool:
     return True
 
 
-def in_words(status: Status) -> str:
+def in_words(status: BenchStatus) -> str:
     """Return the state of the bench with its cause."""
     cause = status["cause"]
     return status["state"] if cause is None else f"{status['state']}, {cause['text']}"

@@ -60,7 +60,7 @@ of a record to come, and of the record that is being stored the number, its begi
 The supervisor makes the file, so that a child started anew goes on in it."""
 
 
-class Heart:
+class HeartbeatSender:
     """The child's side of a heartbeat."""
 
     def __init__(self, path: Path) -> None:

@@ -41,7 +41,7 @@ def weights_of(order: np.ndarray[Any, Any]) -> list[float]:
     return weights
 
 
-class Corrections:
+class CorrectionReader:
     """The loop's side."""
 
     def __init__(self, folder: Path, profile: Profile) -> None:

@@ -24,10 +24,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
-from bench.network.desk import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
-from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
+from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
+from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
-from bench.shot.recorded_shot import Surroundings, shot_to_json, warm_up_shots
+from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
 from bench.shot.shot_matcher import LaunchBook, Told
 from bench.shot.shot_message import SHOT_VERSION, launch_to_json, shortened
 from bench.shot.swing_watch import SwingWatch
@@ -59,7 +59,7 @@ class LaunchMonitorDesk:
         settings = plan.settings
         self._stack = ExitStack()
         try:
-            self._heart = Heart(plan.heartbeat)
+            self._heart = HeartbeatSender(plan.heartbeat)
             self._stack.callback(self._heart.close)
             self._ring = RingReader(plan.ring)
             self._stack.callback(self._ring.close)
@@ -73,7 +73,7 @@ class LaunchMonitorDesk:
         except BaseException:
             self._stack.close()
             raise
-        around = Surroundings(plan.air, plan.wind, plan.turf)
+        around = FlightConditions(plan.air, plan.wind, plan.turf)
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
         self._book = LaunchBook(settings.window, settings.plausible, plan.plant, around)
@@ -188,7 +188,7 @@ def main() -> int:
     parent = Parent()
     try:
         plan: LaunchMonitorPlan = read_plan()
-        warm_up_shots(plan.plant, Surroundings(plan.air, plan.wind, plan.turf))
+        warm_up_shots(plan.plant, FlightConditions(plan.air, plan.wind, plan.turf))
         desk = LaunchMonitorDesk(plan)
     except (BenchError, SharedMemoryError, DriverError) as error:
         return tell_failure(error)

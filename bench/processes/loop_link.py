@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import REFUSAL_TEXT, Answer, Refusal, Request, State
-from bench.network.desk import Reply
+from bench.network.bench_service import Reply
 from bench.processes.correction import (
     CORRECTED,
     CORRECTED_FILE,

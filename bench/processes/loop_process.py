@@ -28,7 +28,7 @@ from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
 from bench.processes.child_process import Parent, read_plan, tell, tell_failure
-from bench.processes.correction import Corrections
+from bench.processes.correction import CorrectionReader
 from bench.processes.ownership import adopt
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
 from bench.processes.real_time import real_time
@@ -119,7 +119,7 @@ class LoopProcess:
             stack.callback(self.orders.close)
             self.snapshots = SharedRecord.create(folder / SNAPSHOT_FILE, SNAPSHOT)
             stack.callback(self.snapshots.close)
-            self.corrections = Corrections(folder, self.plan.profile)
+            self.corrections = CorrectionReader(folder, self.plan.profile)
             stack.callback(self.corrections.close)
             self.timing = stack.enter_context(create_timing(folder / TIMING_FILE, self._period_ns))
             name, note_truth = c.driver.name, getattr(self.driver, "note_truth", None)

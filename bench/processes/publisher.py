@@ -29,7 +29,7 @@ import zenoh
 from bench.config import NetworkSettings
 from bench.errors import BenchError, ExitCode
 from bench.network.zenoh_session import open_client
-from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
 from bench.processes.tick_timing import TimingReader, summary
 from bench.telemetry.batches import LONGEST_BATCH, encode_batch
 from bench.telemetry.ring import RingReader
@@ -76,7 +76,7 @@ class Publisher:
             BenchError, SharedMemoryError: a shared file is unusable, or nobody listens at the endpoint.
         """
         self._wall = plan.wall
-        self._heart = Heart(plan.heartbeat)
+        self._heart = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring)
         self._timing = TimingReader(plan.timing)
         self._session = open_client(plan.network, plan.bench)

@@ -29,15 +29,21 @@ import numpy as np
 
 from bench.errors import BenchError, ExitCode
 from bench.lifecycle import State
-from bench.processes.child_process import Condition, Heart, Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
 from bench.processes.correction import CORRECTED, weights_of
 from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.record_queue import Record, RecordQueue, folder_trouble, record_path, remove_partial
+from bench.telemetry.record_queue import (
+    QueuedRecord,
+    RecordQueue,
+    folder_trouble,
+    record_path,
+    remove_partial,
+)
 from bench.telemetry.ring import RingReader
 from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
-from bench.telemetry.swing_metadata import Surroundings, begin_of, profile_entry, since, swing_metadata
+from bench.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 POLL = 0.01
@@ -103,7 +109,7 @@ class Recorder:
                 something for the metadata that is no JSON.
         """
         self._plan = plan
-        self._entries = Surroundings(
+        self._entries = RunMetadata(
             plan.bench,
             plan.run,
             plan.profile,
@@ -113,7 +119,7 @@ class Recorder:
             plan.calibrations,
         ).entries()
         self._basis = basis_of(plan.profile)
-        self._heart = Heart(plan.heartbeat)
+        self._heart = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)
         self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
@@ -250,7 +256,7 @@ class Recorder:
             snapshots=self._snapshots,
         )
         path = record_path(folder, began, self._number)
-        self._queue.put(Record(path, began, since(cut.cycles, begin), metadata))
+        self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
 
     def _continue(self, cycles: Cycles, lost: int) -> None:
         """Add `cycles` to the segment under way; end it when it is long enough."""

@@ -9,7 +9,13 @@ from typing import Any, cast
 import numpy as np
 
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
-from bench.network.desk import STATUS_VERSION, LaunchMonitorStatus, LoopStatus, ProcessStatus, Status
+from bench.network.bench_service import (
+    STATUS_VERSION,
+    BenchStatus,
+    LaunchMonitorStatus,
+    LoopStatus,
+    ProcessStatus,
+)
 from bench.processes.child import Child
 from bench.telemetry.cycle_record import CYCLE
 
@@ -38,7 +44,7 @@ def status_of(
     children: Mapping[str, Child],
     notes: Mapping[str, str],
     **beside: Any,
-) -> Status:
+) -> BenchStatus:
     """Return the status of the loop's `newest` record (None: it has not run yet).
 
     `notes` says more of the `children`; `beside` are the keys of Status that the record does not tell.
@@ -71,7 +77,7 @@ def status_of(
         "counts": {"commands": 0, "refused": 0, "malformed": 0, "dropped": 0},
         **beside,
     }
-    return cast(Status, status)
+    return cast(BenchStatus, status)
 
 
 def _number(value: float) -> float | None:

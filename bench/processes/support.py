@@ -29,7 +29,7 @@ _PATIENCE = 12.0
 """s that one may take to store what it has."""
 
 
-class Heart(NamedTuple):
+class LastHeartbeat(NamedTuple):
     """What a process told last, and when (s, the supervisor's clock) something new was heard."""
 
     condition: Condition
@@ -37,7 +37,7 @@ class Heart(NamedTuple):
     heard: float
 
 
-class Supporter:
+class ManagedProcess:
     """One process of the support."""
 
     def __init__(
@@ -52,7 +52,7 @@ class Supporter:
         self.name, self._start, self._listener = name, start, listener
         self._shared = SharedRecord.create(heart, HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
-        self._heart = Heart(Condition.STARTING, -1, -np.inf)
+        self._heart = LastHeartbeat(Condition.STARTING, -1, -np.inf)
         self.child: Child | None = None
         self._died = -np.inf
         self._ending = False
@@ -76,13 +76,15 @@ class Supporter:
             self.note = "dead, it is started anew"
             if now - self._died < _PAUSE:
                 return
-            self.child, self._heart = self._start(), Heart(Condition.STARTING, -1, now)
+            self.child, self._heart = self._start(), LastHeartbeat(Condition.STARTING, -1, now)
         self._shared.read(self._beat)
         count, condition = int(self._beat["count"][0]), Condition(int(self._beat["condition"][0]))
         if self._heart.beats == -1:
-            self._heart = Heart(Condition.STARTING, count, now)  # what stands there is of the one before
+            self._heart = LastHeartbeat(
+                Condition.STARTING, count, now
+            )  # what stands there is of the one before
         elif count != self._heart.beats:
-            self._heart = Heart(condition, count, now)
+            self._heart = LastHeartbeat(condition, count, now)
         self.note = self._trouble(now)
         if self._heart.condition is not Condition.STARTING and now - self._heart.heard > _FROZEN:
             self.child.kill()  # seen as dead in the next turn

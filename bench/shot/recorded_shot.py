@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from math import pi, radians
 from pathlib import Path
@@ -20,7 +20,7 @@ from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree, laid_over
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.shot.head_path import path_to_ball
-from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
@@ -34,12 +34,13 @@ from sim.turf import Turf
 Cycles = np.ndarray[Any, Any]
 
 
-class Surroundings(NamedTuple):
+@dataclass(frozen=True)
+class FlightConditions:
     """What the ball flies through and lands on."""
 
-    air: Air = Air()
-    wind: Wind = Wind()
-    turf: Turf = Turf()
+    air: Air = field(default_factory=Air)
+    wind: Wind = field(default_factory=Wind)
+    turf: Turf = field(default_factory=Turf)
 
 
 class RecordedShot(NamedTuple):
@@ -77,7 +78,7 @@ def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: 
     return RecordedShot(record, plant, metadata)
 
 
-def warm_up_shots(plant: PlantParameters, around: Surroundings) -> None:
+def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
     """Run once what is compiled of delivery, impact and flight: the first time it takes many seconds."""
     robot = plant.robot
     forward_kinematics(robot, np.array([[0.571, 4.141, 2 * pi]]))
@@ -87,7 +88,7 @@ def warm_up_shots(plant: PlantParameters, around: Surroundings) -> None:
     fly(strike(delivery, robot.club, plant.ball), around.air, plant.ball, around.wind, around.turf)
 
 
-def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, Surroundings]:
+def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
     """Return the plant and the surroundings in a record's configuration, today's defaults where it has none.
 
     Raises:
@@ -109,7 +110,7 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
         raise ExceptionGroup(f"{place} does not hold", faults)
-    return built["plant"], Surroundings(built["air"], built["wind"], built["turf"])
+    return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
 
 
 def shot_from_json(given: Any, place: str) -> Shot:
@@ -133,8 +134,8 @@ def shot_from_json(given: Any, place: str) -> Shot:
                     raise ValueError
             elif column.kind is datetime:
                 value = datetime.fromisoformat(value)
-            elif column.kind is Status:
-                value = Status(value)
+            elif column.kind is ShotStatus:
+                value = ShotStatus(value)
             elif column.kind is float and isinstance(value, int | float) and not isinstance(value, bool):
                 value = float(value)
             elif type(value) is not column.kind:
@@ -156,7 +157,7 @@ def shot_to_json(shot: Shot) -> dict[str, Any]:
     return values | {"status": str(shot.status), "time_utc": shot.time_utc.isoformat()}
 
 
-def flight_of(shot: Shot, plant: PlantParameters, around: Surroundings) -> Flight | None:
+def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:
     """Return the flight of the launch that `shot` states, None when it states none or none can be flown."""
     given = (
         shot.ball_speed_mps,
@@ -165,7 +166,7 @@ def flight_of(shot: Shot, plant: PlantParameters, around: Surroundings) -> Fligh
         shot.spin_rpm,
         shot.spin_axis_deg,
     )
-    if shot.status is Status.FAILED or any(value is None for value in given):
+    if shot.status is ShotStatus.FAILED or any(value is None for value in given):
         return None
     speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
     launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
@@ -173,7 +174,7 @@ def flight_of(shot: Shot, plant: PlantParameters, around: Surroundings) -> Fligh
 
 
 def shot_of_cycles(
-    cycles: Cycles, plant: PlantParameters, around: Surroundings, *, number: int, time_utc: datetime
+    cycles: Cycles, plant: PlantParameters, around: FlightConditions, *, number: int, time_utc: datetime
 ) -> ShotRecord:
     """Return the shot that `cycles` tell of: the delivery as estimated, launch and flight as modelled.
 
@@ -203,7 +204,7 @@ def shot_of_cycles(
         delivery=delivery,
         launch=launch,
         flight=flight,
-        status=Status.FAILED if reason else Status.VALID,
+        status=ShotStatus.FAILED if reason else ShotStatus.VALID,
         reason=reason,
         launch_source="model",
         carry_source="model",
@@ -249,7 +250,7 @@ def ball_struck(cycles: Cycles) -> bool:
     return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
 
 
-def _flown(launch: Launch, plant: PlantParameters, around: Surroundings) -> Flight | None:
+def _flown(launch: Launch, plant: PlantParameters, around: FlightConditions) -> Flight | None:
     try:
         return fly(launch, around.air, plant.ball, around.wind, around.turf)
     except ValueError:

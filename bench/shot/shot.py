@@ -14,7 +14,7 @@ from sim.flight import Flight
 from sim.impact import Delivery
 
 
-class Status(StrEnum):
+class ShotStatus(StrEnum):
     """What became of a shot."""
 
     VALID = "valid"
@@ -40,7 +40,7 @@ class Shot:
     """Place in the block's order, from 1."""
     club: str
     ball: str
-    status: Status
+    status: ShotStatus
     reason: str = ""
     """Why the shot is not valid."""
     club_speed_mps: float | None = None
@@ -90,7 +90,7 @@ class Shot:
         delivery: Delivery | None,
         launch: Launch | None,
         flight: Flight | None,
-        status: Status = Status.VALID,
+        status: ShotStatus = ShotStatus.VALID,
         reason: str = "",
         launch_source: str = "simulated",
         carry_source: str = "simulated",
@@ -142,12 +142,12 @@ class Shot:
                 raise ValueError(f"{column.name} is {value}; a figure that is not known is None")
         if self.time_utc.utcoffset() is None:
             raise ValueError(f"time_utc {self.time_utc} has no time zone")
-        if (self.status is Status.VALID) == bool(self.reason):
+        if (self.status is ShotStatus.VALID) == bool(self.reason):
             raise ValueError(f"status {self.status} with reason {self.reason!r}: only valid shots have none")
 
 
 @dataclass(frozen=True)
-class Column:
+class ShotColumn:
     """One column of the shot table."""
 
     name: str
@@ -157,14 +157,14 @@ class Column:
     """The figure may be absent (None)."""
 
 
-def _columns() -> tuple[Column, ...]:
+def _columns() -> tuple[ShotColumn, ...]:
     """Derive the columns from the fields of Shot."""
     hints: dict[str, Any] = get_type_hints(Shot)
     found = []
     for field in fields(Shot):
         hint = hints[field.name]
         optional = get_origin(hint) in (types.UnionType,) and type(None) in get_args(hint)
-        found.append(Column(field.name, get_args(hint)[0] if optional else hint, optional))
+        found.append(ShotColumn(field.name, get_args(hint)[0] if optional else hint, optional))
     return tuple(found)
 
 

@@ -12,10 +12,10 @@ from math import degrees, pi
 from typing import Any, NamedTuple
 
 from bench.lifecycle import CAUSE_TEXT, Cause
-from bench.shot.recorded_shot import Surroundings, delivery_of_cycles
-from bench.shot.shot import Shot, Status
-from bench.shot.swing_watch import Swing
-from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles
+from bench.shot.shot import Shot, ShotStatus
+from bench.shot.swing_watch import FinishedSwing
+from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.plausibility import PlausibleFigures, judged
 from drivers.launch_monitor.record import LaunchRecord
 from sim.flight import Flight, fly
@@ -31,7 +31,7 @@ _MOST_OPEN = 64
 class Told(NamedTuple):
     """One outcome that is settled."""
 
-    outcome: Outcome
+    outcome: MatchOutcome
     shot_id: str
     """Empty when no swing made the launch."""
     launch: LaunchRecord | None
@@ -62,23 +62,23 @@ class LaunchBook:
         window: MatchWindow,
         plausible: PlausibleFigures,
         plant: PlantParameters,
-        around: Surroundings,
+        around: FlightConditions,
     ) -> None:
         self._window, self._plausible = window, plausible
         self._plant, self._around = plant, around
-        self._swings: dict[str, tuple[int, datetime, Swing]] = {}
+        self._swings: dict[str, tuple[int, datetime, FinishedSwing]] = {}
         self._open: tuple[SwingImpact, ...] = ()
         self._launches: tuple[LaunchRecord, ...] = ()
         self._told: list[Told] = []
-        self.counts = dict.fromkeys(Outcome, 0)
+        self.counts = dict.fromkeys(MatchOutcome, 0)
         """Outcomes so far."""
         self._number = 0
 
-    def note_swing(self, swing: Swing, time_utc: datetime) -> None:
+    def note_swing(self, swing: FinishedSwing, time_utc: datetime) -> None:
         """Take a swing that is over, at `time_utc`; one that did not reach the ball is settled at once."""
         self._number += 1
         if swing.impact is None:
-            self._tell(Match(Outcome.NO_LAUNCH, swing.shot, None), (self._number, time_utc, swing))
+            self._tell(Match(MatchOutcome.NO_LAUNCH, swing.shot, None), (self._number, time_utc, swing))
             return
         self._swings[swing.shot] = self._number, time_utc, swing
         self._open += (SwingImpact(swing.shot, swing.impact),)
@@ -90,7 +90,7 @@ class LaunchBook:
     def settle(self, now: float) -> list[Told]:
         """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
         while len(self._launches) > _MOST_OPEN:  # nobody swings that often: they are nobody's
-            self._tell(Match(Outcome.NO_SWING, "", self._launches[0]), None)
+            self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
         found = match(self._open, self._launches, now, self._window)
         self._open, self._launches = found.swings, found.launches
@@ -102,15 +102,15 @@ class LaunchBook:
         told, self._told = self._told, []
         return told
 
-    def _tell(self, one: Match, of: tuple[int, datetime, Swing] | None) -> None:
+    def _tell(self, one: Match, of: tuple[int, datetime, FinishedSwing] | None) -> None:
         self.counts[one.outcome] += 1
-        if of is None or one.outcome not in (Outcome.MATCHED, Outcome.NO_LAUNCH):
+        if of is None or one.outcome not in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
             launch = None if one.launch is None else judged(one.launch, self._plausible)
             self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
             return
         self._told.append(self._of_swing(one, *of))
 
-    def _of_swing(self, one: Match, number: int, time_utc: datetime, swing: Swing) -> Told:
+    def _of_swing(self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing) -> Told:
         """Return what became of a swing."""
         plant, trips = self._plant, swing.cycles["trip"]
         delivery = delivery_of_cycles(swing.cycles, plant)
@@ -128,11 +128,11 @@ class LaunchBook:
                 )
             except ValueError as error:
                 reason = reason or f"no flight: {error}"
-        why, status = reason, Status.EXCLUDED if reason else Status.VALID
+        why, status = reason, ShotStatus.EXCLUDED if reason else ShotStatus.VALID
         if trips.any():
-            why, status = CAUSE_TEXT[Cause(int(trips[trips != 0][0]))], Status.FAILED
+            why, status = CAUSE_TEXT[Cause(int(trips[trips != 0][0]))], ShotStatus.FAILED
         elif launch is None and not (swing.struck and swing.impact is not None):
-            status = Status.FAILED
+            status = ShotStatus.FAILED
         shot = Shot.from_measurements(
             shot=number, block=1, position=1, club=plant.robot.club.name,
             ball="" if launch is None else plant.ball.name, time_utc=time_utc, delivery=delivery,

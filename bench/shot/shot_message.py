@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.errors import BenchError
-from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import SOURCE, ClubFigures, LaunchRecord
 
 SHOT_VERSION = 1
@@ -40,7 +40,7 @@ class ShotMessage(NamedTuple):
 
     shot_id: str
     record: Path | None
-    outcome: Outcome | None
+    outcome: MatchOutcome | None
     launch: LaunchRecord | None
     reason: str
 
@@ -104,7 +104,7 @@ def read_shot_message(payload: bytes) -> ShotMessage:
         return ShotMessage(
             _text(read.get("shot_id") or ""),
             None if record is None else Path(_text(record)),
-            None if outcome is None else Outcome(outcome),
+            None if outcome is None else MatchOutcome(outcome),
             None if launch is None else launch_from_json(launch, f"{place}: launch"),
             _text(read.get("reason") or ""),
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from sim.flight import Flight
 
 
@@ -22,4 +22,4 @@ class ShotRecord:
     @property
     def valid(self) -> bool:
         """The shot counts in comparisons."""
-        return self.shot.status is Status.VALID
+        return self.shot.status is ShotStatus.VALID

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError
-from bench.shot.shot import COLUMNS, Column, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotColumn, ShotStatus
 from bench.telemetry.whole_file import whole_file
 
 
@@ -86,7 +86,7 @@ def _to_shot(path: Path, line: int, row: dict[str, str | None]) -> Shot:
         ) from error
 
 
-def _to_value(column: Column, cell: str | None) -> object:
+def _to_value(column: ShotColumn, cell: str | None) -> object:
     """Return the value in a cell; raises ValueError when it is not of the column's kind."""
     if cell is None:
         raise ValueError("the row is too short")
@@ -109,6 +109,6 @@ _EXPECTED: dict[type, str] = {
     int: "a whole number",
     float: "a number with a decimal point, or nothing",
     str: "text",
-    Status: f"one of {', '.join(Status)}",
+    ShotStatus: f"one of {', '.join(ShotStatus)}",
     datetime: "a time in UTC such as 2026-11-01T09:17:39.000000Z",
 }

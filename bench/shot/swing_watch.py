@@ -18,7 +18,7 @@ _LONGEST = 30_000
 _AT_THE_BALL = (Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 
-class Swing(NamedTuple):
+class FinishedSwing(NamedTuple):
     """A swing that is over."""
 
     shot: str
@@ -43,7 +43,7 @@ class SwingWatch:
         self._behind: list[float] = []
         """CLOCK_MONOTONIC less loop's time, s, of each part: a loop in step with a plant slips."""
 
-    def take(self, cycles: Cycles, now: float, *, lost: bool = False) -> list[Swing]:
+    def take(self, cycles: Cycles, now: float, *, lost: bool = False) -> list[FinishedSwing]:
         """Take new `cycles` read at `now` (s, CLOCK_MONOTONIC); return the swings that ended in them.
 
         They are kept as they are, not copied. `lost`: the ring has
@@ -51,7 +51,7 @@ class SwingWatch:
         """
         if lost:
             self._state, self._parts = State.SWINGING, None
-        ended: list[Swing] = []
+        ended: list[FinishedSwing] = []
         if not len(cycles):
             return ended
         swinging = cycles["state"] == State.SWINGING
@@ -77,7 +77,7 @@ class SwingWatch:
         self._state = State(int(cycles["state"][-1]))
         return ended
 
-    def _end(self, parts: list[Cycles]) -> Swing:
+    def _end(self, parts: list[Cycles]) -> FinishedSwing:
         """Return the swing of `parts`, which is over."""
         # As bytes: numpy joins records field by field.
         whole = np.concatenate([part.view(np.uint8) for part in parts]).view(parts[0].dtype)
@@ -85,7 +85,7 @@ class SwingWatch:
         self._parts = None
         at = _impact(whole)
         impact = None if at is None else float(whole["time"][at] + behind[at])
-        return Swing(shot_id(self._run, int(whole["tick"][0])), impact, ball_struck(whole), whole)
+        return FinishedSwing(shot_id(self._run, int(whole["tick"][0])), impact, ball_struck(whole), whole)
 
 
 def _impact(cycles: Cycles) -> int | None:

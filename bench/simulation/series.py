@@ -35,7 +35,7 @@ _CHUNK = 10
 """Ticks between two looks at the phase."""
 
 
-class Swing(NamedTuple):
+class SeriesSwing(NamedTuple):
     """One swing of a series."""
 
     cycles: np.ndarray[Any, Any]
@@ -118,7 +118,7 @@ class Series:
     def swing_from(
         self, mark: Mark, profile: Profile, ticks: int | None = None, *, ball: bool = True,
         parameters: ControlParameters | None = None,
-    ) -> Swing:  # fmt: skip
+    ) -> SeriesSwing:  # fmt: skip
         """Swing `profile` from the instant `mark`; the robot is left where it is after `ticks`.
 
         With `parameters` the controller is another one from here on.
@@ -129,7 +129,7 @@ class Series:
         self._stepper.tick = mark.tick
         return self._swing(profile, ticks or len(profile.angle), ball=ball)
 
-    def swing(self, profile: Profile, parameters: ControlParameters | None = None) -> Swing:
+    def swing(self, profile: Profile, parameters: ControlParameters | None = None) -> SeriesSwing:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
         With `parameters` the swing itself, not what is before and after it, is another controller's. After a
@@ -150,7 +150,7 @@ class Series:
         self._recover(profile.period)
         return swing._replace(cause=cause)
 
-    def _swing(self, profile: Profile, ticks: int, *, ball: bool = True) -> Swing:
+    def _swing(self, profile: Profile, ticks: int, *, ball: bool = True) -> SeriesSwing:
         stepper, control = self._stepper, self._stepper.state.control
         stepper.parameters = with_tables_of(stepper.parameters, profile, self.bench.control, self.bench.model)
         control["tee"] = False
@@ -175,7 +175,7 @@ class Series:
             delivery = contact.delivery(self.bench.model.robot, (site.ball_x, site.ball_y))
         used = float(stepper.plant_state["air_used"][0]) - before
         settled, self._settled = self._settled, True
-        return Swing(cycles, delivery, time, self._cause, used, settled)
+        return SeriesSwing(cycles, delivery, time, self._cause, used, settled)
 
     @property
     def _cause(self) -> Cause:

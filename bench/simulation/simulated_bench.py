@@ -25,7 +25,8 @@ from bench.control.step import ACCEPTED, ARM, DISARM, SWING, ControlState
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
 from bench.loop import Cycle, Cycles, Loop, bring_to_rest
-from bench.shot.shot import Shot, Status
+from bench.shot.recorded_shot import FlightConditions
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
@@ -34,14 +35,12 @@ from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from bench.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
 from drivers.base import Launch
 from drivers.base.compiled import new_record
-from sim.air import Air
 from sim.ball import Ball
 from sim.driver import SimDriver, hanging_pose
-from sim.flight import Flight, Wind, fly
+from sim.flight import Flight, fly
 from sim.impact import Delivery, impact_parameters
 from sim.plant import Plant, PlantParameters, build_plant, initial_state
 from sim.truth import Contact, contact_in
-from sim.turf import Turf
 
 Engine = Literal["python", "compiled"]
 """The Python cycle around the `sim` driver, or the compiled loop, three times as fast: bit-equal records."""
@@ -58,21 +57,12 @@ chambers rest, as before a swing of a running bench."""
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What the ball flies through and lands on."""
-
-    air: Air = field(default_factory=Air)
-    wind: Wind = field(default_factory=Wind)
-    turf: Turf = field(default_factory=Turf)
-
-
-@dataclass(frozen=True)
 class SwingResult:
     """One swing: its record from hold to hold (or to standstill after a stop), and what came of it."""
 
     cycles: Cycles = field(repr=False, compare=False)
     """Records of CYCLE, `time` from about zero."""
-    status: Status
+    status: ShotStatus
     reason: str
     """Why the shot is not valid; empty when it is."""
     cause: Cause
@@ -130,7 +120,7 @@ class SimulatedBench:
     control: ControlSettings = field(default_factory=ControlSettings)
     envelope: EnvelopeSettings = field(default_factory=EnvelopeSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
-    surroundings: Surroundings = field(default_factory=Surroundings)
+    surroundings: FlightConditions = field(default_factory=FlightConditions)
     engine: Engine = "compiled"
     start: tuple[float, float, float] | None = None
     """Joint angles before arming, rad; None is as the vented robot hangs."""
@@ -426,7 +416,7 @@ class _Rig:
         state = self.plant_state[0]
         return SwingResult(
             cycles=cycles,
-            status=Status.FAILED if reason else Status.VALID,
+            status=ShotStatus.FAILED if reason else ShotStatus.VALID,
             reason=reason,
             cause=self.cause,
             interrupted=interrupted,

@@ -17,7 +17,7 @@ from sqlalchemy import Connection, Engine, func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 
 from bench.errors import BenchError, Refused
-from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.tables import CampaignEventRow, CampaignPromptRow, CampaignRow, HitCountRow, Row, ShotRow
 
 _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS = (
@@ -205,7 +205,7 @@ class CampaignStore:
         with self._engine.connect() as connection:
             return [
                 StoredShot(
-                    Shot(**{name: row[name] for name in names} | {"status": Status(row["status"])}),
+                    Shot(**{name: row[name] for name in names} | {"status": ShotStatus(row["status"])}),
                     row["file"],
                     row["bytes"],
                 )

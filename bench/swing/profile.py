@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError, did_you_mean
-from bench.from_toml import GREATEST, read_toml, shown
+from bench.from_toml import GREATEST, format_value, read_toml
 from bench.lifecycle import Phase
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
         raise BenchError(f"{path}: {key}", "nothing", "this key", cure)
     for key, (kind, text) in _SCALARS.items():
         if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
-            raise BenchError(f"{path}: {key}", shown(raw[key]), text, cure)
+            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, cure)
     if raw["blind_spacing"] < 1:
         raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", cure)
     if raw["schema"] != SCHEMA:

@@ -89,7 +89,7 @@ class ThesisParameters:
 
 
 @dataclass(frozen=True)
-class Summary:
+class ExperimentSummary:
     """The experiment in figures. Errors and saturation count from the start to the ball (or tables' end)."""
 
     stable: bool
@@ -123,7 +123,7 @@ class FrictionTrial(NamedTuple):
     """N m s/rad, each joint"""
     damping: float
     """Smallest damping ratio of the linearised loop at any pose of the reference"""
-    summary: Summary
+    summary: ExperimentSummary
 
     @property
     def accepted(self) -> bool:
@@ -159,7 +159,7 @@ class ThesisExperiment:
     """(N, 2)"""
     ball: tuple[float, float]
     """m; where the head stands at the first sample"""
-    summary: Summary
+    summary: ExperimentSummary
     search: tuple[FrictionTrial, ...] = ()
     """How the friction was found; empty when it was given"""
 
@@ -231,7 +231,7 @@ def least_damping(parameters: ThesisParameters, robot: RobotParameters, swing: T
     return smallest
 
 
-def variants(parameters: ThesisParameters) -> dict[str, Summary]:
+def variants(parameters: ThesisParameters) -> dict[str, ExperimentSummary]:
     """Return the outcome when one choice that the thesis leaves open is made otherwise, the rest equal.
 
     `parameters.friction` must be given.
@@ -304,7 +304,7 @@ def _summary(
     limit: Array,
     head: Array,
     ball: tuple[float, float],
-) -> Summary:
+) -> ExperimentSummary:
     contact = _contact(time, head, ball)
     contact_time = height_error = club_speed = None
     if contact is not None:
@@ -322,7 +322,7 @@ def _summary(
     with np.errstate(invalid="ignore"):
         overload = np.abs(demand[window]) / limit[window]
     rod = right_arm_length(robot, angle[window, 1]) - robot.l56
-    return Summary(
+    return ExperimentSummary(
         stable=bool(np.all(np.isfinite(angle)) and angle[:, 1].min() > pi and angle[:, 1].max() < 2.0 * pi),
         top_time=float(time[window][angle[window, 0].argmin()]),
         contact_time=contact_time,

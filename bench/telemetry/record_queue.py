@@ -15,7 +15,7 @@ from bench.telemetry.recorder import write_swing
 from bench.telemetry.swing_cutter import Cycles
 
 
-class Record(NamedTuple):
+class QueuedRecord(NamedTuple):
     """One record and where it is to stand."""
 
     path: Path
@@ -31,7 +31,7 @@ class RecordQueue:
     def __init__(self, room: int, pause: float) -> None:
         """`pause`: s between two tries after a failure."""
         self._room, self._pause = room, pause
-        self._waiting: deque[Record] = deque()
+        self._waiting: deque[QueuedRecord] = deque()
         self._next_try = 0.0
         self.dropped = 0
         """Records that had no room."""
@@ -48,7 +48,7 @@ class RecordQueue:
         firsts = [int(r.cycles["tick"][0]) for r in self._waiting if r.metadata["kind"] != "segment"]
         return min(firsts) - 1 if firsts else None
 
-    def put(self, record: Record) -> None:
+    def put(self, record: QueuedRecord) -> None:
         """Take `record`; when there is no room, a continuous segment goes first, then the newcomer."""
         if len(self._waiting) >= self._room:
             self.dropped += 1
@@ -59,11 +59,11 @@ class RecordQueue:
             del self._waiting[[r is segment for r in self._waiting].index(True)]
         self._waiting.append(record)
 
-    def due(self, now: float, *, at_once: bool = False) -> Record | None:
+    def due(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
         """Return the oldest record, unless a pause is to be kept at `now` (s)."""
         return self._waiting[0] if self._waiting and (at_once or now >= self._next_try) else None
 
-    def store(self, now: float, *, at_once: bool = False) -> Record | None:
+    def store(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
         """Store what is due; return it when it is stored."""
         record = self.due(now, at_once=at_once)
         if record is None:

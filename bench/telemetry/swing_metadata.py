@@ -51,7 +51,7 @@ _LONGEST_PROFILE = 64 << 20
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class RunMetadata:
     """What is the same for all records of one run; JSON-able, without NaN."""
 
     bench: str

@@ -78,7 +78,7 @@ class Estimator(NamedTuple):
     """(3, 3)"""
 
 
-class Loop(NamedTuple):
+class JointLoop(NamedTuple):
     """One joint's loop at one instant."""
 
     point: str
@@ -89,7 +89,7 @@ class Loop(NamedTuple):
 class Judged(NamedTuple):
     """All loops with some gains."""
 
-    loops: tuple[Loop, ...]
+    loops: tuple[JointLoop, ...]
     damping_ratio: dict[str, float]
     """Least of the closed loop's modes, by instant; negative where one grows."""
 
@@ -280,6 +280,6 @@ def judge(
     for frozen in plants:
         for i in joints:
             response = loop_response(frozen, estimator, gains, i, period)
-            loops.append(Loop(frozen.point.name, i, margins_of(FREQUENCIES, response)))
+            loops.append(JointLoop(frozen.point.name, i, margins_of(FREQUENCIES, response)))
     ratios = {frozen.point.name: least_damping(frozen, estimator, gains, period) for frozen in plants}
     return Judged(tuple(loops), ratios)

@@ -35,7 +35,7 @@ _MOST = 60
 """Trials of one gain."""
 
 
-class Trial(NamedTuple):
+class StepTrial(NamedTuple):
     """One step of a joint."""
 
     joint: int
@@ -52,7 +52,7 @@ class Recipe(NamedTuple):
     """What was found."""
 
     gains: Gains
-    trials: tuple[Trial, ...]
+    trials: tuple[StepTrial, ...]
     missed: tuple[tuple[int, int], ...]
     """Joint and rule where what the rule asks for was not reached."""
 
@@ -65,7 +65,7 @@ class Steps:
         self._bench = bench
         self._series, self._mark = _at_address(bench)
 
-    def step(self, gains: Gains, joint: int, rule: int) -> Trial:
+    def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
         """Return what a step of `joint` with `gains` gives; nothing else opens the valves."""
         bench, profile = self._bench, step_profile(self._bench.profile, joint)
         control = gains.put_into(_bare(bench.control))
@@ -75,9 +75,9 @@ class Steps:
         begin, tick = round(_BEFORE / profile.period), profile.period
         way = (swing.cycles["plant_angle"][:, joint] - profile.angle[0, joint]) / STEP[joint]
         if swing.cause:
-            return Trial(joint, rule, gains, np.inf, np.inf)
+            return StepTrial(joint, rule, gains, np.inf, np.inf)
         static = abs(1.0 - way[-round(_END / tick) :].mean()) * abs(STEP[joint])
-        return Trial(joint, rule, gains, float(way[begin:].max() - 1.0), float(static))
+        return StepTrial(joint, rule, gains, float(way[begin:].max() - 1.0), float(static))
 
 
 def _at_address(bench: Bench) -> tuple[Series, Mark]:
@@ -105,7 +105,7 @@ def step_profile(profile: Profile, joint: int) -> Profile:
 
 
 def tune_by_recipe(
-    bench: Bench, told: Callable[[Trial], None] = lambda trial: None, steps: Steps | None = None
+    bench: Bench, told: Callable[[StepTrial], None] = lambda trial: None, steps: Steps | None = None
 ) -> Recipe:
     """Return the gains that the recipe finds on the bench's own model; the acceleration's damping stays.
 
@@ -115,9 +115,9 @@ def tune_by_recipe(
         Refused: the model does not reach its address.
     """
     steps = steps or Steps(bench)
-    gains, trials, missed = Gains.of(bench.control), list[Trial](), list[tuple[int, int]]()
+    gains, trials, missed = Gains.of(bench.control), list[StepTrial](), list[tuple[int, int]]()
 
-    def note(trial: Trial) -> Trial:
+    def note(trial: StepTrial) -> StepTrial:
         trials.append(trial)
         told(trial)
         return trial

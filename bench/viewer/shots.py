@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
 
@@ -102,7 +102,7 @@ class ShotSeries:
     def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
         """Log where all valid shots so far landed, with two standard deviations of each ball."""
         now = times(np.array([at]))
-        landed = [r for r in self.records if r.flight is not None and r.shot.status is not Status.FAILED]
+        landed = [r for r in self.records if r.flight is not None and r.shot.status is not ShotStatus.FAILED]
         points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
         corner, unit = _log_grid(recording, now, points)
         for place, (ball, colour) in enumerate(self._balls.items()):
@@ -212,7 +212,7 @@ def shot_table(records: Sequence[ShotRecord]) -> str:
             _cell(shot.carry_m, ".1f"),
             _cell(right, "+.1f"),
             _cell(shot.total_m, ".1f"),
-            "" if shot.status is Status.VALID else f"{shot.status}: {shot.reason}",
+            "" if shot.status is ShotStatus.VALID else f"{shot.status}: {shot.reason}",
         ]
         lines.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
     means = _means(records)

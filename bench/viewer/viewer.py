@@ -17,7 +17,13 @@ import rerun as rr
 
 from bench.errors import BenchError
 from bench.lifecycle import Phase
-from bench.shot.recorded_shot import Surroundings, flight_of, shot_from_json, shot_of_cycles, warm_up_shots
+from bench.shot.recorded_shot import (
+    FlightConditions,
+    flight_of,
+    shot_from_json,
+    shot_of_cycles,
+    warm_up_shots,
+)
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.viewer.clock import ViewClock
@@ -90,7 +96,7 @@ class Ages:
         return "–" if p50 is None or p99 is None else f"p50 {1e3 * p50:.1f} ms, p99 {1e3 * p99:.1f} ms"
 
 
-def warm_up(plant: PlantParameters, around: Surroundings) -> None:
+def warm_up(plant: PlantParameters, around: FlightConditions) -> None:
     """Run once what is compiled: it would keep zenoh's threads from taking in what comes."""
     cycles = np.zeros(10, CYCLE)
     cycles["time"], cycles["angle"] = np.arange(10) * 1e-3, [0.571, 4.141, 2 * np.pi]
@@ -110,7 +116,7 @@ class LiveView:
         feed: Feed,
         bench: str,
         plant: PlantParameters,
-        around: Surroundings,
+        around: FlightConditions,
         clock: Any = time.time,
     ) -> None:
         """Log what never changes; `clock` is UTC in s since 1970."""

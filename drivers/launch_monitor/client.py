@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from drivers.base import DriverError, Launch
 from drivers.launch_monitor.objects import ObjectStream
-from drivers.launch_monitor.open_connect import Answer, read_answer, write_heartbeat, write_shot
+from drivers.launch_monitor.open_connect import SimulatorResponse, read_answer, write_heartbeat, write_shot
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures
 from drivers.launch_monitor.settings import SimulatorSettings
 
@@ -45,7 +45,7 @@ class Passing(NamedTuple):
     """Shots that were answered otherwise, or twice not at all."""
     out_of_date: int
     """Shots that waited for too long, or for which there was no room."""
-    player: Answer | None
+    player: SimulatorResponse | None
     """What the simulator said last about its player."""
 
 
@@ -76,7 +76,7 @@ class SimulatorClient:
         self._number = 0
         self._connected, self._trouble = False, "not connected yet"
         self._taken = self._refused = self._out_of_date = 0
-        self._player: Answer | None = None
+        self._player: SimulatorResponse | None = None
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
@@ -194,10 +194,12 @@ class SimulatorClient:
         self._tell(True, f"shot {shot.number} was not answered within {self._answer_time:g} s, twice")
         return False
 
-    def _answers(self, connection: socket.socket, stream: ObjectStream, timeout: float) -> list[Answer]:
+    def _answers(
+        self, connection: socket.socket, stream: ObjectStream, timeout: float
+    ) -> list[SimulatorResponse]:
         """Return the answers that come within `timeout` (s), news of the player (201 to 203) taken out."""
         connection.settimeout(timeout)
-        found: list[Answer] = []
+        found: list[SimulatorResponse] = []
         with suppress(TimeoutError):
             data = connection.recv(65_536)
             if not data:

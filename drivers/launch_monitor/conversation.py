@@ -9,7 +9,7 @@ from drivers.launch_monitor.objects import ObjectStream
 from drivers.launch_monitor.open_connect import (
     SHOT_TAKEN,
     TOO_LARGE,
-    Status,
+    MonitorStatus,
     read_message,
     write_answer,
 )
@@ -44,7 +44,7 @@ class MessageCounts:
             setattr(self, field.name, getattr(self, field.name) + getattr(other, field.name))
 
 
-class Heard(NamedTuple):
+class ParsedInput(NamedTuple):
     """What some bytes come to."""
 
     records: list[LaunchRecord]
@@ -69,7 +69,7 @@ class Conversation:
         self._stream = ObjectStream()
         self._begun = now
 
-    def hear(self, data: bytes, now: float) -> Heard:
+    def hear(self, data: bytes, now: float) -> ParsedInput:
         """Take what came."""
         self.check(now)
         if not self._stream.pending:
@@ -91,7 +91,7 @@ class Conversation:
                 self.device = message.device or self.device
                 records.append(judged(message, self._plausible))
                 answers.append(write_answer(SHOT_TAKEN, "Shot received successfully"))
-            elif isinstance(message, Status):
+            elif isinstance(message, MonitorStatus):
                 counts.statuses += 1
                 self._take_status(message)
             else:
@@ -100,7 +100,7 @@ class Conversation:
         if self._stream.useless:
             counts.too_large += 1
             answers.append(write_answer(TOO_LARGE, f"Refused: {self._stream.useless}"))
-        return Heard(records, b"".join(answers), not self._stream.useless)
+        return ParsedInput(records, b"".join(answers), not self._stream.useless)
 
     def check(self, now: float) -> None:
         """Give up an object that does not end."""
@@ -114,7 +114,7 @@ class Conversation:
             self._stream.drop()
             self.counts.passed_over = self._stream.passed_over
 
-    def _take_status(self, status: Status) -> None:
+    def _take_status(self, status: MonitorStatus) -> None:
         self.device = status.device or self.device
         self.heartbeats |= status.heartbeat
         self.ready = self.ready if status.ready is None else status.ready

@@ -37,7 +37,7 @@ class SwingImpact(NamedTuple):
     """s, CLOCK_MONOTONIC, of the impact."""
 
 
-class Outcome(StrEnum):
+class MatchOutcome(StrEnum):
     """What became of a swing or of a launch."""
 
     MATCHED = "matched"
@@ -52,7 +52,7 @@ class Outcome(StrEnum):
 class Match(NamedTuple):
     """One decided outcome. `shot` is "" when there is no swing, `launch` None when there is none."""
 
-    outcome: Outcome
+    outcome: MatchOutcome
     shot: str
     launch: LaunchRecord | None
     reason: str = ""
@@ -90,7 +90,7 @@ def match(
         if owner is not None:
             of_swing[owner.shot].append(launch)
         elif now - launch.time > window.patience:
-            decided.append(Match(Outcome.NO_SWING, "", launch))
+            decided.append(Match(MatchOutcome.NO_SWING, "", launch))
         else:
             open_launches.append(launch)
     open_swings: list[SwingImpact] = []
@@ -117,12 +117,14 @@ def _owner(time: float, ordered: Sequence[SwingImpact], window: MatchWindow) -> 
 def _settle(swing: SwingImpact, launches: Sequence[LaunchRecord]) -> list[Match]:
     """Return the outcomes of a swing and of all launches in its window."""
     if not launches:
-        return [Match(Outcome.NO_LAUNCH, swing.shot, None)]
+        return [Match(MatchOutcome.NO_LAUNCH, swing.shot, None)]
     first, *rest = launches
     others = [
-        Match(Outcome.REPEATED if later.tells_the_same(first) else Outcome.DOUBLE, swing.shot, later)
+        Match(
+            MatchOutcome.REPEATED if later.tells_the_same(first) else MatchOutcome.DOUBLE, swing.shot, later
+        )
         for later in rest
     ]
-    doubles = sum(other.outcome is Outcome.DOUBLE for other in others)
+    doubles = sum(other.outcome is MatchOutcome.DOUBLE for other in others)
     reason = f"{doubles + 1} different launches after one swing" if doubles else ""
-    return [Match(Outcome.MATCHED, swing.shot, first, reason), *others]
+    return [Match(MatchOutcome.MATCHED, swing.shot, first, reason), *others]

@@ -30,7 +30,7 @@ LONGEST_NAME = 64
 """Characters that are kept of a device's name."""
 
 
-class Status(NamedTuple):
+class MonitorStatus(NamedTuple):
     """A heartbeat, or a message without figures: how the monitor is. None where it does not say."""
 
     device: str
@@ -39,14 +39,14 @@ class Status(NamedTuple):
     ball_detected: bool | None = None
 
 
-class Refusal(NamedTuple):
+class RejectedMessage(NamedTuple):
     """A message that cannot be taken, and why."""
 
     code: int
     reason: str
 
 
-Message = LaunchRecord | Status | Refusal
+Message = LaunchRecord | MonitorStatus | RejectedMessage
 
 
 class _Bounds(NamedTuple):
@@ -73,9 +73,9 @@ def read_message(data: bytes, time: float) -> Message:
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
-        return Refusal(FAILURE, f"no JSON: {_short(error)}")
+        return RejectedMessage(FAILURE, f"no JSON: {_short(error)}")
     if not isinstance(tree, dict):
-        return Refusal(FAILURE, "no JSON object")
+        return RejectedMessage(FAILURE, "no JSON object")
     root = _plain_names(tree)
     options, ball, club = (
         _plain_names(part) if isinstance(part, dict) else {}
@@ -90,14 +90,14 @@ def read_message(data: bytes, time: float) -> Message:
         has_club = bool(club) and not heartbeat
     if not has_ball and not has_club:
         if not options:
-            return Refusal(FAILURE, "neither BallData nor ShotDataOptions")
+            return RejectedMessage(FAILURE, "neither BallData nor ShotDataOptions")
         ready = _yes(options.get("launchmonitorisready"))
-        return Status(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
+        return MonitorStatus(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
     version = root.get("apiversion")
     if version is not None and _number(version) != 1.0:
-        return Refusal(FAILURE, f"APIversion {_short(version)}, expected 1")
+        return RejectedMessage(FAILURE, f"APIversion {_short(version)}, expected 1")
     if has_ball and not ball:
-        return Refusal(FAILURE, "ContainsBallData without BallData")
+        return RejectedMessage(FAILURE, "ContainsBallData without BallData")
     in_metres = _text(root.get("units")).lower() in ("meters", "metres", "meter", "metre", "m")
     number = _number(root.get("shotnumber"))
     whole = int(number) if number is not None and 0 <= number <= 1e9 and number == int(number) else None
@@ -236,7 +236,7 @@ def _options(*, ball: bool = False, club: bool = False, heartbeat: bool = False)
 # Answers -----------------------------------------------------------------------------------------
 
 
-class Answer(NamedTuple):
+class SimulatorResponse(NamedTuple):
     """What a simulator answers."""
 
     code: int
@@ -257,7 +257,7 @@ def write_player(club: str, handed: str = "RH") -> bytes:
     return json.dumps({"Code": PLAYER, "Message": "GSPro Player Information", "Player": player}).encode()
 
 
-def read_answer(data: bytes) -> Answer | None:
+def read_answer(data: bytes) -> SimulatorResponse | None:
     """Return what an answer says; None when it is none. Never raises."""
     try:
         tree = json.loads(data)
@@ -269,7 +269,7 @@ def read_answer(data: bytes) -> Answer | None:
         return None
     player = root.get("player")
     player = _plain_names(player) if isinstance(player, dict) else {}
-    return Answer(
+    return SimulatorResponse(
         int(code), _text(root.get("message")), _text(player.get("club")), _text(player.get("handed"))
     )
 

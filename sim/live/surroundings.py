@@ -14,7 +14,7 @@ from sim.live.exchange import BALL, PLANT_SURROUNDINGS, SURROUNDINGS_FILE
 _QUIET = {"emergency_stop_clear": True, "guard_closed": True, "encoder_valid": 1}
 
 
-class Surroundings:
+class SurroundingsWriter:
     """The one writer of the surroundings; what another one left stands until it is changed."""
 
     def __init__(self, folder: Path) -> None:
@@ -67,7 +67,7 @@ class Surroundings:
         """Let go of the file; the surroundings stay as they are. Allowed twice."""
         self._shared.close()
 
-    def __enter__(self) -> Surroundings:
+    def __enter__(self) -> SurroundingsWriter:
         return self
 
     def __exit__(

@@ -297,7 +297,7 @@ def _live(
                 return
 
 
-class Wish:
+class StopRequest:
     """The wish to end: a signal, or the parent's death."""
 
     def __init__(self, *signals: int) -> None:
@@ -315,7 +315,7 @@ class Wish:
 
 def main() -> int:
     """Be the nodes that the plan on stdin describes; return the exit code."""
-    wish = Wish(signal.SIGTERM)
+    wish = StopRequest(signal.SIGTERM)
     for number in (signal.SIGINT, signal.SIGABRT):  # they go to all processes at once; the parent decides
         signal.signal(number, signal.SIG_IGN)
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from bench.config import Configuration, NetworkSettings
 from bench.network.certificates import AUTHORITY, Identity, make_authority, make_certificate, write_identity
 from bench.network.free_port import free_port
-from tests.bench.fake_desk import loopback_configuration
+from tests.bench.fake_bench_service import loopback_configuration
 
 HERE = ("127.0.0.1", "localhost")
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from bench.lifecycle import Cause, Phase, State
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
@@ -108,7 +108,7 @@ def _record(number: int, cycles: Cycles) -> ShotRecord:
         "time_utc": datetime(2026, 11, 1, 9, 30, tzinfo=UTC) + number * timedelta(seconds=30),
     }
     if number == 4:
-        return ShotRecord(Shot(**base, status=Status.FAILED, reason="no ball seen on the tee"), cycles)
+        return ShotRecord(Shot(**base, status=ShotStatus.FAILED, reason="no ball seen on the tee"), cycles)
     speed = random.normal(43.0, 0.15)
     launch = Launch(
         speed * (1.44 if ball == "Pro V" else 1.425),
@@ -128,7 +128,7 @@ def _record(number: int, cycles: Cycles) -> ShotRecord:
         source="encoders+model",
     )
     off_plan: dict[str, Any] = (
-        {"status": Status.EXCLUDED, "reason": "club speed 0.6 m/s off the plan"} if number == 7 else {}
+        {"status": ShotStatus.EXCLUDED, "reason": "club speed 0.6 m/s off the plan"} if number == 7 else {}
     )
     shot = Shot.from_measurements(**base, delivery=delivery, launch=launch, flight=flight, **off_plan)
     return ShotRecord(shot, cycles, flight)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Cause, State
+from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.network.desk import DeviceStatus
 from drivers.base import PASSIVE, Command, unpack_command
 from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch

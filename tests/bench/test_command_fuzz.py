@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import open_client
-from tests.bench.fake_desk import FakeDesk, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.command_fuzz import fuzz, uncounted, use_up
 
 MESSAGES = 3000

@@ -15,7 +15,7 @@ _STRUCK_EVERYWHERE = """
 import signal, sys
 from bench.interrupt import wish_to_end
 
-def struck_at(step):  # SIGTERM before the step-th line of Wish.wait and of all it calls
+def struck_at(step):  # SIGTERM before the step-th line of StopFlag.wait and of all it calls
     with wish_to_end() as wish:
         left = step
         def trace(frame, event, argument):

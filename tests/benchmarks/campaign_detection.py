@@ -19,7 +19,7 @@ from bench.campaign.analysis import analyse, values_of
 from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
-from bench.campaign.plan import Plan, Simulation
+from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import all_trials
@@ -35,7 +35,7 @@ BLOCKS = 16
 TITLE = "campaign detection"
 
 
-def plan_of(configuration: Configuration, restitution: float) -> Plan:
+def plan_of(configuration: Configuration, restitution: float) -> CampaignPlan:
     """Return two balls, the second with a share `restitution` of the first one's."""
     plan = load_plan(Path("two-balls"), configuration)
     tour = configuration.balls["tour"]
@@ -54,7 +54,7 @@ class Swings:
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
 
-    def shots(self, plan: Plan, seed: int) -> list[Shot]:
+    def shots(self, plan: CampaignPlan, seed: int) -> list[Shot]:
         """Return the shots of a campaign."""
         plan = replace(plan, design=replace(plan.design, seed=seed))
         source = SimulatedShots(
@@ -103,7 +103,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     ]
 
 
-def _verdict(plan: Plan, shots: Sequence[Shot]) -> str:
+def _verdict(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
     result = analyse(plan, shots, 1, "").confirmatory
     return result.pairs[0].verdict if result else ""
 

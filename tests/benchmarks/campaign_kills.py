@@ -21,7 +21,7 @@ import numpy as np
 
 from bench.campaign.corrections import AsDesigned
 from bench.campaign.operate import course_of, new_entry, runner_lock
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Runner, Watcher
 from bench.campaign.simulated import BEGIN, SimulatedShots
@@ -38,7 +38,7 @@ LONGEST_LIFE = 1.2
 """s, of a runner."""
 
 
-def run_once(plan: Plan, configuration: Configuration, entry: CampaignEntry, batch: int) -> None:
+def run_once(plan: CampaignPlan, configuration: Configuration, entry: CampaignEntry, batch: int) -> None:
     """Run or resume `entry` in this process."""
     profiles = require_swings(plan, configuration)
     data_dir = configuration.bench.data_dir
@@ -51,7 +51,7 @@ def run_once(plan: Plan, configuration: Configuration, entry: CampaignEntry, bat
         runner.run(course_of(plan, profiles, configuration.plant.robot.lie), never)
 
 
-def begin(plan: Plan, shipped: Configuration, folder: Path) -> tuple[Configuration, CampaignEntry]:
+def begin(plan: CampaignPlan, shipped: Configuration, folder: Path) -> tuple[Configuration, CampaignEntry]:
     """Begin a campaign with its records in `folder`."""
     configuration = replace(shipped, bench=replace(shipped.bench, data_dir=folder))
     entry = new_entry(plan, configuration, BEGIN, simulated=True)
@@ -83,7 +83,7 @@ def table(folder: Path, entry: CampaignEntry) -> tuple[str, CampaignState, int]:
 
 
 def kill_and_resume(
-    plan: Plan, kills: int, batch: int, folder: Path, seed: int = SEED
+    plan: CampaignPlan, kills: int, batch: int, folder: Path, seed: int = SEED
 ) -> tuple[int, int, bool]:
     """Return how many kills hit a running campaign, its shots, and whether it came out as if run through."""
     through, broken = folder / "through", folder / "broken"
@@ -126,7 +126,7 @@ def kill_and_resume(
     return killed, count, text == expected and state is CampaignState.FINISHED
 
 
-def plan_of(blocks: int) -> Plan:
+def plan_of(blocks: int) -> CampaignPlan:
     """Return two balls with a control ball, a few shots that go wrong among them."""
     plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
     return replace(

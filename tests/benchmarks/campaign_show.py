@@ -28,12 +28,12 @@ from bench.campaign.sequence import all_trials
 from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import NOT_TOLD
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing
-from sim.live.surroundings import Surroundings
+from sim.live.surroundings import SurroundingsWriter
 from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -95,7 +95,7 @@ class Result:
     @property
     def valid(self) -> list[Shot]:
         """The shots that count."""
-        return [shot for shot in self.shots if shot.status is Status.VALID]
+        return [shot for shot in self.shots if shot.status is ShotStatus.VALID]
 
     def with_reason(self, reason: str) -> list[Shot]:
         """Return the shots that do not count for `reason`."""
@@ -195,13 +195,13 @@ class Show:
     def _open_the_guard(self) -> None:
         """Open it in a swing, and close it again when the bench has latched."""
         self.until(lambda: self.bench.now()["phase"] == Phase.BACKSWING, "a swing")
-        with Surroundings(self.bench.folder) as hands:
+        with SurroundingsWriter(self.bench.folder) as hands:
             hands.change(guard_closed=False)
         latched = {State.FAULT.name, State.ESTOP.name}
         after = self.until(lambda: self.bench.client.status()["state"] in latched, "latched")
         self.result.latched_after = after
         time.sleep(_HELD)
-        with Surroundings(self.bench.folder) as hands:
+        with SurroundingsWriter(self.bench.folder) as hands:
             hands.change(guard_closed=True)
 
 

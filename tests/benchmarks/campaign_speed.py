@@ -19,7 +19,7 @@ from bench.campaign.campaign_report import load_record, write_campaign_report
 from bench.campaign.corrections import AsDesigned
 from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry, run_simulated
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.simulated import BEGIN, SimulatedShots
@@ -48,7 +48,7 @@ class Clock(Watcher):
         self.memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
-def plan_of(shots: int) -> Plan:
+def plan_of(shots: int) -> CampaignPlan:
     """Return two balls with a control ball in blocks of five."""
     plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
     return replace(

@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.campaign.analysis import analyse
-from bench.campaign.plan import Plan, levels
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
 from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import Role, block_trials, sections
 from bench.config import load_configuration
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
 
 SEED = 20261121
@@ -47,7 +47,7 @@ class Truth:
     """Standard deviation between balls of one model."""
 
 
-def campaign_shots(plan: Plan, truth: Truth, seed: int) -> list[Shot]:
+def campaign_shots(plan: CampaignPlan, truth: Truth, seed: int) -> list[Shot]:
     """Return the shots of a campaign by `plan` in its own order, all valid."""
     random = np.random.default_rng((SEED, seed))
     plan = replace(plan, design=replace(plan.design, seed=int(random.integers(2**31))))
@@ -69,7 +69,7 @@ def campaign_shots(plan: Plan, truth: Truth, seed: int) -> list[Shot]:
                 shots.append(
                     Shot(
                         len(shots) + 1, trial.block, trial.position, trial.arm.club, trial.arm.ball,
-                        Status.VALID, carry_m=float(carry), swing=trial.arm.swing, role=str(trial.role),
+                        ShotStatus.VALID, carry_m=float(carry), swing=trial.arm.swing, role=str(trial.role),
                         section=trial.section, sample=sample + 1,
                         time_utc=BEGIN + timedelta(seconds=48 * len(shots)),
                     )
@@ -89,7 +89,7 @@ class Tally:
     campaigns: int = 0
 
 
-def _tally(plan: Plan, truth: Truth, campaigns: int, first_seed: int) -> Tally:
+def _tally(plan: CampaignPlan, truth: Truth, campaigns: int, first_seed: int) -> Tally:
     tally = Tally()
     names = levels(plan)
     true = {(one, two): truth.difference * (one == names[0]) for one, two in combinations(names, 2)}
@@ -110,7 +110,7 @@ def _tally(plan: Plan, truth: Truth, campaigns: int, first_seed: int) -> Tally:
     return tally
 
 
-def plans() -> tuple[Plan, Plan]:
+def plans() -> tuple[CampaignPlan, CampaignPlan]:
     """Return a plan of two balls with a control ball, and one of four without."""
     configuration = load_configuration(Path("shipped"))
     two = load_plan(Path("symmetry"), configuration)

@@ -28,6 +28,7 @@ import psutil
 import zenoh
 
 from bench.config import Configuration
+from bench.network.bench_service import BenchStatus, CountStatus
 from bench.network.client import BenchClient
 from bench.network.command import (
     LAST_SEQUENCE,
@@ -37,12 +38,11 @@ from bench.network.command import (
     parse_answer,
     parse_error,
 )
-from bench.network.desk import CountStatus, Status
 from bench.network.lease import new_key
 from bench.network.zenoh_session import open_client
 from bench.processes.plan import TIMING_FILE
 from bench.processes.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
-from tests.bench.fake_desk import FakeDesk, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.row import Row
 from tests.running_bench import running_bench, write_configuration
 
@@ -383,14 +383,14 @@ def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
     return rows
 
 
-def _memory(status: Status) -> float:
+def _memory(status: BenchStatus) -> float:
     """Return the resident memory (MiB) of the supervisor, the parent of the loop."""
     loop = psutil.Process(status["processes"]["loop"]["pid"])
     parent = loop.parent()
     return float("nan") if parent is None else parent.memory_info().rss / 2**20
 
 
-def _left(before: Status, after: Status) -> int:
+def _left(before: BenchStatus, after: BenchStatus) -> int:
     """Return 0 if the loop is the same and the bench stands as it stood."""
     same = all(before["processes"]["loop"][k] == after["processes"]["loop"][k] for k in ("pid", "alive"))
     return int(not same or after["state"] not in ("ESTOP", "FAULT") or after["swings"] != before["swings"])

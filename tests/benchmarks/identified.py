@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import Configuration, load_configuration
-from bench.design.designer import Demand, DesignFailed, design_swing
+from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.errors import BenchError, Refused
 from bench.learning.beginning import begun_on
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.identify import identify
-from bench.learning.learn import Lecture, learn, on_series, prepare
+from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.learning.plant_file import plant_file, write_plant_file
 from bench.learning.recorded import Recorded
 from bench.simulation.series import Bench, Series
@@ -83,7 +83,7 @@ def _bench(configuration: Configuration, profile: Profile) -> Bench:
 
 
 def _in_all_ways(
-    name: str, variation: Variation, lecture: Lecture, configuration: Configuration, folder: Path
+    name: str, variation: Variation, lecture: LearningProblem, configuration: Configuration, folder: Path
 ) -> list[tuple[str, Outcome]]:
     truth, profile = variation.applied_to(lecture.bench.model), lecture.bench.profile
     series = Series(lecture.bench, truth)
@@ -111,10 +111,10 @@ def _in_all_ways(
     return outcomes
 
 
-def _designed_anew(lecture: Lecture, robot: Configuration, file: Path) -> Profile:
+def _designed_anew(lecture: LearningProblem, robot: Configuration, file: Path) -> Profile:
     """Return a swing for `robot` with the speed and attack angle that are the target."""
     if not file.exists():
-        demand = Demand(head_speed=lecture.target.speed, attack=lecture.target.attack)
+        demand = SwingDemand(head_speed=lecture.target.speed, attack=lecture.target.attack)
         made = design_swing(
             robot.plant, demand, file.stem, control=robot.control, envelope=robot.envelope,
             estimator=robot.estimator, start=lecture.bench.profile,
@@ -123,7 +123,7 @@ def _designed_anew(lecture: Lecture, robot: Configuration, file: Path) -> Profil
     return load_profile(file)
 
 
-def _taught(lecture: Lecture, truth: PlantParameters) -> Outcome:
+def _taught(lecture: LearningProblem, truth: PlantParameters) -> Outcome:
     series = Series(lecture.bench, truth)
     lesson = learn(lecture, on_series(lecture, series))
     swing, scale = lesson.correction.applied_to(lecture.bench.profile), Tolerance().scale(lecture.target)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bench.config import load_configuration
 from bench.errors import Refused
 from bench.learning.figures import Tolerance, figures_of
-from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
+from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import WORN, Variation, drawn
 from bench.swing.library import find_profile
@@ -106,7 +106,9 @@ _NAMES = ("strike", "head speed", "shaft lean", "attack angle")
 _UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
 
 
-def _taught(lecture: Lecture, robot: str, variation: Variation) -> tuple[Outcome, Lesson, Series]:
+def _taught(
+    lecture: LearningProblem, robot: str, variation: Variation
+) -> tuple[Outcome, LearningResult, Series]:
     plant = variation.applied_to(lecture.bench.model)
     series = Series(lecture.bench, plant)
     lesson = learn(lecture, on_series(lecture, series))
@@ -127,7 +129,7 @@ def _taught(lecture: Lecture, robot: str, variation: Variation) -> tuple[Outcome
     return outcome, lesson, series
 
 
-def _repeated(lecture: Lecture, lesson: Lesson, plant: PlantParameters) -> Array:
+def _repeated(lecture: LearningProblem, lesson: LearningResult, plant: PlantParameters) -> Array:
     """Return how far many swings with noise are off the target (n, 4), in tolerances."""
     noisy = replace(plant, encoders=replace(plant.encoders, noise=ENCODER_NOISE))
     estimator = replace(lecture.bench.estimator, noise=(ENCODER_NOISE,) * 3)

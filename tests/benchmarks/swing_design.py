@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.commands.progress import progress_bar
 from bench.config import load_configuration
-from bench.design.designer import Demand, DesignFailed, design_swing
+from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
@@ -31,7 +31,7 @@ def run(arguments: list[str]) -> list[Row]:
     """Return the benchmark's rows."""
     options = _options(arguments)
     c = load_configuration(options.config)
-    demand = Demand(head_speed=options.speed, attack=radians(options.attack))
+    demand = SwingDemand(head_speed=options.speed, attack=radians(options.attack))
     begin = load_profile(find_profile(options.begin))
     bench = SimulatedBench(begin, c.plant, c.control, c.envelope, c.estimator)
     list(simulate_swings(bench, [None]))  # compiles, or loads what was compiled
@@ -64,7 +64,7 @@ def run(arguments: list[str]) -> list[Row]:
     return rows
 
 
-def _swung(what: str, bench: SimulatedBench, demand: Demand) -> list[Row]:
+def _swung(what: str, bench: SimulatedBench, demand: SwingDemand) -> list[Row]:
     """Return what the simulated bench delivers, and what a missed ball does to the cushions."""
     struck = next(iter(simulate_swings(bench, [bench.plant.ball])))
     (missed,) = simulate_swings(bench, [None])

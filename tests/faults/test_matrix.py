@@ -21,10 +21,10 @@ from bench.commands.faults import app
 from bench.commands.faults_page import matrix_page, matrix_table
 from bench.commands.session import Session
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.case import Instant, Outcome, Workbench, instants_of
+from bench.faults.case import CaseOutcome, Instant, Workbench, instants_of
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
 from bench.faults.hazards import hazard_table
-from bench.faults.matrix import CaseStore, Plan, digest_of, plan_matrix, run_matrix
+from bench.faults.matrix import CaseStore, MatrixPlan, digest_of, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise
 from bench.swing.profile import Profile
 from sim.faults import KINDS, SIGNALS, sort_of
@@ -130,9 +130,9 @@ def test_the_same_case_ends_the_same(workbench: Workbench, profile: Profile) -> 
     assert workbench.run(*case) == workbench.run(*case)
 
 
-def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) -> Outcome:
+def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) -> CaseOutcome:
     reasons = ("wrist lower stop took 200 % of its rated energy",) if verdict == "unsafe" else ()
-    made = Outcome(
+    made = CaseOutcome(
         breakage.name, breakage.fault.signal, breakage.fault.kind, at.phase, at.name, verdict, reasons,
         "GUARD" if verdict == "safe" else "", 1, "BRAKE", 1, 0.5, "wrist lower stop", 0.7, 0.1, 3.0, 0.02,
         1.0,
@@ -142,13 +142,13 @@ def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) ->
 
 
 @pytest.fixture
-def few(profile: Profile) -> tuple[Plan, list[Outcome]]:
+def few(profile: Profile) -> tuple[MatrixPlan, list[CaseOutcome]]:
     plan = plan_matrix(profile, model_check=True, signals=("guard closed", "launch"), phases=("top", "hold"))
     outcomes = [outcome(b, i, "unsafe" if b.fault.kind == "garbage" else "safe") for b, i in plan.cases]
     return plan, outcomes
 
 
-def test_the_summary_counts_and_the_page_is_one_file(few: tuple[Plan, list[Outcome]]) -> None:
+def test_the_summary_counts_and_the_page_is_one_file(few: tuple[MatrixPlan, list[CaseOutcome]]) -> None:
     plan, outcomes = few
     summary = summarise(outcomes, plan.skipped, model_check=True, profile="default", seconds=1.0)
     assert summary["verdicts"] == {"harmless": 0, "safe": 8, "undetected": 0, "unsafe": 2}
@@ -164,7 +164,10 @@ def test_the_summary_counts_and_the_page_is_one_file(few: tuple[Plan, list[Outco
 
 
 def test_what_stands_in_the_store_is_not_run_again(
-    few: tuple[Plan, list[Outcome]], tmp_path: Path, profile: Profile, monkeypatch: pytest.MonkeyPatch
+    few: tuple[MatrixPlan, list[CaseOutcome]],
+    tmp_path: Path,
+    profile: Profile,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan, outcomes = few
     configuration = load_configuration(shipped_configuration())
@@ -179,7 +182,7 @@ def test_what_stands_in_the_store_is_not_run_again(
         def __init__(self, *_: object, **__: object) -> None:
             pass
 
-        def run(self, breakage: Breakage, at: Instant) -> Outcome:
+        def run(self, breakage: Breakage, at: Instant) -> CaseOutcome:
             ran.append((breakage.name, at.name))
             return outcome(breakage, at, "safe")
 
@@ -197,7 +200,7 @@ def test_what_stands_in_the_store_is_not_run_again(
 
 
 def test_the_command_ends_with_1_when_a_case_ends_unsafe(
-    few: tuple[Plan, list[Outcome]], tmp_path: Path, profile: Profile
+    few: tuple[MatrixPlan, list[CaseOutcome]], tmp_path: Path, profile: Profile
 ) -> None:
     configuration = load_configuration(shipped_configuration())
     _plan, outcomes = few

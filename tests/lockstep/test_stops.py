@@ -13,7 +13,7 @@ import pytest
 
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step import ACCEPTED, RESET, SWING
-from bench.design.check import TRIALS, Outcome, SwingCheck
+from bench.design.check import TRIALS, SwingCheck, TrialOutcome
 from bench.lifecycle import Cause, Phase, Reaction
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
@@ -27,7 +27,7 @@ SPACING = 101
 """Ticks between the instants that are tried."""
 TRIAL = {trial.name: trial for trial in TRIALS}
 
-StoppedAt = Callable[[str], list[Outcome]]
+StoppedAt = Callable[[str], list[TrialOutcome]]
 
 
 @pytest.fixture(scope="module")

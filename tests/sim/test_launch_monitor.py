@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.base import Launch
-from drivers.launch_monitor.matching import MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.matching import MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.open_connect import read_message
 from drivers.launch_monitor.plausibility import PlausibleFigures, judged
 from drivers.launch_monitor.record import LaunchRecord
@@ -102,7 +102,7 @@ def test_every_misread_shot_is_noticed_and_no_other() -> None:
 
 def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
     p = MonitorParameters(missing=0.1, double=0.1, repeated=0.1, ghost=0.05)
-    swings, records, expected = [], [], Counter[Outcome]()
+    swings, records, expected = [], [], Counter[MatchOutcome]()
     for n in range(300):
         impact = 100.0 * n
         swings.append(SwingImpact(f"shot {n}", impact))
@@ -110,17 +110,21 @@ def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
         heard = [replace(record, time=impact + record.time) for record in told(STRUCK, n, p)]
         records += heard
         if not planned:
-            expected[Outcome.NO_LAUNCH] += 1
+            expected[MatchOutcome.NO_LAUNCH] += 1
             continue
-        expected[Outcome.MATCHED] += 1
+        expected[MatchOutcome.MATCHED] += 1
         for delay, message in planned[1:]:
-            kind = Outcome.REPEATED if message == planned[0].message else Outcome.DOUBLE
-            expected[Outcome.NO_SWING if delay > 8.0 else kind] += 1
+            kind = MatchOutcome.REPEATED if message == planned[0].message else MatchOutcome.DOUBLE
+            expected[MatchOutcome.NO_SWING if delay > 8.0 else kind] += 1
     decided = match(swings, records, 1e6, MatchWindow()).decided
     assert Counter(m.outcome for m in decided) == expected
     assert min(expected.values()) > 5  # each of them happened
     for found in decided:
-        if found.outcome is Outcome.MATCHED and found.launch is not None and found.launch.number is not None:
+        if (
+            found.outcome is MatchOutcome.MATCHED
+            and found.launch is not None
+            and found.launch.number is not None
+        ):
             assert found.shot == f"shot {found.launch.number // 2}"
 
 

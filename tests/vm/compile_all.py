@@ -10,7 +10,7 @@ from bench.control.settings import build_controller
 from bench.lifecycle import State
 from bench.loop import Cycle
 from bench.processes.tick_timing import TickTiming, new_timing
-from bench.shot.recorded_shot import Surroundings, warm_up_shots
+from bench.shot.recorded_shot import FlightConditions, warm_up_shots
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
@@ -22,7 +22,7 @@ from sim.nodes.process import run_nodes
 def main() -> None:
     """Run a tick of a loop, the nodes until they live, and a shot."""
     c = load_configuration(None)
-    warm_up_shots(c.plant, Surroundings())
+    warm_up_shots(c.plant, FlightConditions())
     parameters = build_controller(
         c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope, c.estimator, c.lifecycle,
         c.homing,

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 from bench.campaign.campaign_report import load_record, write_campaign_report
 from bench.campaign.findings import findings
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Outcome, Watcher
+from bench.campaign.runner import RunOutcome, Watcher
 from bench.campaign.swings import require_swings
 from bench.commands.demo.screen import Screen
 from bench.config import Configuration
@@ -50,7 +50,7 @@ class ScreenWatcher(Watcher):
         self._screen.add(shot)
 
 
-def demo_plan(configuration: Configuration, swings: int, seed: int) -> Plan:
+def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignPlan:
     """Return the shipped test of two balls, with the configured swing, club and ball and the next ball.
 
     Raises:
@@ -100,7 +100,7 @@ def write_result(
     screen: Screen,
     store: CampaignStore,
     entry: CampaignEntry,
-    outcome: Outcome,
+    outcome: RunOutcome,
     files: Files,
     c: Configuration,
 ) -> None:

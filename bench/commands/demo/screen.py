@@ -19,10 +19,10 @@ from bench.campaign.findings import Findings
 from bench.campaign.page import MPH, YARD
 from bench.campaign.verdicts import robot_words
 from bench.commands.progress import progress_bar
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 
 
-class Column(NamedTuple):
+class ScreenColumn(NamedTuple):
     """One column of the table."""
 
     head: str
@@ -46,17 +46,17 @@ def _strike(shot: Shot) -> str:
 
 
 _COLUMNS = (
-    Column("shot", "", lambda shot: str(shot.shot)),
-    Column("ball", "", lambda shot: shot.ball),
-    Column("club", "mph", _figure("club_speed_mps", ".2f", MPH)),
-    Column("", "m/s", _figure("club_speed_mps", ".2f")),
-    Column("attack", "°", _figure("attack_angle_deg", "+.2f")),
-    Column("strike", "mm", _strike),
-    Column("ball", "mph", _figure("ball_speed_mps", ".1f", MPH)),
-    Column("launch", "°", _figure("launch_angle_deg", ".1f")),
-    Column("spin", "rpm", _figure("spin_rpm", ".0f")),
-    Column("carry", "yd", _figure("carry_m", ".1f", YARD)),
-    Column("", "m", _figure("carry_m", ".1f")),
+    ScreenColumn("shot", "", lambda shot: str(shot.shot)),
+    ScreenColumn("ball", "", lambda shot: shot.ball),
+    ScreenColumn("club", "mph", _figure("club_speed_mps", ".2f", MPH)),
+    ScreenColumn("", "m/s", _figure("club_speed_mps", ".2f")),
+    ScreenColumn("attack", "°", _figure("attack_angle_deg", "+.2f")),
+    ScreenColumn("strike", "mm", _strike),
+    ScreenColumn("ball", "mph", _figure("ball_speed_mps", ".1f", MPH)),
+    ScreenColumn("launch", "°", _figure("launch_angle_deg", ".1f")),
+    ScreenColumn("spin", "rpm", _figure("spin_rpm", ".0f")),
+    ScreenColumn("carry", "yd", _figure("carry_m", ".1f", YARD)),
+    ScreenColumn("", "m", _figure("carry_m", ".1f")),
 )
 
 
@@ -146,7 +146,7 @@ class Screen:
                 f"{column.head}\n[dim]{column.unit}[/]", justify="left" if name else "right", no_wrap=True
             )
         for shot in self._shots:
-            style = None if shot.status is Status.VALID else "red"
+            style = None if shot.status is ShotStatus.VALID else "red"
             table.add_row(*(column.text(shot) for column in _COLUMNS), style=style)
         reasons = [f"shot {shot.shot}, {shot.status}: {shot.reason}" for shot in self._shots if shot.reason]
         if reasons:

@@ -20,9 +20,9 @@ from bench.calibration.archive import (
 )
 from bench.calibration.values import (
     BallPosition,
+    CalibrationKind,
     ClubInMount,
     EncoderZeros,
-    Kind,
     Values,
     ValveCentres,
     content_of,
@@ -83,7 +83,7 @@ def test_the_newest_until_then_is_in_force(database: Engine) -> None:
     for day in range(3):
         add(database, BallPosition(0.25 + 0.001 * day, -1.56, 1e-3), NOW + day * DAY)
     for when, version in ((NOW - DAY, None), (NOW, 1), (NOW + 1.5 * DAY, 2), (NOW + 9 * DAY, 3)):
-        entry = effective_calibration(database, "b", when).of(Kind.BALL)
+        entry = effective_calibration(database, "b", when).of(CalibrationKind.BALL)
         assert (entry and entry.version) == version
     assert effective_calibration(database, "c", NOW + 9 * DAY).entries == ()
 
@@ -92,7 +92,7 @@ def test_only_the_mounted_clubs_calibration_is_in_force(database: Engine) -> Non
     add(database, CLUB)
     add(database, ClubInMount("iron7", 0.872, 0.57, 1.09, 5e-4, 2e-3), NOW + DAY)
     for club, version in (("driver", 1), ("iron7", 2), ("thesis", None)):
-        entry = effective_calibration(database, "b", NOW + 2 * DAY, club=club).of(Kind.CLUB)
+        entry = effective_calibration(database, "b", NOW + 2 * DAY, club=club).of(CalibrationKind.CLUB)
         assert (entry and entry.version) == version
 
 
@@ -117,7 +117,7 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
     add(database, BALL, days=1)
     simulated = effective_calibration(database, "b", NOW)
     assert simulated.problems(NOW) == []
-    assert simulated.nominal == (Kind.ENCODERS, Kind.CLUB, Kind.VALVES)
+    assert simulated.nominal == (CalibrationKind.ENCODERS, CalibrationKind.CLUB, CalibrationKind.VALVES)
     (problem,) = simulated.problems(NOW + DAY)
     assert "calibration ball version 1 expired on 2026-11-22" in problem
     assert "golfbench calibrate ball" in problem
@@ -132,7 +132,7 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
 def test_reading_makes_no_database(tmp_path: Path) -> None:
     configuration = _at(tmp_path, "sim")
     calibration = calibration_of(configuration, NOW)
-    assert calibration.nominal == tuple(Kind)
+    assert calibration.nominal == tuple(CalibrationKind)
     assert calibration.problems(NOW) == []
     assert not (tmp_path / "data").exists()
 
@@ -168,16 +168,20 @@ def _at(folder: Path, driver: str) -> Configuration:
 @pytest.mark.parametrize(
     ("kind", "content", "places"),
     [
-        (Kind.BALL, {"x": 0.2, "y": -1.5}, ["here: uncertainty"]),
-        (Kind.BALL, {"x": float("nan"), "y": 9.0, "uncertainty": True}, ["here: x", "here: y", "here: unc"]),
-        (Kind.BALL, {"x": 0.2, "y": -1.5, "uncertainty": 0.001, "z": 1.0}, ["here: z"]),
-        (Kind.VALVES, {"centre": [0.0, 0.3, 0.0], "dead_band": [0.0], "uncertainty": 0.0},
+        (CalibrationKind.BALL, {"x": 0.2, "y": -1.5}, ["here: uncertainty"]),
+        (CalibrationKind.BALL, {"x": float("nan"), "y": 9.0, "uncertainty": True},
+         ["here: x", "here: y", "here: unc"]),
+        (CalibrationKind.BALL, {"x": 0.2, "y": -1.5, "uncertainty": 0.001, "z": 1.0}, ["here: z"]),
+        (CalibrationKind.VALVES, {"centre": [0.0, 0.3, 0.0], "dead_band": [0.0], "uncertainty": 0.0},
          ["here: centre[1]", "here: dead_band"]),
-        (Kind.ENCODERS, content_of(ZEROS) | {"sign": [1, 0, 1]}, ["here"]),
-        (Kind.ENCODERS, content_of(ZEROS) | {"counts_per_revolution": 3}, ["here: counts_per_revolution"]),
+        (CalibrationKind.ENCODERS, content_of(ZEROS) | {"sign": [1, 0, 1]}, ["here"]),
+        (CalibrationKind.ENCODERS, content_of(ZEROS) | {"counts_per_revolution": 3},
+         ["here: counts_per_revolution"]),
     ],
 )  # fmt: skip
-def test_every_wrong_value_is_named(kind: Kind, content: dict[str, Any], places: list[str]) -> None:
+def test_every_wrong_value_is_named(
+    kind: CalibrationKind, content: dict[str, Any], places: list[str]
+) -> None:
     with pytest.raises(ExceptionGroup) as group:
         values_of(kind, content, "here")
     found = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]

@@ -16,11 +16,11 @@ from bench.campaign.analysis import analyse, decide, spread
 from bench.campaign.block_model import fit_blocks, holm
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.mixed_model import fit_reml, mixed_model
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.repeatability import repeatability, variance_components
 from bench.config import load_configuration
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
 
 # Montgomery, Design and Analysis of Experiments, vascular grafts: four extrusion pressures (rows) in six
@@ -138,18 +138,18 @@ def test_a_spread_has_the_known_intervals() -> None:
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def plan() -> CampaignPlan:
     symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
     return replace(symmetry, stop=replace(symmetry.stop, rule="fixed"))
 
 
-def _verdict(plan: Plan, truth: Truth, seed: int) -> str:
+def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
     result = analyse(plan, campaign_shots(plan, truth, seed), 1, "").confirmatory
     assert result is not None
     return result.pairs[0].verdict
 
 
-def test_the_verdicts_tell_different_same_and_too_few(plan: Plan) -> None:
+def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=4))
     assert _verdict(plan, Truth(deviation=2.0, difference=6.0), 1) == "different"
     assert _verdict(plan, Truth(deviation=2.0, difference=0.0), 1) == "same"
@@ -162,7 +162,7 @@ def test_the_verdicts_tell_different_same_and_too_few(plan: Plan) -> None:
     assert f"about {needed} valid shots" in verdict.detail
 
 
-def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: Plan) -> None:
+def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan) -> None:
     truth = Truth(deviation=0.01, difference=1.0, drift=0.5)
     result = analyse(plan, campaign_shots(plan, truth, 4), 1, "")
     assert result.confirmatory is not None
@@ -172,7 +172,7 @@ def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: Plan) -> Non
     assert result.beside.deviation > 10 * result.confirmatory.deviation
 
 
-def test_outliers_are_flagged_and_stay(plan: Plan) -> None:
+def test_outliers_are_flagged_and_stay(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(deviation=1.0), 6)
     far = next(i for i, shot in enumerate(shots) if shot.role == "test" and shot.shot > 50)
     assert shots[far].carry_m is not None
@@ -182,34 +182,36 @@ def test_outliers_are_flagged_and_stay(plan: Plan) -> None:
     assert sum(level.valid for level in result.levels) == 2 * plan.design.blocks
 
 
-def test_shots_that_do_not_count_are_counted_with_their_reasons(plan: Plan) -> None:
+def test_shots_that_do_not_count_are_counted_with_their_reasons(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(), 7)
     bad = [i for i, shot in enumerate(shots) if shot.ball == "pole"][:5]
     reason = "club speed 40.00 m/s, outside 43.00 ± 1.00 m/s (simulated)"
     for i in bad[:3]:
-        shots[i] = replace(shots[i], status=Status.EXCLUDED, reason=reason.replace("40.00", f"40.{i:02d}"))
+        shots[i] = replace(
+            shots[i], status=ShotStatus.EXCLUDED, reason=reason.replace("40.00", f"40.{i:02d}")
+        )
     for i in bad[3:]:
-        shots[i] = replace(shots[i], status=Status.FAILED, reason="no ball on the tee", carry_m=None)
+        shots[i] = replace(shots[i], status=ShotStatus.FAILED, reason="no ball on the tee", carry_m=None)
     level = analyse(plan, shots, 1, "").levels[0]
     assert (level.hit, level.valid, level.excluded, level.failed) == (38, 35, 3, 2)
     assert level.reasons == {"club speed outside": 3, "no ball on the tee": 2}
 
 
 @pytest.mark.parametrize("keep", [0, 1, 2, 3, 5])
-def test_too_few_shots_give_no_figures_and_no_error(plan: Plan, keep: int) -> None:
+def test_too_few_shots_give_no_figures_and_no_error(plan: CampaignPlan, keep: int) -> None:
     found = findings(plan, campaign_shots(plan, Truth(), 8)[:keep])
     assert findings_record(found)["shots"] == keep
     assert not found.verdicts[0][0].resolved
 
 
-def test_shots_without_scatter_are_judged_without_error(plan: Plan) -> None:
+def test_shots_without_scatter_are_judged_without_error(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=3))
     found = findings(small, campaign_shots(small, Truth(deviation=0.0, block=0.0, difference=1.0), 9))
     assert found.sections[0].confirmatory is not None
     assert found.sections[0].confirmatory.pairs[0].difference == pytest.approx(1.0)
 
 
-def test_the_stopping_rules(plan: Plan) -> None:
+def test_the_stopping_rules(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(deviation=2.0), 10)
     wide = replace(plan, stop=replace(plan.stop, rule="width", width=3.0))
     narrow = replace(plan, stop=replace(plan.stop, rule="width", width=0.1))
@@ -219,7 +221,7 @@ def test_the_stopping_rules(plan: Plan) -> None:
     assert not decide(wide, shots[:4])
 
 
-def test_the_mixed_model_says_how_much_balls_differ(plan: Plan) -> None:
+def test_the_mixed_model_says_how_much_balls_differ(plan: CampaignPlan) -> None:
     fit = mixed_model(plan, campaign_shots(plan, Truth(deviation=1.0, ball=3.0), 12))
     assert fit is not None
     assert fit.ball_deviation == pytest.approx(3.0, rel=0.4)
@@ -230,7 +232,7 @@ def test_the_mixed_model_says_how_much_balls_differ(plan: Plan) -> None:
 def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
     when = datetime(2026, 1, 1, tzinfo=UTC)
     shots = [
-        Shot(n, n % 5, 1, "c", "b", Status.VALID, "", 40.0 + 0.1 * n, swing="s", time_utc=when)
+        Shot(n, n % 5, 1, "c", "b", ShotStatus.VALID, "", 40.0 + 0.1 * n, swing="s", time_utc=when)
         for n in range(20)
     ]
     (figure,) = repeatability(shots)["s", "c"]

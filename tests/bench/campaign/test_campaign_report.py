@@ -18,12 +18,12 @@ from bench.campaign.campaign_report import CampaignRecord, render_campaign_repor
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Outcome
+from bench.campaign.runner import RunOutcome
 from bench.commands.campaign_baseline import Band, check_baseline, read_baseline
 from bench.commands.campaign_junit import junit_xml
 from bench.config import load_configuration
 from bench.errors import BenchError
-from bench.shot.shot import Status
+from bench.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignState, Event, Hit, Prompt, Standing
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
@@ -41,7 +41,7 @@ def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
                 air_pressure_pa=101325.0, relative_humidity=0.5)
         for n, shot in enumerate(campaign_shots(plan, truth, 1))
     ]  # fmt: skip
-    shots[5] = replace(shots[5], status=Status.EXCLUDED, reason="the launch monitor saw <no> ball")
+    shots[5] = replace(shots[5], status=ShotStatus.EXCLUDED, reason="the launch monitor saw <no> ball")
     entry = new_entry(plan, configuration, NOW, simulated=True)
     standing = Standing(CampaignState.FINISHED, "", "")
     events = [Event(NOW, 3, "guard", "guard opened")]
@@ -152,7 +152,7 @@ def test_a_wrong_baseline_is_refused(tmp_path: Path, content: str) -> None:
 def test_junit_has_a_case_for_each_planned_shot_and_band(record: CampaignRecord) -> None:
     from xml.etree import ElementTree
 
-    outcome = Outcome(CampaignState.STOPPED, "stopped by request", 40, 39)
+    outcome = RunOutcome(CampaignState.STOPPED, "stopped by request", 40, 39)
     checks = check_baseline({"x": 3}, [Band("x", 0.0, 1.0)])
     suite = ElementTree.fromstring(junit_xml(record.entry, outcome, record.shots, checks))  # noqa: S314
     cases = suite.findall("testcase")

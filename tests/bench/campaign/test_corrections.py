@@ -14,13 +14,13 @@ import pytest
 from sqlalchemy import Engine
 
 from bench.campaign import corrections
-from bench.campaign.corrections import AsDesigned, Corrections
+from bench.campaign.corrections import AsDesigned, CampaignCorrections
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
-from bench.learning.learn import Lecture, Swinger
+from bench.learning.learn import LearningProblem, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings
 from bench.store.database import open_database
 from bench.swing.correction import basis_of
@@ -42,8 +42,8 @@ def database(tmp_path: Path) -> Iterator[Engine]:
         yield engine
 
 
-def made(database: Engine, *, simulated: bool = True) -> Corrections:
-    return Corrections(ENTRY, PLAN, CONFIGURATION, database, PROFILES, simulated=simulated)
+def made(database: Engine, *, simulated: bool = True) -> CampaignCorrections:
+    return CampaignCorrections(ENTRY, PLAN, CONFIGURATION, database, PROFILES, simulated=simulated)
 
 
 def stored(value: float, date: datetime, **changes: Any) -> Learned:
@@ -79,7 +79,7 @@ class School:
         monkeypatch.setattr(corrections, "learn", self._learn)
         monkeypatch.setattr(corrections, "stored", self._stored)
 
-    def robot(self, lecture: Lecture) -> AbstractContextManager[Swinger]:
+    def robot(self, lecture: LearningProblem) -> AbstractContextManager[Swinger]:
         return nullcontext(lambda weights: pytest.fail("nobody learns here"))
 
     def _learn(self, lecture: Any, swinger: Swinger, settings: Any, start: Any) -> Any:

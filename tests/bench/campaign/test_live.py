@@ -18,30 +18,30 @@ import pytest
 
 from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
-from bench.campaign.fitting import Kind
+from bench.campaign.fitting import PromptKind
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
 from bench.campaign.operate import ask, bench_facts, new_entry, run_live
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
-from bench.campaign.sequence import Arm, Role, Trial
+from bench.campaign.sequence import Arm, PlannedShot, Role
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
 from bench.lifecycle import Phase, State
 from bench.network.client import CommandRefused
-from bench.network.command import Answer, Verb
+from bench.network.command import CommandAnswer, Verb
 from bench.network.live_swing import SwingRecord
-from bench.shot.shot import Status
+from bench.shot.shot import ShotStatus
 from bench.shot.shot_message import ShotMessage
 from bench.simulation.simulated_bench import SimulatedBench, never, simulate_swing
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing
-from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
@@ -105,7 +105,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
             assert process.returncode == ExitCode.OK, output
         shots = [stored.shot for stored in store.shots(entry.id)]
         assert [(s.shot, s.status, s.attempt) for s in shots] == [
-            (1, Status.FAILED, 1), (2, Status.VALID, 2), (3, Status.VALID, 1),
+            (1, ShotStatus.FAILED, 1), (2, ShotStatus.VALID, 2), (3, ShotStatus.VALID, 1),
         ]  # fmt: skip
         assert shots[0].reason == "stopped by the operator"
         assert {shots[1].ball, shots[2].ball} == {"tour", "range"}
@@ -157,16 +157,16 @@ class StandingBench:
 
 def a_step() -> Step:
     """Return a shot with the tour ball."""
-    return Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    return Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
 
 
 @pytest.fixture
-def plan() -> Plan:
+def plan() -> CampaignPlan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
 def shots_of(
-    plan: Plan,
+    plan: CampaignPlan,
     bench: Any,
     *,
     simulated: bool = True,
@@ -182,46 +182,46 @@ def shots_of(
     )  # fmt: skip
 
 
-def take(plan: Plan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
+def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
     step = a_step()
     with shots_of(plan, bench, simulated=simulated, interrupted=interrupted) as source:
         return source.take(step, 1, 1)
 
 
 @pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
-def test_after_a_stop_only_a_person_goes_on_with_a_real_bench(plan: Plan, state: str) -> None:
+def test_after_a_stop_only_a_person_goes_on_with_a_real_bench(plan: CampaignPlan, state: str) -> None:
     bench = StandingBench(state=state, cause={"name": "GUARD", "text": "guard open"})
     with pytest.raises(Suspended, match=r"resume"):
         take(plan, bench, simulated=False)
     assert bench.asked == []
 
 
-def test_a_simulated_bench_that_comes_back_in_a_stop_is_left_to_a_person(plan: Plan) -> None:
+def test_a_simulated_bench_that_comes_back_in_a_stop_is_left_to_a_person(plan: CampaignPlan) -> None:
     bench = StandingBench(state="FAULT", cause={"name": "GUARD", "text": "guard open"})
     with pytest.raises(Suspended, match=r"guard open.*3 times"):
         take(plan, bench, simulated=True)
     assert bench.asked == ["reset"] * 3
 
 
-def test_a_lease_that_is_somebody_elses_suspends(plan: Plan) -> None:
+def test_a_lease_that_is_somebody_elses_suspends(plan: CampaignPlan) -> None:
     bench = StandingBench(lease={"holder": "Ann"})
     with pytest.raises(Suspended, match=r"lease"):
         take(plan, bench, simulated=True)
     assert bench.asked == []
 
 
-def test_who_asks_to_stop_before_the_swing_gets_none(plan: Plan) -> None:
+def test_who_asks_to_stop_before_the_swing_gets_none(plan: CampaignPlan) -> None:
     bench = StandingBench()
     with pytest.raises(KeyboardInterrupt):
         take(plan, bench, simulated=True, interrupted=lambda: True)
     assert bench.asked == ["arm"]
 
 
-def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -> None:
+def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: CampaignPlan) -> None:
     configuration = load_configuration(Path("shipped"))
     profiles = require_swings(plan, configuration)
 
-    def require(plan: Plan = plan, **status: Any) -> None:
+    def require(plan: CampaignPlan = plan, **status: Any) -> None:
         given: Any = {"driver": "sim", "profile": "default", "club": "driver", "bench": "b", "lease": None,
                       "launch_monitor": None}  # fmt: skip
         require_live(plan, profiles, configuration.clubs, given | status)
@@ -250,34 +250,37 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Plan) -
 
 
 def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.network.live_swing.FEED", 0.1)
     monkeypatch.setattr("bench.campaign.live.HOLD", 0.0)
     bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
     taken = take(plan, bench, simulated=True)
-    assert (taken.shot.status, taken.shot.reason) == (Status.FAILED, "feeder empty or jammed: no ball came")
+    assert (taken.shot.status, taken.shot.reason) == (
+        ShotStatus.FAILED,
+        "feeder empty or jammed: no ball came",
+    )
     assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
 
 
-def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: Plan) -> None:
+def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) -> None:
     bench = StandingBench(profile="thesis", club="driver")
     step = a_step()
     wish = shots_of(plan, bench).lacks(step)
     assert wish is not None
-    assert wish.kind is Kind.BENCH
+    assert wish.kind is PromptKind.BENCH
     assert "profile default" in wish.text
     assert shots_of(plan, StandingBench(profile="default", club="driver")).lacks(step) is None
 
 
-def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
+def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
     class Doors(StandingBench):
         """Refuses once, as its chambers are not empty yet."""
 
         def access(self) -> None:
             self.asked.append("access")
             if self.asked.count("access") == 1:
-                raise CommandRefused("b", Verb.ACCESS, Answer(False, "READY", "not vented"))
+                raise CommandRefused("b", Verb.ACCESS, CommandAnswer(False, "READY", "not vented"))
             self._status["state"] = "ACCESS"
 
         def secure(self) -> None:
@@ -286,16 +289,16 @@ def test_a_person_gets_in_through_access_only(plan: Plan) -> None:
 
     bench = Doors()
     with shots_of(plan, bench) as source:
-        source.hand_over(Kind.CLUB)
+        source.hand_over(PromptKind.CLUB)
         assert bench.asked == ["disarm", "access", "access"]
-        source.take_back(Kind.CLUB)
+        source.take_back(PromptKind.CLUB)
         assert bench.asked[3:] == ["secure"]
-        source.take_back(Kind.CLUB)
+        source.take_back(PromptKind.CLUB)
         assert bench.asked[4:] == []
 
 
 def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(
-    plan: Plan,
+    plan: CampaignPlan,
 ) -> None:
     step = a_step()
     bench = StandingBench(launch_monitor={"present": False, "note": "not listening"}, supply_pressure_pa=None)
@@ -322,7 +325,7 @@ def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_of
     ],
 )
 def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
-    plan: Plan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
+    plan: CampaignPlan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
 ) -> None:
     plan = replace(plan, supply=replace(plan.supply, least=least))
     bench = StandingBench(state=state, phase=phase, supply_pressure_pa=pressure)
@@ -332,7 +335,7 @@ def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
         assert found == Hindrance("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
 
 
-def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: Plan, tmp_path: Path) -> None:
+def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: CampaignPlan, tmp_path: Path) -> None:
     c = load_configuration(Path("shipped"))
     profile = require_swings(plan, c)["default", "driver"]
     robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
@@ -344,7 +347,7 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: Plan, tmp_p
     }  # fmt: skip
     record = SwingRecord(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
     told = ShotMessage(
-        "1", None, Outcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
+        "1", None, MatchOutcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
     )
     carries, temperatures = [], []
     for air in (None, c.air, Air(263.15)):
@@ -465,7 +468,7 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
         assert (prompt.before_shot, prompt.by) == (2, "Ann")
         first, second = (stored.shot for stored in store.shots(name))
         assert [(s.club, s.status) for s in (first, second)] == [
-            ("driver", Status.VALID), ("driver-9", Status.VALID),
+            ("driver", ShotStatus.VALID), ("driver-9", ShotStatus.VALID),
         ]  # fmt: skip
         assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
             (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
@@ -519,7 +522,7 @@ def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
             assert bench.wait_until(lambda record: record["state"] == State.FAULT)["trip"]
             assert bench.cause == "OPERATOR_STOP"
         assert store.standing(name).state is CampaignState.ABORTED
-        assert [stored.shot.status for stored in store.shots(name)][:3] == [Status.VALID] * 3
+        assert [stored.shot.status for stored in store.shots(name)][:3] == [ShotStatus.VALID] * 3
         assert store.events(name)[-1].kind == "reset"
         assert "not shut down in order" in store.events(name)[-1].text
 
@@ -557,7 +560,7 @@ class ArmableBench(StandingBench):
     ],
 )
 def test_a_swing_without_a_ball_follows_each_arming(
-    plan: Plan, series: bool, practice: bool, asked: list[str]
+    plan: CampaignPlan, series: bool, practice: bool, asked: list[str]
 ) -> None:
     plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
     bench, events = ArmableBench(series=series), list[tuple[str, str]]()

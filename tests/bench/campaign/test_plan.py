@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
 from bench.campaign.power import (
     block_freedom,
@@ -43,7 +43,7 @@ def configuration() -> Configuration:
     return load_configuration(Path("shipped"))
 
 
-def _plan(folder: Path, configuration: Configuration, text: str) -> Plan:
+def _plan(folder: Path, configuration: Configuration, text: str) -> CampaignPlan:
     file = folder / "plan.toml"
     file.write_text(text)
     return load_plan(file, configuration)

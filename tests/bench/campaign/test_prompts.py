@@ -20,18 +20,18 @@ from rich.console import Console
 from rich.progress import Progress
 
 from bench.campaign.course import Step
-from bench.campaign.fitting import Fitting, Kind, Wish, coming_balls, fitting_after, missing
+from bench.campaign.fitting import Fitting, Preparation, PromptKind, coming_balls, fitting_after, missing
 from bench.campaign.gate import Centre
 from bench.campaign.operate import answer, course_of, new_entry
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import Outcome, Runner, Watcher
-from bench.campaign.sequence import Arm, Role, Trial, all_trials
+from bench.campaign.runner import Runner, RunOutcome, Watcher
+from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials
 from bench.campaign.swings import require_swings
 from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
 from bench.errors import Refused
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
 from bench.store.database import open_database
@@ -46,15 +46,15 @@ class Rig(Scripted):
     def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
         super().__init__(script)
         self.doors: list[str] = []
-        self.lacking: Wish | None = None
+        self.lacking: Preparation | None = None
 
-    def lacks(self, step: Step) -> Wish | None:
+    def lacks(self, step: Step) -> Preparation | None:
         return self.lacking
 
-    def hand_over(self, kind: Kind) -> None:
+    def hand_over(self, kind: PromptKind) -> None:
         self.doors.append(f"{kind} open")
 
-    def take_back(self, kind: Kind) -> None:
+    def take_back(self, kind: PromptKind) -> None:
         self.doors.append(f"{kind} shut")
         self.lacking = None
 
@@ -62,7 +62,7 @@ class Rig(Scripted):
 class Person:
     """Does what is asked for, at once, `times` times; then never."""
 
-    def __init__(self, times: int = 1000, kinds: frozenset[Kind] = frozenset(Kind)) -> None:
+    def __init__(self, times: int = 1000, kinds: frozenset[PromptKind] = frozenset(PromptKind)) -> None:
         self.name, self.kinds, self.times = "Ann", kinds, times
         self.shown: list[Prompt] = []
         self.seen = threading.Event()
@@ -81,7 +81,7 @@ class Person:
 class Series:
     """A plan with a club to change, in a database of its own."""
 
-    def __init__(self, folder: Path, engine: Any, plan: Plan, *, real: bool = False) -> None:
+    def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, *, real: bool = False) -> None:
         configuration = replace(CONFIGURATION, bench=replace(CONFIGURATION.bench, data_dir=folder))
         self.folder, self.plan, self.store = folder, plan, CampaignStore(engine)
         facts = {"driver": "canopen", "club": "driver"} if real else None
@@ -90,11 +90,11 @@ class Series:
 
     def run(
         self, source: Rig, person: Person | None = None, interrupted: Callable[[], bool] = never
-    ) -> Outcome:
+    ) -> RunOutcome:
         profiles = require_swings(self.plan, CONFIGURATION)
         runner = Runner(
             self.entry, self.plan, self.store, self.folder, source, Watcher(), 4,
-            person or Person(kinds=frozenset({Kind.BENCH})),
+            person or Person(kinds=frozenset({PromptKind.BENCH})),
         )  # fmt: skip
         return runner.run(course_of(self.plan, profiles, CONFIGURATION.plant.robot.lie), interrupted)
 
@@ -107,7 +107,7 @@ class Series:
         return self.store.standing(self.entry.id).state
 
 
-def clubs_plan(**handling: Any) -> Plan:
+def clubs_plan(**handling: Any) -> CampaignPlan:
     plan = load_plan(Path("clubs"), CONFIGURATION)
     return replace(
         plan,
@@ -134,7 +134,7 @@ def beside(work: Callable[[], object]) -> Iterator[None]:
         thread.join(30.0)
 
 
-def changes(plan: Plan) -> list[tuple[int, str]]:
+def changes(plan: CampaignPlan) -> list[tuple[int, str]]:
     """Return before which shots which club is to be mounted."""
     mounted, found = "driver", []
     for number, trial in enumerate(all_trials(plan), 1):
@@ -221,7 +221,7 @@ def test_a_prompt_outlives_a_crash(make: Callable[..., Series]) -> None:
 
 
 def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[..., Series]) -> None:
-    def plan_with(name: str, *clubs: str) -> Plan:
+    def plan_with(name: str, *clubs: str) -> CampaignPlan:
         plan = clubs_plan()
         return replace(
             plan,
@@ -241,15 +241,15 @@ def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[.
 
 
 def test_a_bench_that_must_start_anew_is_never_done_by_itself(make: Callable[..., Series]) -> None:
-    series, rig, person = make(), Rig(), Person(kinds=frozenset({Kind.BENCH}))
-    rig.lacking = Wish(Kind.BENCH, "Start the bench anew.", {"profile": "slow"})
+    series, rig, person = make(), Rig(), Person(kinds=frozenset({PromptKind.BENCH}))
+    rig.lacking = Preparation(PromptKind.BENCH, "Start the bench anew.", {"profile": "slow"})
     assert series.run(rig, person).state is CampaignState.FINISHED
-    assert [p.kind for p in person.shown] == [Kind.BENCH]
+    assert [p.kind for p in person.shown] == [PromptKind.BENCH]
     assert rig.doors[:2] == ["bench open", "bench shut"]
 
 
 def test_the_feeder_is_filled_in_order_and_anew_after_trouble(make: Callable[..., Series]) -> None:
-    jam = {"status": Status.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
     plan = load_plan(Path("two-balls"), CONFIGURATION)
     plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=4))
     series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
@@ -293,7 +293,7 @@ def test_a_ball_is_asked_for_once_and_with_the_mounted_club_only() -> None:
     first = Step(next(iter(all_trials(plan))), 1, Centre())
     balls = coming_balls(plan, first, {})
     assert len(balls) == len(set(balls)) <= 3
-    warm = Step(Trial(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour")), 1, Centre())
+    warm = Step(PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour")), 1, Centre())
     assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
     used = Counter({Hit("ball", "tour", 1): 20})
     assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
@@ -303,13 +303,13 @@ def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
     def prompt(number: int, before: int, content: dict[str, Any], *, done: bool = True) -> Prompt:
         return Prompt(number, before, "x", "x", content, NOW, NOW if done else None)
 
-    shots = [Shot(n, 1, n, "driver", "tour", Status.VALID, time_utc=NOW) for n in (1, 2)]
+    shots = [Shot(n, 1, n, "driver", "tour", ShotStatus.VALID, time_utc=NOW) for n in (1, 2)]
     balls = prompt(2, 2, {"balls": [["tour", 2], ["range", 1], ["tour", 3]]})
     prompts = [prompt(1, 2, {"club": "iron"}), balls, prompt(3, 3, {"club": "wood"}, done=False)]
     assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)))
-    failed = replace(shots[1], status=Status.FAILED, reason="jam")
+    failed = replace(shots[1], status=ShotStatus.FAILED, reason="jam")
     assert fitting_after("driver", [shots[0], failed], prompts).feeder == ()
-    step = Step(Trial(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    step = Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
     assert missing(clubs_plan(), Fitting("driver"), step, 1, {}) is None
 
 
@@ -318,9 +318,9 @@ def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pyt
     out = StringIO()
     with os.fdopen(slave, "r") as terminal, Progress(console=Console(file=out), disable=True) as bar:
         monkeypatch.setattr("sys.stdin", terminal)
-        person = TerminalOperator(bar, "clubs-1", frozenset(Kind))
+        person = TerminalOperator(bar, "clubs-1", frozenset(PromptKind))
         os.write(master, b"\n")
-        person.show(Prompt(1, 7, Kind.CLUB, "Mount club driver-9 [sic].", {}, NOW))
+        person.show(Prompt(1, 7, PromptKind.CLUB, "Mount club driver-9 [sic].", {}, NOW))
         assert not person.answered()
         os.write(master, b"\n")
         deadline = time.monotonic() + 5.0

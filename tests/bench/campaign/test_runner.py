@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from bench.campaign.course import Step
-from bench.campaign.fitting import Kind, Wish, sample_for
+from bench.campaign.fitting import Preparation, PromptKind, sample_for
 from bench.campaign.gate import Centre
 from bench.campaign.operate import (
     ask,
@@ -26,15 +26,15 @@ from bench.campaign.operate import (
     require_resumable,
     runner_lock,
 )
-from bench.campaign.plan import Plan
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
-from bench.campaign.runner import Hindrance, NotNow, Outcome, Runner, Watcher
+from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
-from bench.shot.shot import Shot, Status
+from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.simulated_bench import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
 from bench.store.database import open_database
@@ -67,13 +67,13 @@ class Scripted:
     def rest(self) -> None:
         pass
 
-    def lacks(self, step: Step) -> Wish | None:
+    def lacks(self, step: Step) -> Preparation | None:
         return None
 
-    def hand_over(self, kind: Kind) -> None:
+    def hand_over(self, kind: PromptKind) -> None:
         pass
 
-    def take_back(self, kind: Kind) -> None:
+    def take_back(self, kind: PromptKind) -> None:
         pass
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
@@ -82,7 +82,7 @@ class Scripted:
         values: dict[str, Any] = {
             "club_speed_mps": 42.9, "attack_angle_deg": 0.5, "dynamic_loft_deg": 11.1, "strike_x_mm": 0.0,
             "strike_y_mm": 0.0, "carry_m": 180.0 + 0.1 * (number * 7 % 11), "ball_speed_mps": 62.0,
-            "delivery_source": "simulated", "status": Status.VALID, "reason": "",
+            "delivery_source": "simulated", "status": ShotStatus.VALID, "reason": "",
         } | self.script(number)  # fmt: skip
         shot = Shot(
             number, trial.block, trial.position, arm.club, arm.ball, time_utc=self.time_of(number),
@@ -98,14 +98,14 @@ class Scripted:
 class Bench:
     """A plan, a database and a runner a call."""
 
-    def __init__(self, folder: Path, engine: Any, plan: Plan, configuration: Configuration) -> None:
+    def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, configuration: Configuration) -> None:
         self.folder, self.plan, self.configuration = folder, plan, configuration
         self.store = CampaignStore(engine)
         self.entry: CampaignEntry = new_entry(plan, configuration, NOW, simulated=True)
         self.store.begin(self.entry)
         self.watcher = Watcher()
 
-    def run(self, source: Scripted, interrupted: Callable[[], bool] = never, batch: int = 4) -> Outcome:
+    def run(self, source: Scripted, interrupted: Callable[[], bool] = never, batch: int = 4) -> RunOutcome:
         runner = Runner(self.entry, self.plan, self.store, self.folder, source, self.watcher, batch)
         profiles = require_swings(self.plan, self.configuration)
         return runner.run(course_of(self.plan, profiles, self.configuration.plant.robot.lie), interrupted)
@@ -150,7 +150,7 @@ def test_a_campaign_comes_to_its_end_with_every_shot_and_file(make: Callable[...
 
 def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]) -> None:
     bench = make()
-    lost = {"status": Status.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
+    lost = {"status": ShotStatus.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
     outcome = bench.run(Scripted(lambda n: lost if n in {5, 8, 9, 10} else {}))
     assert outcome.state is CampaignState.FINISHED
     attempts = [(s.shot, s.block, s.position, s.attempt) for s in bench.shots if s.block == 1]
@@ -163,7 +163,7 @@ def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]
 def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.run(Scripted(lambda n: {"club_speed_mps": 44.0} if n == 6 else {}))
-    excluded = [shot for shot in bench.shots if shot.status is Status.EXCLUDED]
+    excluded = [shot for shot in bench.shots if shot.status is ShotStatus.EXCLUDED]
     assert [shot.shot for shot in excluded] == [6]
     assert excluded[0].reason == "club speed 44.00 m/s, outside 42.90 ± 1.00 m/s (simulated)"
 
@@ -180,7 +180,7 @@ def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., 
         design={"blocks": 1, "failures_in_a_row": 100},
     )
     bench.run(Scripted())
-    assert {s.status for s in bench.shots if s.block} == {Status.EXCLUDED}
+    assert {s.status for s in bench.shots if s.block} == {ShotStatus.EXCLUDED}
     assert "does not accept" in bench.shots[-1].reason
 
 
@@ -205,7 +205,7 @@ def test_the_set_up_is_by_the_control_balls_speed(make: Callable[..., Bench]) ->
 
 def test_too_many_failures_in_a_row_suspend_and_resume_goes_on(make: Callable[..., Bench]) -> None:
     bench = make()
-    jam = {"status": Status.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
     outcome = bench.run(Scripted(lambda n: jam if n >= 7 else {}))
     assert outcome.state is CampaignState.SUSPENDED
     assert outcome.reason == "5 shots in a row not valid, the last: feeder jam: no ball came"
@@ -381,7 +381,7 @@ def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(
     assert outside(shot, club, Centre(club_speed=43.0), bench.plan.gate) == "club speed not measured"
 
 
-def _trials(plan: Plan) -> Any:
+def _trials(plan: CampaignPlan) -> Any:
     from bench.campaign.sequence import all_trials
 
     return all_trials(plan)
@@ -483,7 +483,7 @@ class ShortOfAir(Scripted):
         self.armed = number == 3
         if number == 3 and self.left > 0:
             self.log.append("not now")
-            raise NotNow(("practice", "a swing without a ball"))
+            raise ShotPostponed(("practice", "a swing without a ball"))
         return super().take(step, number, sample)
 
 

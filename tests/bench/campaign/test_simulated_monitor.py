@@ -5,7 +5,7 @@ from math import degrees
 
 import pytest
 
-from bench.campaign.simulated_monitor import Heard, hear
+from bench.campaign.simulated_monitor import MonitorResult, hear
 from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchWindow
@@ -16,7 +16,7 @@ LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)
 QUIET = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis_noise=0.0)
 
 
-def heard(parameters: MonitorParameters, number: int = 1) -> Heard:
+def heard(parameters: MonitorParameters, number: int = 1) -> MonitorResult:
     return hear(LAUNCH, number, 43.0, parameters, PlausibleFigures(), MatchWindow())
 
 

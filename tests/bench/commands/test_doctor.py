@@ -18,7 +18,7 @@ import pytest
 from rich.console import Console
 
 from bench.commands import doctor, probe
-from bench.commands.doctor import Finding, Outcome, Probe, Status
+from bench.commands.doctor import CheckStatus, Finding, ItemResult, Probe
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def test_this_machine_runs_the_simulation(findings: list[Finding]) -> None:
 
 
 def test_whatever_is_not_well_says_what_to_do(findings: list[Finding]) -> None:
-    assert [f.item for f in findings if f.status is not Status.OK and not f.advice] == []
+    assert [f.item for f in findings if f.status is not CheckStatus.OK and not f.advice] == []
 
 
 def test_all_required_packages_are_named_with_their_version(findings: list[Finding]) -> None:
@@ -55,20 +55,20 @@ def test_the_table_shows_every_item_and_the_sum(findings: list[Finding]) -> None
     Console(width=160, file=screen).print(doctor.table(findings))
     text = screen.getvalue()
     assert all(finding.item in text for finding in findings)
-    assert f"the simulation runs here: {sum(f.status is Status.OK for f in findings)} ok" in text
+    assert f"the simulation runs here: {sum(f.status is CheckStatus.OK for f in findings)} ok" in text
 
 
 def test_an_item_that_raises_is_a_finding() -> None:
-    def look() -> Outcome:
+    def look() -> ItemResult:
         raise ZeroDivisionError("no such thing")
 
     (finding,) = doctor.examine([Probe("group", "item", look, required=True)])
-    assert finding.status is Status.LIMITED
+    assert finding.status is CheckStatus.LIMITED
     assert "ZeroDivisionError: no such thing" in finding.value
 
 
 def test_a_missing_requirement_makes_the_machine_unusable() -> None:
-    gap = Outcome(Status.MISSING, "gone")
+    gap = ItemResult(CheckStatus.MISSING, "gone")
     assert doctor.usable(list(doctor.examine([Probe("group", "optional", lambda: gap)])))
     assert not doctor.usable(list(doctor.examine([Probe("group", "needed", lambda: gap, required=True)])))
 
@@ -79,13 +79,13 @@ def test_a_missing_requirement_makes_the_machine_unusable() -> None:
 @pytest.mark.parametrize(
     ("name", "answer", "allowed", "status", "value"),
     [
-        ("numpy", "ok", True, Status.OK, ""),
-        ("numpy", "ok", False, Status.LIMITED, "outside the tested versions"),
-        ("numpy", "ImportError: lib.so", True, Status.MISSING, "import fails: ImportError: lib.so"),
-        ("no-such-distribution", "ok", True, Status.MISSING, "not installed"),
+        ("numpy", "ok", True, CheckStatus.OK, ""),
+        ("numpy", "ok", False, CheckStatus.LIMITED, "outside the tested versions"),
+        ("numpy", "ImportError: lib.so", True, CheckStatus.MISSING, "import fails: ImportError: lib.so"),
+        ("no-such-distribution", "ok", True, CheckStatus.MISSING, "not installed"),
     ],
 )
-def test_package(name: str, answer: str, allowed: bool, status: Status, value: str) -> None:
+def test_package(name: str, answer: str, allowed: bool, status: CheckStatus, value: str) -> None:
     outcome = doctor.package(name, lambda _: allowed, lambda: {"module": answer}, "module")
     assert outcome.status is status
     assert outcome.value.endswith(value)
@@ -124,20 +124,20 @@ def test_without_metadata_the_installation_is_missing(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr("importlib.metadata.requires", requires)
     (finding,) = doctor.examine(list(doctor.package_probes()))
-    assert (finding.status, finding.required) == (Status.MISSING, True)
+    assert (finding.status, finding.required) == (CheckStatus.MISSING, True)
     assert "golfbench" in finding.value
 
 
 def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     cold = doctor.compiled_code()
-    assert cold.status is Status.LIMITED
+    assert cold.status is CheckStatus.LIMITED
     assert cold.value.startswith("cold")
     folder = Path(json.loads(doctor._child("cache")))
     (folder / "sim").mkdir(parents=True)
     (folder / "sim" / "f.nbc").touch()
     warm = doctor.compiled_code()
-    assert warm.status is Status.OK
+    assert warm.status is CheckStatus.OK
     assert warm.figures == {"functions": 1.0}
     monkeypatch.setattr("os.access", lambda *_: False)
     assert "not writable" in doctor.compiled_code().value
@@ -156,28 +156,30 @@ def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
 
 def test_kernel(files: dict[str, str]) -> None:
     files["/sys/kernel/realtime"] = "1"
-    assert doctor.kernel().status is Status.OK
+    assert doctor.kernel().status is CheckStatus.OK
 
 
 def test_processors(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 2, 3})
     files["/sys/devices/system/cpu/isolated"] = "3"
-    assert doctor.processors()[:2] == (Status.OK, "4, isolated: 3")
+    assert doctor.processors()[:2] == (CheckStatus.OK, "4, isolated: 3")
     files["/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"] = "powersave"
-    assert doctor.processors().status is Status.LIMITED
+    assert doctor.processors().status is CheckStatus.LIMITED
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
     assert "share one" in doctor.processors().advice
 
 
 def test_virtual_machine(files: dict[str, str]) -> None:
     files["/proc/cpuinfo"] = "flags : fpu sse"
-    assert doctor.virtual_machine().status is Status.OK
+    assert doctor.virtual_machine().status is CheckStatus.OK
     files["/proc/cpuinfo"] = "flags : fpu hypervisor sse"
-    assert doctor.virtual_machine().status is Status.LIMITED
+    assert doctor.virtual_machine().status is CheckStatus.LIMITED
 
 
-@pytest.mark.parametrize(("kibibytes", "status"), [(8_000_000, Status.OK), (1_000_000, Status.LIMITED)])
-def test_memory(files: dict[str, str], kibibytes: int, status: Status) -> None:
+@pytest.mark.parametrize(
+    ("kibibytes", "status"), [(8_000_000, CheckStatus.OK), (1_000_000, CheckStatus.LIMITED)]
+)
+def test_memory(files: dict[str, str], kibibytes: int, status: CheckStatus) -> None:
     files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
     outcome = doctor.memory()
     assert outcome.status is status
@@ -185,14 +187,14 @@ def test_memory(files: dict[str, str], kibibytes: int, status: Status) -> None:
 
 
 def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert doctor.data_folder(tmp_path / "not" / "yet").status is Status.OK
+    assert doctor.data_folder(tmp_path / "not" / "yet").status is CheckStatus.OK
     file = tmp_path / "file"
     file.touch()
     outcome = doctor.data_folder(file)
-    assert outcome.status is Status.MISSING
+    assert outcome.status is CheckStatus.MISSING
     assert str(file) in outcome.advice
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000}))
-    assert doctor.data_folder(tmp_path).status is Status.LIMITED
+    assert doctor.data_folder(tmp_path).status is CheckStatus.LIMITED
 
 
 # Real time -------------------------------------------------------------------------------------------
@@ -219,14 +221,14 @@ def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[s
 
 def test_real_time_granted(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(True, 40.0))
-    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.OK}
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.OK}
     assert "FIFO 80" in found["SCHED_FIFO"].value
     assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
 
 
 def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(False, 900.0))
-    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {Status.LIMITED}
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.LIMITED}
     assert "Operation not permitted" in found["SCHED_FIFO"].value
     assert {found[item].advice for item in SETTINGS} == {"the cure"}
     assert "scheduling OTHER 0" in found["wake-up latency"].value
@@ -272,14 +274,15 @@ def test_limits(
     monkeypatch.setattr("resource.getrlimit", lambda kind: (limits[kind], limits[kind]))
     files["/proc/self/status"] = f"Name:\tpython\nCapEff:\t{CAPABILITIES[held]:016x}"
     outcome = doctor.limits()
-    assert outcome.status is (Status.LIMITED if lacking else Status.OK)
+    assert outcome.status is (CheckStatus.LIMITED if lacking else CheckStatus.OK)
     assert outcome.advice == (f"raise to {lacking} in /etc/security/limits.conf" if lacking else "")
 
 
 @pytest.mark.parametrize(
-    ("runtime", "status"), [("-1", Status.OK), ("950000", Status.OK), ("500000", Status.LIMITED)]
+    ("runtime", "status"),
+    [("-1", CheckStatus.OK), ("950000", CheckStatus.OK), ("500000", CheckStatus.LIMITED)],
 )
-def test_throttling(files: dict[str, str], runtime: str, status: Status) -> None:
+def test_throttling(files: dict[str, str], runtime: str, status: CheckStatus) -> None:
     files["/proc/sys/kernel/sched_rt_runtime_us"] = runtime
     files["/proc/sys/kernel/sched_rt_period_us"] = "1000000"
     assert doctor.throttling().status is status
@@ -288,13 +291,13 @@ def test_throttling(files: dict[str, str], runtime: str, status: Status) -> None
 @pytest.mark.parametrize(
     ("text", "value", "status"),
     [
-        ("[always] madvise never\n", "always", Status.LIMITED),
-        ("always [madvise] never\n", "madvise", Status.OK),
-        ("always madvise [never]\n", "never", Status.OK),
-        ("", "this kernel has none", Status.OK),
+        ("[always] madvise never\n", "always", CheckStatus.LIMITED),
+        ("always [madvise] never\n", "madvise", CheckStatus.OK),
+        ("always madvise [never]\n", "never", CheckStatus.OK),
+        ("", "this kernel has none", CheckStatus.OK),
     ],
 )
-def test_huge_pages(files: dict[str, str], text: str, value: str, status: Status) -> None:
+def test_huge_pages(files: dict[str, str], text: str, value: str, status: CheckStatus) -> None:
     files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
     outcome = doctor.huge_pages()
     assert (outcome.value, outcome.status) == (value, status)
@@ -302,7 +305,7 @@ def test_huge_pages(files: dict[str, str], text: str, value: str, status: Status
 
 def test_a_coarse_clock_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
-    assert doctor.clock().status is Status.LIMITED
+    assert doctor.clock().status is CheckStatus.LIMITED
 
 
 def test_latencies_are_late_never_early() -> None:
@@ -321,12 +324,12 @@ def test_no_can_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("socket.socket", refuse)
     outcome = doctor.socketcan()
-    assert outcome.status is Status.MISSING
+    assert outcome.status is CheckStatus.MISSING
     assert "Address family not supported" in outcome.value
 
 
-@pytest.mark.parametrize(("kind", "status"), [("280", Status.OK), ("1", Status.LIMITED)])
-def test_can_interfaces(kind: str, status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("kind", "status"), [("280", CheckStatus.OK), ("1", CheckStatus.LIMITED)])
+def test_can_interfaces(kind: str, status: CheckStatus, monkeypatch: pytest.MonkeyPatch) -> None:
     class Socket:
         def close(self) -> None: ...
 
@@ -334,11 +337,15 @@ def test_can_interfaces(kind: str, status: Status, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(doctor, "_read", lambda path: kind if path.name == "type" else "up")
     outcome = doctor.socketcan()
     assert outcome.status is status
-    assert ("lo up" in outcome.value) is (status is Status.OK)
+    assert ("lo up" in outcome.value) is (status is CheckStatus.OK)
 
 
-@pytest.mark.parametrize(("channels", "status"), [(["pcan:PCAN_USBBUS1"], Status.OK), ([], Status.MISSING)])
-def test_attached_interfaces(channels: list[str], status: Status, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("channels", "status"), [(["pcan:PCAN_USBBUS1"], CheckStatus.OK), ([], CheckStatus.MISSING)]
+)
+def test_attached_interfaces(
+    channels: list[str], status: CheckStatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(channels))
     assert doctor.can_channels().status is status
 
@@ -349,15 +356,15 @@ NI_MISSING = "Could not find an installation of NI-DAQmx."
 @pytest.mark.parametrize(
     ("found", "status", "value", "advice"),
     [
-        (["", "", [], "found no package"], Status.MISSING, "no package nidaqmx", "golfbench[daq]"),
-        (["1.7.0", "", [], NI_MISSING], Status.MISSING, NI_MISSING, "NI-DAQmx for Linux"),
-        (["1.7.0", "24.3.0", [], ""], Status.LIMITED, "no card", "nilsdev"),
-        (["1.7.0", "24.3.0", [], "(-50)"], Status.LIMITED, "24.3.0, (-50)", "nilsdev"),
-        (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], Status.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
+        (["", "", [], "found no package"], CheckStatus.MISSING, "no package nidaqmx", "golfbench[daq]"),
+        (["1.7.0", "", [], NI_MISSING], CheckStatus.MISSING, NI_MISSING, "NI-DAQmx for Linux"),
+        (["1.7.0", "24.3.0", [], ""], CheckStatus.LIMITED, "no card", "nilsdev"),
+        (["1.7.0", "24.3.0", [], "(-50)"], CheckStatus.LIMITED, "24.3.0, (-50)", "nilsdev"),
+        (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], CheckStatus.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
     ],
 )
 def test_what_drives_a_daq_card(
-    found: list[object], status: Status, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
+    found: list[object], status: CheckStatus, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("package", "runtime", "cards", "trouble")
     answer = json.dumps(dict(zip(names, found, strict=True)))
@@ -383,7 +390,7 @@ def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_absent_tool_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     outcome = doctor.tool("rt-tests", "compares timing", ["cyclictest"])
-    assert outcome.status is Status.MISSING
+    assert outcome.status is CheckStatus.MISSING
     assert outcome.advice == "compares timing; Debian: apt-get install rt-tests"
 
 

@@ -20,7 +20,7 @@ from bench.network.free_port import free_port
 from bench.shot.shot_message import ShotMessage, read_shot_message
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
-from drivers.launch_monitor.matching import Outcome
+from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.open_connect import write_heartbeat, write_shot
 from tests.running_bench import (
     LONGEST_START,
@@ -96,7 +96,7 @@ def test_the_simulated_monitor_tells_what_the_plants_ball_did(tmp_path: Path) ->
             bench.swing()
             told = following()
             read: ShotMessage = read_shot_message(json.dumps(told).encode())
-            assert (read.outcome, read.reason) == (Outcome.MATCHED, "")
+            assert (read.outcome, read.reason) == (MatchOutcome.MATCHED, "")
             cycles, metadata = read_swing(Path(told["record"]))
             assert metadata["shot_id"] == told["shot_id"]
             assert read.launch is not None

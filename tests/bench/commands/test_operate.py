@@ -22,7 +22,7 @@ from bench.commands.status_table import status_table
 from bench.errors import ExitCode
 from bench.lifecycle import Request, State
 from bench.network.free_port import free_port
-from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
 class Outcome(NamedTuple):

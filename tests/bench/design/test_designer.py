@@ -14,8 +14,8 @@ import pytest
 from bench.config import load_configuration
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
-    Demand,
     DesignFailed,
+    SwingDemand,
     _Cushions,
     _guess_from,
     _model_state,
@@ -30,8 +30,8 @@ from bench.design.designer import (
 )
 from bench.design.optimal_control import (
     BAR,
+    DownswingPlan,
     DownswingProblem,
-    Plan,
     _radau_slopes,
     build_equations,
     solve_downswing,
@@ -125,10 +125,10 @@ def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
 
 
 def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
-    for pose in (address_pose(plant, Demand()), top_pose(plant, Demand())):
+    for pose in (address_pose(plant, SwingDemand()), top_pose(plant, SwingDemand())):
         assert plant.shoulder.lower < pose[0] < plant.shoulder.upper
         assert plant.wrist.lower < pose[2] < plant.wrist.upper
-        assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(Demand().least_lever))
+        assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(SwingDemand().least_lever))
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
@@ -176,7 +176,7 @@ def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
 def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParameters) -> None:
     """The shipped swing's downswing planned anew on a coarse mesh, a little slower."""
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
-    demand = Demand(head_speed=36.0, attack=radians(0.5))
+    demand = SwingDemand(head_speed=36.0, attack=radians(0.5))
     state = _model_state(_swing_up(bench, demand))
     problem = _problem(plant, demand, bench.envelope, state)
     guess = _guess_from(bench.profile, state, 12)
@@ -192,7 +192,7 @@ def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParame
     assert np.array_equal(plan.state, plans[1].state)
 
 
-def _coarse_plan(plant: PlantParameters, demand: Demand) -> tuple[DownswingProblem, Plan]:
+def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[DownswingProblem, DownswingPlan]:
     """Return the shipped swing's downswing planned anew on a coarse mesh, and the problem it solves."""
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
     state = _model_state(_swing_up(bench, demand))
@@ -201,7 +201,7 @@ def _coarse_plan(plant: PlantParameters, demand: Demand) -> tuple[DownswingProbl
 
 
 def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParameters) -> None:
-    demand = Demand(head_speed=36.0, attack=radians(0.5), nearest=True)
+    demand = SwingDemand(head_speed=36.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
     vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
     assert problem.concessions.speed > 0.0
@@ -212,7 +212,7 @@ def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParamet
 
 
 def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) -> None:
-    demand = Demand(head_speed=58.0, attack=radians(0.5), nearest=True)
+    demand = SwingDemand(head_speed=58.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
     vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
     assert plan.solved
@@ -227,7 +227,7 @@ def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None
     """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
     monkeypatch.setattr("bench.design.designer._INTERVALS", 14)
     bench = _bench("steady", "steady")
-    demand = Demand(head_speed=38.0, attack=radians(2.0))
+    demand = SwingDemand(head_speed=38.0, attack=radians(2.0))
     told = list[tuple[str, float]]()
     begun = _swing_up(bench, demand)
     found, _ = design_downswing(bench, demand, None, begun, lambda what, part: told.append((what, part)))
@@ -260,14 +260,14 @@ def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
 def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
-        design_swing(PlantParameters(), Demand(), "nothing")
+        design_swing(PlantParameters(), SwingDemand(), "nothing")
 
 
 def test_the_highest_speed_is_asked_for_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
     asked = list[float | None]()
 
-    def downswing(bench: Any, demand: Demand, *_: Any) -> Any:
+    def downswing(bench: Any, demand: SwingDemand, *_: Any) -> Any:
         asked.append(demand.head_speed)
         if demand.head_speed is not None and demand.head_speed > 41.3:
             raise DesignFailed("the wrist's cushion would take too much")
@@ -276,7 +276,7 @@ def test_the_highest_speed_is_asked_for_until_it_fails(monkeypatch: pytest.Monke
     monkeypatch.setattr("bench.design.designer.design_downswing", downswing)
     monkeypatch.setattr("bench.design.designer._swing_up", lambda *_: None)
     bench = _bench("driver-85mph", "shipped")
-    found = highest_speed(bench.plant, Demand(), bench.control, bench.envelope, bench.estimator)
+    found = highest_speed(bench.plant, SwingDemand(), bench.control, bench.envelope, bench.estimator)
     assert asked == [None, 40.0, 42.0, 41.0, 41.5]
     assert found.plan.speed == 41.0
     assert found.limit == "at 41.5 m/s the wrist's cushion would take too much"

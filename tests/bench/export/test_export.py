@@ -16,7 +16,7 @@ from scipy.io import loadmat
 from bench.export.csv_table import write_csv
 from bench.export.mat_file import write_mat
 from bench.export.mcap_file import write_mcap
-from bench.export.record import Record, columns, read_record
+from bench.export.record import ExportRecord, columns, read_record
 from bench.export.rrd_file import write_rrd
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.telemetry.recorder import write_swing
@@ -27,7 +27,7 @@ BEGIN = "2026-11-01T09:30:00+00:00"
 
 
 @pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> Record:
+def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> ExportRecord:
     """A record with what is awkward: no pressure sensors, large counts, numbers that do not end."""
     cycles = make_swing(3)[700:1000].copy()
     cycles["chamber_pressure"] = np.nan
@@ -54,7 +54,7 @@ def test_every_column_has_its_unit_and_its_meaning() -> None:
     assert all(column.unit and column.description for column in columns())
 
 
-def test_csv_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> None:
+def test_csv_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
     path, beside = write_csv(tmp_path / "007.csv", record)
     options = pc.ConvertOptions(column_types=arrow_schema(), null_values=[])
     assert equal(from_arrow(pc.read_csv(path, convert_options=options)), record.cycles)
@@ -69,7 +69,7 @@ def test_csv_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> N
     assert described["golfbench"] == record.metadata
 
 
-def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> None:
+def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     read = loadmat(path, simplify_cells=True)
     back = np.zeros(len(record.cycles), CYCLE)
@@ -81,7 +81,7 @@ def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> N
     assert json.loads(read["metadata"]) == record.metadata
 
 
-def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> None:
+def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_mcap(tmp_path / "007.mcap", record)
     back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
     with path.open("rb") as stream:
@@ -111,7 +111,7 @@ def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: Record) -> 
     assert np.abs(steps).max() <= 1
 
 
-def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: Record) -> None:
+def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     values: dict[str, Any] = {}
     units: dict[str, str] = {}
@@ -138,7 +138,7 @@ def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: Record) -> None
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
 def test_a_folder_that_is_not_there_is_told(
-    write: Callable[[Path, Record], list[Path]], record: Record
+    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord
 ) -> None:
     with pytest.raises(NotStored):
         write(Path("/nonexistent/x"), record)
@@ -146,7 +146,7 @@ def test_a_folder_that_is_not_there_is_told(
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
 def test_a_record_without_cycles_can_be_exported(
-    write: Callable[[Path, Record], list[Path]], record: Record, tmp_path: Path
+    write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord, tmp_path: Path
 ) -> None:
     for path in write(tmp_path / "empty", record._replace(cycles=record.cycles[:0])):
         assert path.stat().st_size > 0

@@ -13,7 +13,7 @@ from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.learning.beginning import begun_on, left_over
 from bench.learning.figures import Tolerance
-from bench.learning.learn import Lecture, on_series, prepare
+from bench.learning.learn import LearningProblem, on_series, prepare
 from bench.learning.recorded import Recorded
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation
@@ -34,7 +34,7 @@ IDENTIFIED = replace(ROBOT, flow=(0.96, 1.02, 0.98), supply=0.985).applied_to(PL
 
 
 @pytest.fixture(scope="module")
-def lecture() -> Lecture:
+def lecture() -> LearningProblem:
     return prepare(BENCH)
 
 
@@ -46,7 +46,7 @@ def recorded() -> list[Recorded]:
     return [Recorded(BENCH.profile, cycles, PLANT.encoders) for cycles in swings]
 
 
-def first_settled(lecture: Lecture) -> float:
+def first_settled(lecture: LearningProblem) -> float:
     """Return how far the second swing is off, worst figure in tolerances: the first begins with other air."""
     assert lecture.beginning is not None
     swing = on_series(lecture, Series(BENCH, TRUTH))
@@ -58,7 +58,7 @@ def first_settled(lecture: Lecture) -> float:
 
 
 def test_the_first_swings_are_near_with_what_identification_left_over(
-    lecture: Lecture, recorded: list[Recorded]
+    lecture: LearningProblem, recorded: list[Recorded]
 ) -> None:
     scale = Tolerance().scale(lecture.target)
     assert 0.7 < np.abs(left_over(BENCH, IDENTIFIED, recorded) / scale).max() < 2.0
@@ -70,12 +70,14 @@ def test_the_first_swings_are_near_with_what_identification_left_over(
     assert np.abs(expected).max() < 1.0
 
 
-def test_nothing_is_left_over_of_the_robot_itself(lecture: Lecture, recorded: list[Recorded]) -> None:
+def test_nothing_is_left_over_of_the_robot_itself(lecture: LearningProblem, recorded: list[Recorded]) -> None:
     off = left_over(BENCH, TRUTH, recorded) / Tolerance().scale(lecture.target)
     assert np.abs(off).max() < 0.7
 
 
-def test_another_robot_than_the_recorded_one_is_refused(lecture: Lecture, recorded: list[Recorded]) -> None:
+def test_another_robot_than_the_recorded_one_is_refused(
+    lecture: LearningProblem, recorded: list[Recorded]
+) -> None:
     other = Variation(supply=0.93).applied_to(PLANT)
     with pytest.raises(BenchError, match="beside the records"):
         begun_on(lecture, other, recorded)

@@ -10,7 +10,7 @@ import pytest
 
 from bench.config import load_configuration
 from bench.learning.figures import Tolerance, figures_of
-from bench.learning.learn import Lecture, Lesson, learn, on_series, prepare
+from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
 from bench.lifecycle import Cause
@@ -31,16 +31,16 @@ WORN = variation.WORN.applied_to(PLANT)
 
 
 @pytest.fixture(scope="module")
-def lecture() -> Lecture:
+def lecture() -> LearningProblem:
     return prepare(BENCH)
 
 
 @pytest.fixture(scope="module")
-def lesson(lecture: Lecture) -> Lesson:
+def lesson(lecture: LearningProblem) -> LearningResult:
     return learn(lecture, on_series(lecture, Series(BENCH, WORN)))
 
 
-def test_the_robot_learns_what_the_model_delivers(lecture: Lecture, lesson: Lesson) -> None:
+def test_the_robot_learns_what_the_model_delivers(lecture: LearningProblem, lesson: LearningResult) -> None:
     before, kept = (np.abs(lesson.attempts[k].error).max() for k in (0, lesson.chosen))
     assert before > 5.0
     assert kept <= 0.5
@@ -54,7 +54,9 @@ def test_the_robot_learns_what_the_model_delivers(lecture: Lecture, lesson: Less
     assert np.abs(off).max() <= 1.0
 
 
-def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(lecture: Lecture) -> None:
+def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
+    lecture: LearningProblem,
+) -> None:
     """The worn robot's first swing comes when the modelled one has run into the wrist's cushion."""
     series, scale = Series(BENCH, WORN), Tolerance().scale(lecture.target)
     series.swing(BENCH.profile)
@@ -65,7 +67,7 @@ def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(le
     assert np.abs((seen - truth) / scale).max() < 3.0
 
 
-def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: Lecture) -> None:
+def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: LearningProblem) -> None:
     """Also with a latency that the bench does not know."""
     swing = Series(BENCH, Variation(latency=0.001).applied_to(PLANT)).swing(BENCH.profile)
     truth = figures_of(swing.delivery)
@@ -75,7 +77,7 @@ def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: Lecture) -> No
         assert np.abs((seen.array - truth.array) / scale).max() < allowed
 
 
-def test_other_sources_replace_what_they_tell(lecture: Lecture) -> None:
+def test_other_sources_replace_what_they_tell(lecture: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     encoders = figures_from("encoders+model", swing.cycles, PLANT, lecture.response.free)
     marked = figures_from("impact-marks", swing.cycles, PLANT, lecture.response.free, mark=(6.0, 4.5))
@@ -89,7 +91,7 @@ def test_other_sources_replace_what_they_tell(lecture: Lecture) -> None:
     )  # fmt: skip
 
 
-def test_a_mark_is_projected_on_the_line_of_the_swing_plane(lecture: Lecture) -> None:
+def test_a_mark_is_projected_on_the_line_of_the_swing_plane(lecture: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     assert swing.delivery is not None
     toe, high = 1e3 * swing.delivery.strike_x, 1e3 * swing.delivery.strike_y

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.learning.figures import Figures, Tolerance
-from bench.learning.learner import Beginning, Learner, LearningSettings, Trial
+from bench.learning.learner import Beginning, Learner, LearnerTrial, LearningSettings
 from bench.learning.response import Response
 
 Array = NDArray[np.float64]
@@ -32,10 +32,10 @@ class Robot:
         self.offset = offset * random.normal(0, 1, 4) * self.scale
         self.scatter = scatter
 
-    def swing(self, point: Array) -> Trial:
+    def swing(self, point: Array) -> LearnerTrial:
         noise = self.scatter * self.random.normal(0, 1, 4) * self.scale
         figures = TARGET.array + self.offset + self.figures @ point + noise
-        return Trial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
+        return LearnerTrial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
 
 
 def learned(robot: Robot, settings: LearningSettings) -> Learner:
@@ -82,7 +82,7 @@ def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
     first = learner.point.copy()
     path = robot.swing(first).path
     path[ROWS // 2 :] = np.nan
-    learner.note(Trial(first, np.full(4, np.nan), path))
+    learner.note(LearnerTrial(first, np.full(4, np.nan), path))
     assert learner.chosen == 0
     assert np.linalg.norm(learner.point) <= 0.5 * LearningSettings().radius + 1e-9
     assert not np.allclose(learner.point, first)
@@ -95,7 +95,7 @@ def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
         path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
-        learner.note(Trial(learner.point, np.full(4, np.nan), path))
+        learner.note(LearnerTrial(learner.point, np.full(4, np.nan), path))
     last = robot.model.path - learner.trials[learner.chosen].path
     assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
 
@@ -118,10 +118,12 @@ def test_the_best_is_kept_whatever_came_later() -> None:
     robot = Robot(0, scatter=0.0)
     learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
     learner.note(robot.swing(learner.point))
-    good = Trial(learner.point, TARGET.array, robot.model.path)
+    good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
     learner.note(good)
     for part in (0.5, 0.8, 0.9):
-        learner.note(Trial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path))
+        learner.note(
+            LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path)
+        )
     assert learner.trials[learner.chosen].point is good.point
 
 
@@ -166,7 +168,7 @@ def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
     zero = np.zeros(WEIGHTS)
     learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
     assert np.array_equal(learner.point, zero)
-    unlucky = Trial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
+    unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
     learner.note(unlucky)
     assert np.array_equal(learner.point, zero)
     alone = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
@@ -188,6 +190,6 @@ def test_a_mean_beside_the_target_is_stepped_from_not_repeated_for_ever() -> Non
     zero = np.zeros(WEIGHTS)
     learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
     for _ in range(4):
-        learner.note(Trial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
+        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
     assert not learner.confirmed
     assert not np.array_equal(learner.point, zero)

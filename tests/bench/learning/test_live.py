@@ -8,12 +8,12 @@ import pytest
 from bench.errors import Refused
 from bench.learning.live import require_bench, swung_cycles
 from bench.lifecycle import Answer, Request
-from bench.network.desk import LaunchMonitorStatus
+from bench.network.bench_service import LaunchMonitorStatus
 from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
-from tests.bench.fake_desk import FakeDesk
+from tests.bench.fake_bench_service import FakeDesk
 
 PROFILE = load_profile(find_profile("default"))
 

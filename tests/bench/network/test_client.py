@@ -17,7 +17,7 @@ from bench.lifecycle import Request, State
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.command import Verb, encode_command
 from bench.network.zenoh_session import NoAnswer
-from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
 @pytest.fixture

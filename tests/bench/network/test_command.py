@@ -16,8 +16,8 @@ from bench.network.command import (
     LONGEST_MESSAGE,
     PLAIN,
     REQUESTS,
-    Answer,
     Command,
+    CommandAnswer,
     Correct,
     Keyed,
     Plain,
@@ -214,7 +214,7 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
 
 @given(
     st.builds(
-        Answer,
+        CommandAnswer,
         st.booleans(),
         st.text(),
         st.text(),
@@ -222,7 +222,7 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
         st.dictionaries(st.text(), st.integers() | st.text()),
     )
 )
-def test_answers_come_back_as_they_were(answer: Answer) -> None:
+def test_answers_come_back_as_they_were(answer: CommandAnswer) -> None:
     assert parse_answer(encode_answer(answer)) == answer
 
 

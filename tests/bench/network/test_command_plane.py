@@ -20,7 +20,7 @@ from bench.network.command import (
     CONVENIENCE,
     LONGEST_MESSAGE,
     REQUESTS,
-    Answer,
+    CommandAnswer,
     Verb,
     encode_command,
     parse_answer,
@@ -29,7 +29,7 @@ from bench.network.command import (
 from bench.network.command_plane import LONGEST_WAIT, QUEUE, CommandPlane
 from bench.network.lease import new_key
 from bench.network.zenoh_session import open_client, open_daemon
-from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
 class FakeClock:
@@ -49,12 +49,14 @@ class Asker:
         self.session, self.root = session, root
         self.sequence = 0
 
-    def send(self, verb: str, payload: bytes, **options: Any) -> Callable[[], Answer | BenchError | None]:
+    def send(
+        self, verb: str, payload: bytes, **options: Any
+    ) -> Callable[[], CommandAnswer | BenchError | None]:
         """Send without waiting; the function returned waits for the answer, None when there is none."""
         key = verb if verb.startswith("golfbench/") else f"{self.root}/command/{verb}"
         replies = self.session.get(key, payload=payload, timeout=5.0, **options)
 
-        def wait() -> Answer | BenchError | None:
+        def wait() -> CommandAnswer | BenchError | None:
             for reply in replies:
                 if reply.ok is not None:
                     return parse_answer(reply.ok.payload.to_bytes())
@@ -64,9 +66,9 @@ class Asker:
 
         return wait
 
-    def ask(self, verb: str, payload: bytes | None = None, **values: Any) -> Answer:
+    def ask(self, verb: str, payload: bytes | None = None, **values: Any) -> CommandAnswer:
         answer = self.send(verb, encode_command(Verb(verb), **values) if payload is None else payload)()
-        assert isinstance(answer, Answer), answer
+        assert isinstance(answer, CommandAnswer), answer
         return answer
 
     def error(self, verb: str, payload: bytes) -> BenchError:
@@ -80,7 +82,7 @@ class Asker:
         self.sequence = 0
         return str(answer.content["key"])
 
-    def ask_keyed(self, verb: str, key: str, **values: Any) -> Answer:
+    def ask_keyed(self, verb: str, key: str, **values: Any) -> CommandAnswer:
         self.sequence += 1
         return self.ask(verb, key=key, sequence=self.sequence, **values)
 
@@ -123,7 +125,7 @@ def test_a_correction_takes_the_lease_and_comes_to_the_desk(bench: RunningPlane,
     assert not asker.ask("correct", key=new_key(), sequence=1, **values).accepted
     assert bench.desk.corrections == []
     key = asker.take()
-    assert asker.ask_keyed("correct", key, **values) == Answer(True, "ESTOP")
+    assert asker.ask_keyed("correct", key, **values) == CommandAnswer(True, "ESTOP")
     assert bench.desk.corrections == [("0123456789abcdef", (0.5, -1.0))]
     assert not asker.ask("correct", key=key, sequence=asker.sequence, **values).accepted  # repeated
     assert asker.ask("status").content["correction"] == 1
@@ -135,12 +137,12 @@ def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
     states = ["SAFE", "ACCESS", "SAFE", "READY", "ARMED", "ARMED", "READY", "ARMED", "READY"]
     for verb, state in zip(day, states, strict=True):
         answer = asker.ask(verb) if verb == "disarm" else asker.ask_keyed(verb, key)
-        assert answer == Answer(True, state)
+        assert answer == CommandAnswer(True, state)
     assert bench.desk.requests == [REQUESTS[Verb(verb)] for verb in day]
-    assert asker.ask("stop") == Answer(True, "FAULT")
-    assert asker.ask("estop") == Answer(True, "ESTOP", note=CONVENIENCE)
+    assert asker.ask("stop") == CommandAnswer(True, "FAULT")
+    assert asker.ask("estop") == CommandAnswer(True, "ESTOP", note=CONVENIENCE)
     assert [what for what, _ in bench.desk.stops] == ["stop", "estop"]
-    assert asker.ask_keyed("lease", key, action="release") == Answer(True, "ESTOP")
+    assert asker.ask_keyed("lease", key, action="release") == CommandAnswer(True, "ESTOP")
     assert bench.plane.lease() is None
 
 
@@ -161,7 +163,7 @@ def test_the_status_carries_lease_and_counts_but_no_key(
 
 def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> None:
     answer = asker.ask_keyed("swing", asker.take())
-    assert answer == Answer(False, "ESTOP", "not possible in this state")
+    assert answer == CommandAnswer(False, "ESTOP", "not possible in this state")
 
 
 def test_an_emergency_stop_says_that_it_is_no_safety_function(asker: Asker) -> None:
@@ -266,7 +268,7 @@ def test_a_stop_counts_also_when_its_message_does_not_hold(
 
 def test_a_stop_may_name_all_benches(bench: RunningPlane, asker: Asker) -> None:
     answer = asker.send("golfbench/*/command/estop", encode_command(Verb.ESTOP))()
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, CommandAnswer)
     assert answer.state == "ESTOP"
     assert [what for what, _ in bench.desk.stops] == ["estop"]
 
@@ -290,7 +292,9 @@ def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, a
     assert another.ask("status").accepted
     bench.desk.free.set()
     answers = [wait() for wait in flood]
-    busy = [a for a in answers if isinstance(a, Answer) and a.reason.startswith("too many messages wait")]
+    busy = [
+        a for a in answers if isinstance(a, CommandAnswer) and a.reason.startswith("too many messages wait")
+    ]
     assert len(busy) == len(flood) - QUEUE - 1
     assert len(bench.desk.requests) == QUEUE + 1
 
@@ -299,7 +303,7 @@ def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Aske
     flood = [asker.send("stop", encode_command(Verb.STOP)) for _ in range(20 * QUEUE)]
     assert another.ask("estop").accepted
     answers = [wait() for wait in flood]
-    assert all(isinstance(answer, Answer) and answer.accepted for answer in answers)
+    assert all(isinstance(answer, CommandAnswer) and answer.accepted for answer in answers)
     assert {what for what, _ in bench.desk.stops} == {"stop", "estop"}
 
 
@@ -315,10 +319,10 @@ def test_a_request_that_waited_too_long_is_not_done(
     clock.now += LONGEST_WAIT + 0.1
     bench.desk.free.set()
     answer = first()
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, CommandAnswer)
     assert answer.accepted
     late = second()
-    assert isinstance(late, Answer)
+    assert isinstance(late, CommandAnswer)
     assert late.reason.startswith("it waited too long")
     assert bench.desk.requests == [Request.RESET]
 
@@ -372,9 +376,9 @@ def test_it_ends_in_time_although_the_desk_hangs() -> None:
             assert not running.plane.close()
             assert time.monotonic() - began < 2.0
             running.desk.free.set()
-            assert isinstance(first(), Answer)
+            assert isinstance(first(), CommandAnswer)
             answer = second()
-            assert isinstance(answer, Answer)
+            assert isinstance(answer, CommandAnswer)
             assert "going down" in answer.reason
             assert running.desk.requests == [Request.RESET]
 

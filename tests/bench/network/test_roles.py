@@ -18,7 +18,7 @@ from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, open_client, open_daemon
 from tests.bench.certified import Folder, bench_of, client_of
-from tests.bench.fake_desk import FakeDesk, RunningPlane, running_plane
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, running_plane
 
 PUBLISHED = ("telemetry", "state", "event", "shot", "loop")
 

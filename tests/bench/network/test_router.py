@@ -23,7 +23,7 @@ from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, open_client
 from tests.bench.certified import Folder, client_of
-from tests.bench.fake_desk import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 EXAMPLE = VARIANTS / "router.json5"
 HURRY = 20.0

@@ -12,7 +12,7 @@ import pytest
 from bench.config import NetworkSettings, load_configuration
 from bench.errors import BenchError, ExitCode
 from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, open_daemon
-from tests.bench.fake_desk import loopback_configuration
+from tests.bench.fake_bench_service import loopback_configuration
 
 
 def test_a_port_in_use_is_told_with_its_cure() -> None:

@@ -13,7 +13,7 @@ from bench.processes.correction import (
     CORRECTED_FILE,
     CORRECTION,
     CORRECTION_FILE,
-    Corrections,
+    CorrectionReader,
     pack_correction,
     weights_of,
 )
@@ -31,7 +31,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.orders = SharedRecord.create(folder / CORRECTION_FILE, CORRECTION)
-        self.loop = Corrections(folder, PROFILE)
+        self.loop = CorrectionReader(folder, PROFILE)
         self._told = SharedRecord.open(folder / CORRECTED_FILE, CORRECTED)
 
     def order(self, number: int, weights: list[float]) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bench.processes.child import Child
-from bench.processes.child_process import Condition, Heart
-from bench.processes.support import Supporter
+from bench.processes.child_process import Condition, HeartbeatSender
+from bench.processes.support import ManagedProcess
 
 SLEEP = "import time; time.sleep(60)"
 
@@ -36,8 +36,8 @@ def nursery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Nursery
 
 
 @pytest.fixture
-def supporter(nursery: Nursery) -> Iterator[Supporter]:
-    made = Supporter("sleeper", nursery.path, nursery.start)
+def supporter(nursery: Nursery) -> Iterator[ManagedProcess]:
+    made = ManagedProcess("sleeper", nursery.path, nursery.start)
     yield made
     for child in nursery.children:
         child.kill()
@@ -45,20 +45,20 @@ def supporter(nursery: Nursery) -> Iterator[Supporter]:
 
 
 @pytest.fixture
-def beat(supporter: Supporter, nursery: Nursery) -> Iterator[Callable[[float, Condition], None]]:
-    heart = Heart(nursery.path)
+def beat(supporter: ManagedProcess, nursery: Nursery) -> Iterator[Callable[[float, Condition], None]]:
+    heart = HeartbeatSender(nursery.path)
     yield heart.beat
     heart.close()
 
 
-def is_ready(supporter: Supporter) -> bool:
+def is_ready(supporter: ManagedProcess) -> bool:
     return supporter.ready
 
 
 Beat = Callable[[float, Condition], None]
 
 
-def test_it_can_be_relied_on_once_its_heart_says_so(supporter: Supporter, beat: Beat) -> None:
+def test_it_can_be_relied_on_once_its_heart_says_so(supporter: ManagedProcess, beat: Beat) -> None:
     supporter.turn(0.0)
     assert not is_ready(supporter)
     assert supporter.note == "starting"
@@ -71,7 +71,7 @@ def test_it_can_be_relied_on_once_its_heart_says_so(supporter: Supporter, beat: 
 
 
 def test_a_silent_one_cannot_be_relied_on_and_in_the_end_is_replaced(
-    supporter: Supporter, beat: Beat, nursery: Nursery
+    supporter: ManagedProcess, beat: Beat, nursery: Nursery
 ) -> None:
     supporter.turn(0.0)
     beat(0.0, Condition.WORKING)
@@ -88,7 +88,7 @@ def test_a_silent_one_cannot_be_relied_on_and_in_the_end_is_replaced(
 
 
 def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count(
-    supporter: Supporter, beat: Beat, nursery: Nursery
+    supporter: ManagedProcess, beat: Beat, nursery: Nursery
 ) -> None:
     supporter.turn(0.0)
     beat(0.0, Condition.WORKING)
@@ -107,7 +107,7 @@ def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count
     assert is_ready(supporter)
 
 
-def test_an_ending_bench_starts_none_anew(supporter: Supporter, nursery: Nursery) -> None:
+def test_an_ending_bench_starts_none_anew(supporter: ManagedProcess, nursery: Nursery) -> None:
     supporter.turn(0.0)
     supporter.leave_dead()
     nursery.children[0].process.kill()
@@ -117,7 +117,7 @@ def test_an_ending_bench_starts_none_anew(supporter: Supporter, nursery: Nursery
     assert len(nursery.children) == 1
 
 
-def test_ending_does_not_wait_for_one_that_ends(supporter: Supporter) -> None:
+def test_ending_does_not_wait_for_one_that_ends(supporter: ManagedProcess) -> None:
     supporter.turn(0.0)
     begin = time.monotonic()
     supporter.end()

@@ -12,7 +12,7 @@ import pytest
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase
 from bench.shot.recorded_shot import (
-    Surroundings,
+    FlightConditions,
     delivery_of_cycles,
     plant_of,
     read_shot,
@@ -20,7 +20,7 @@ from bench.shot.recorded_shot import (
     shot_of_cycles,
     shot_to_json,
 )
-from bench.shot.shot import Status
+from bench.shot.shot import ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import write_swing
 from bench.viewer.recorded_series import record_files
@@ -66,10 +66,10 @@ def test_a_record_of_a_series_gives_its_figures_and_their_flight(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
-    around = Surroundings(Air(temperature=290.0), Wind((3.0, 0.0, 0.0)), Turf())
+    around = FlightConditions(Air(temperature=290.0), Wind((3.0, 0.0, 0.0)), Turf())
     configuration = {
         "plant": as_json(plant),
-        "surroundings": {k: as_json(v) for k, v in around._asdict().items()},
+        "surroundings": {k: as_json(v) for k, v in vars(around).items()},
     }
     metadata = {"shot": shot_to_json(record.shot), "configuration": configuration}
     write_swing(tmp_path / "1.parquet", record.cycles, metadata)
@@ -93,7 +93,7 @@ def test_a_record_of_the_daemon_gives_what_its_cycles_tell(
     write_swing(tmp_path / "1.parquet", make_swing(1), metadata)
     record = read_shot(tmp_path / "1.parquet").record
     assert record.shot.shot == 12
-    assert record.shot.status is Status.VALID
+    assert record.shot.status is ShotStatus.VALID
     assert (record.shot.delivery_source, record.shot.launch_source) == ("encoders+model", "model")
     speeds = make_swing(1)["plant_head_speed"]
     assert record.shot.club_speed_mps == pytest.approx(speeds[1186], rel=0.02)
@@ -107,7 +107,7 @@ def test_no_ball_no_launch_and_a_stop_is_a_failed_shot(
         from datetime import UTC, datetime
 
         return shot_of_cycles(
-            cycles, plant, Surroundings(), number=1, time_utc=datetime(2026, 11, 1, tzinfo=UTC)
+            cycles, plant, FlightConditions(), number=1, time_utc=datetime(2026, 11, 1, tzinfo=UTC)
         )
 
     no_ball = make_swing(1)
@@ -119,7 +119,7 @@ def test_no_ball_no_launch_and_a_stop_is_a_failed_shot(
     assert delivery_of_cycles(still, plant) is None
     stopped = make_swing(1)
     stopped["trip"][1500:] = Cause.GUARD
-    assert shot(stopped).shot.status is Status.FAILED
+    assert shot(stopped).shot.status is ShotStatus.FAILED
     assert "guard" in shot(stopped).shot.reason
 
 
@@ -128,7 +128,7 @@ def test_a_configuration_that_is_not_taken_names_every_mistake() -> None:
     with pytest.raises(ExceptionGroup) as caught:
         plant_of({"configuration": given}, "x.parquet")
     assert len(caught.value.exceptions) == 3
-    assert plant_of({}, "x.parquet") == (PlantParameters(), Surroundings())
+    assert plant_of({}, "x.parquet") == (PlantParameters(), FlightConditions())
 
 
 def test_a_series_is_a_folder_or_what_is_named(tmp_path: Path) -> None:

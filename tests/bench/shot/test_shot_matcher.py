@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import CAUSE_TEXT, Cause
-from bench.shot.recorded_shot import Surroundings
-from bench.shot.shot import Status
+from bench.shot.recorded_shot import FlightConditions
+from bench.shot.shot import ShotStatus
 from bench.shot.shot_matcher import NO_BALL, NO_IMPACT, NOT_TOLD, LaunchBook, Told
-from bench.shot.swing_watch import Swing
-from drivers.launch_monitor.matching import MatchWindow, Outcome
+from bench.shot.swing_watch import FinishedSwing
+from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.plausibility import PlausibleFigures
 from drivers.launch_monitor.record import LaunchRecord
 from sim.plant import PlantParameters, Site
@@ -31,14 +31,14 @@ def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:
 @pytest.fixture
 def book(robot: Any) -> LaunchBook:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
-    return LaunchBook(WINDOW, PlausibleFigures(), PlantParameters(robot=robot, site=site), Surroundings())
+    return LaunchBook(WINDOW, PlausibleFigures(), PlantParameters(robot=robot, site=site), FlightConditions())
 
 
 @pytest.fixture
-def swing(make_swing: Any) -> Swing:
+def swing(make_swing: Any) -> FinishedSwing:
     cycles = make_swing(1)
     cycles["trip"] = 0
-    return Swing("r-5000", 100.0, True, cycles)
+    return FinishedSwing("r-5000", 100.0, True, cycles)
 
 
 def one(told: list[Told]) -> Told:
@@ -46,16 +46,20 @@ def one(told: list[Told]) -> Told:
     return found
 
 
-def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: Swing) -> None:
+def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: FinishedSwing) -> None:
     book.note_launches([launch(100.7)])  # told before the robot stands again
     assert book.settle(100.8) == []
     book.note_swing(swing, NOW)
     assert book.settle(103.9) == []
     told = one(book.settle(104.1))
-    assert (told.outcome, told.shot_id, told.reason) == (Outcome.MATCHED, "r-5000", "")
+    assert (told.outcome, told.shot_id, told.reason) == (MatchOutcome.MATCHED, "r-5000", "")
     shot = told.shot
     assert shot is not None
-    assert (shot.status, shot.launch_source, shot.carry_source) == (Status.VALID, "launch monitor", "model")
+    assert (shot.status, shot.launch_source, shot.carry_source) == (
+        ShotStatus.VALID,
+        "launch monitor",
+        "model",
+    )
     assert (shot.ball_speed_mps, shot.delivery_source) == (52.0, "encoders+model")
     assert 120.0 < (shot.carry_m or 0.0) < 200.0
     assert shot.time_utc == NOW
@@ -63,7 +67,7 @@ def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: Swing) -> N
 
 
 def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
-    book: LaunchBook, swing: Swing
+    book: LaunchBook, swing: FinishedSwing
 ) -> None:
     book.note_swing(swing, NOW)
     book.note_swing(swing._replace(shot="r-6000", impact=110.0, struck=False), NOW)
@@ -71,45 +75,53 @@ def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
     stopped["trip"][-1] = Cause.OPERATOR_STOP
     book.note_swing(swing._replace(shot="r-7000", impact=None, struck=False, cycles=stopped), NOW)
     told = {each.shot_id: each for each in book.settle(120.0)}
-    assert {each.outcome for each in told.values()} == {Outcome.NO_LAUNCH}
+    assert {each.outcome for each in told.values()} == {MatchOutcome.NO_LAUNCH}
     assert [told[f"r-{n}000"].reason for n in (5, 6, 7)] == [NOT_TOLD, NO_BALL, NO_IMPACT]
     shots = [told[f"r-{n}000"].shot for n in (5, 6, 7)]
-    assert [shot and shot.status for shot in shots] == [Status.EXCLUDED, Status.FAILED, Status.FAILED]
+    assert [shot and shot.status for shot in shots] == [
+        ShotStatus.EXCLUDED,
+        ShotStatus.FAILED,
+        ShotStatus.FAILED,
+    ]
     assert shots[2] is not None
     assert shots[2].reason == CAUSE_TEXT[Cause.OPERATOR_STOP]
     assert all(shot is not None and shot.ball_speed_mps is None for shot in shots)
 
 
-def test_a_launch_of_no_swing_and_one_that_comes_late(book: LaunchBook, swing: Swing) -> None:
+def test_a_launch_of_no_swing_and_one_that_comes_late(book: LaunchBook, swing: FinishedSwing) -> None:
     book.note_launches([launch(50.0)])
-    assert one(book.settle(61.0)).outcome is Outcome.NO_SWING
+    assert one(book.settle(61.0)).outcome is MatchOutcome.NO_SWING
     book.note_swing(swing, NOW)
-    assert one(book.settle(104.1)).outcome is Outcome.NO_LAUNCH
+    assert one(book.settle(104.1)).outcome is MatchOutcome.NO_LAUNCH
     book.note_launches([launch(104.5)])  # the window is over
     late = one(book.settle(115.0))
-    assert (late.outcome, late.shot_id, late.shot) == (Outcome.NO_SWING, "", None)
-    assert book.counts[Outcome.NO_SWING] == 2
+    assert (late.outcome, late.shot_id, late.shot) == (MatchOutcome.NO_SWING, "", None)
+    assert book.counts[MatchOutcome.NO_SWING] == 2
 
 
-def test_two_monitors_make_a_shot_doubtful(book: LaunchBook, swing: Swing) -> None:
+def test_two_monitors_make_a_shot_doubtful(book: LaunchBook, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5), replace(launch(100.9, 52.5), device="another")])
     first, second = book.settle(105.0)
-    assert (first.outcome, second.outcome) == (Outcome.MATCHED, Outcome.DOUBLE)
+    assert (first.outcome, second.outcome) == (MatchOutcome.MATCHED, MatchOutcome.DOUBLE)
     assert first.shot is not None
-    assert first.shot.status is Status.EXCLUDED
+    assert first.shot.status is ShotStatus.EXCLUDED
     assert "2 different launches" in first.reason
     assert second.shot is None  # one row a swing
 
 
-def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: Swing) -> None:
+def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5, 95.0)])  # more than twice the club's speed
     told = one(book.settle(105.0))
-    assert told.outcome is Outcome.MATCHED
+    assert told.outcome is MatchOutcome.MATCHED
     assert "times the club's" in told.reason
     assert told.shot is not None
-    assert (told.shot.status, told.shot.ball_speed_mps, told.shot.carry_m) == (Status.EXCLUDED, 95.0, None)
+    assert (told.shot.status, told.shot.ball_speed_mps, told.shot.carry_m) == (
+        ShotStatus.EXCLUDED,
+        95.0,
+        None,
+    )
 
     book.note_swing(swing._replace(shot="r-9", impact=200.0), NOW)
     no_spin = launch(200.5, spin=None, spin_axis=None, absent=(("spin", "0 rpm: not seen"),))
@@ -117,7 +129,7 @@ def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: Swing) ->
     told = one(book.settle(205.0))
     assert "no spin" in told.reason
     assert told.shot is not None
-    assert (told.shot.ball_speed_mps, told.shot.status) == (52.0, Status.EXCLUDED)
+    assert (told.shot.ball_speed_mps, told.shot.status) == (52.0, ShotStatus.EXCLUDED)
     assert told.shot.launch_angle_deg == pytest.approx(np.degrees(0.2))
     assert told.shot.spin_rpm is None
     assert told.shot.direction_deg == pytest.approx(np.degrees(0.01))
@@ -127,4 +139,4 @@ def test_a_flood_of_launches_is_bounded_and_counted(book: LaunchBook) -> None:
     book.note_launches([launch(10.0 + 1e-3 * k, launch_angle=radians(10)) for k in range(1000)])
     assert len(book.settle(10.1)) == 1000 - 64
     assert len(book.settle(30.0)) == 64
-    assert book.counts[Outcome.NO_SWING] == 1000
+    assert book.counts[MatchOutcome.NO_SWING] == 1000

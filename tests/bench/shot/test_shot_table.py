@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.shot.shot_table import read_shot_table, write_shot_table
 
 HEADER = (
@@ -20,7 +20,7 @@ HEADER = (
     "carry_source,time_utc,carry_side_m,swing,role,section,attempt,sample,air_temperature_k,air_pressure_pa,"
     "relative_humidity"
 )
-SHOT = Shot(1, 1, 1, "driver", "A", Status.VALID, time_utc=datetime(2026, 11, 1, 9, 30, tzinfo=UTC))
+SHOT = Shot(1, 1, 1, "driver", "A", ShotStatus.VALID, time_utc=datetime(2026, 11, 1, 9, 30, tzinfo=UTC))
 
 _text = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
 
@@ -36,8 +36,8 @@ def _value(column: Any) -> st.SearchStrategy[Any]:
 
 
 _OTHERS = {c.name: _value(c) for c in COLUMNS if c.name not in ("status", "reason")}
-_FATES = st.just((Status.VALID, "")) | st.tuples(
-    st.sampled_from([Status.EXCLUDED, Status.FAILED]), _text.filter(bool)
+_FATES = st.just((ShotStatus.VALID, "")) | st.tuples(
+    st.sampled_from([ShotStatus.EXCLUDED, ShotStatus.FAILED]), _text.filter(bool)
 )
 shots = st.builds(
     lambda others, fate: Shot(**others, status=fate[0], reason=fate[1]),
@@ -60,7 +60,7 @@ def test_the_columns_are_those_of_the_export(tmp_path: Path) -> None:
 
 
 def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Path) -> None:
-    shot = Shot(2, 1, 1, 'the "old" one', "A, soft", Status.VALID, spin_axis_deg=1e-7, carry_m=212.0)
+    shot = Shot(2, 1, 1, 'the "old" one', "A, soft", ShotStatus.VALID, spin_axis_deg=1e-7, carry_m=212.0)
     write_shot_table(tmp_path / "shots.csv", [shot])
     text = (tmp_path / "shots.csv").read_bytes().decode()
     assert text.count("\r\n") == text.count("\n") == 2
@@ -70,7 +70,7 @@ def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Pa
 
 def test_times_are_written_in_utc(tmp_path: Path) -> None:
     late = datetime(2026, 11, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
-    write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", Status.VALID, time_utc=late)])
+    write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", ShotStatus.VALID, time_utc=late)])
     assert ",2026-10-31T23:30:00.000000Z,," in (tmp_path / "shots.csv").read_text()
 
 
@@ -80,12 +80,12 @@ def test_times_are_written_in_utc(tmp_path: Path) -> None:
         ({"carry_m": float("nan")}, "carry_m"),
         ({"spin_rpm": float("inf")}, "spin_rpm"),
         ({"time_utc": datetime(2026, 1, 1)}, "time zone"),
-        ({"status": Status.EXCLUDED}, "reason"),
+        ({"status": ShotStatus.EXCLUDED}, "reason"),
         ({"reason": "late"}, "reason"),
     ],
 )
 def test_a_shot_that_no_table_can_hold_is_refused(change: dict[str, Any], match: str) -> None:
-    values: dict[str, Any] = {"status": Status.VALID} | change
+    values: dict[str, Any] = {"status": ShotStatus.VALID} | change
     with pytest.raises(ValueError, match=match):
         Shot(1, 1, 1, "driver", "A", **values)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Cause, Phase, State
-from bench.shot.swing_watch import Swing, SwingWatch
+from bench.shot.swing_watch import FinishedSwing, SwingWatch
 from bench.telemetry.shot_id import shot_id
 
 Cycles = np.ndarray[Any, Any]
@@ -22,7 +22,7 @@ def day(make_swing: Any) -> Cycles:
     return cycles
 
 
-def watched(watch: SwingWatch, cycles: Cycles, piece: int, *, behind: float) -> list[Swing]:
+def watched(watch: SwingWatch, cycles: Cycles, piece: int, *, behind: float) -> list[FinishedSwing]:
     """Return the swings seen in pieces, each read when its last cycle is `behind` on the wall's clock."""
     found = []
     for k in range(0, len(cycles), piece):

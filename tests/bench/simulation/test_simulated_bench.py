@@ -19,7 +19,7 @@ from bench.control.settings import EnvelopeSettings
 from bench.errors import ExitCode, Refused
 from bench.interrupt import deferred_interrupt
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
-from bench.shot.shot import Status
+from bench.shot.shot import ShotStatus
 from bench.simulation.simulated_bench import (
     Engine,
     SimulatedBench,
@@ -84,7 +84,7 @@ class ControlC:
 
 def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], profile: Profile) -> None:
     result = series[0]
-    assert (result.status, result.reason, result.cause) == (Status.VALID, "", Cause.NONE)
+    assert (result.status, result.reason, result.cause) == (ShotStatus.VALID, "", Cause.NONE)
     assert result.delivery is not None
     assert result.launch is not None
     assert result.flight is not None
@@ -117,7 +117,12 @@ def test_a_record_runs_from_hold_to_hold_with_time_from_zero(series: list[SwingR
 
 
 def test_balls_differ_and_a_missing_ball_is_said_to_be_missing(series: list[SwingResult]) -> None:
-    assert [r.status for r in series] == [Status.VALID, Status.VALID, Status.FAILED, Status.VALID]
+    assert [r.status for r in series] == [
+        ShotStatus.VALID,
+        ShotStatus.VALID,
+        ShotStatus.FAILED,
+        ShotStatus.VALID,
+    ]
     normal, soft, none, again = series
     assert none.reason == "no ball on the tee"
     assert [none.delivery, none.launch, none.flight, none.contact_time] == [None] * 4
@@ -187,7 +192,7 @@ def test_a_swing_becomes_a_row_of_the_shot_table(series: list[SwingResult]) -> N
     assert record.flight is series[1].flight
     assert record.shot.delivery_source == "simulated"
     missed = series[2].shot(3, time_utc=now).shot
-    assert (missed.status, missed.ball, missed.carry_m) == (Status.FAILED, "", None)
+    assert (missed.status, missed.ball, missed.carry_m) == (ShotStatus.FAILED, "", None)
 
 
 def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
@@ -195,7 +200,7 @@ def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
     results = list(simulate_swings(lame, [Ball()] * 3))
     assert len(results) == 1
     result = results[0]
-    assert (result.status, result.cause) == (Status.FAILED, Cause.SHOULDER_SPEED)
+    assert (result.status, result.cause) == (ShotStatus.FAILED, Cause.SHOULDER_SPEED)
     assert result.reason == CAUSE_TEXT[Cause.SHOULDER_SPEED]
     assert result.cycles["phase"][-1] == Phase.STANDING
     assert not result.cycles["supply_enable"][-1]
@@ -209,7 +214,7 @@ def test_a_ball_that_stays_in_the_air_is_no_valid_shot(
 
     monkeypatch.setattr(bench.simulation.simulated_bench, "fly", fail)
     result = simulate_swing(robot)
-    assert (result.status, result.flight) == (Status.FAILED, None)
+    assert (result.status, result.flight) == (ShotStatus.FAILED, None)
     assert "still in the air" in result.reason
     assert result.launch is not None
 
@@ -270,7 +275,7 @@ def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     assert len(results) == 1
     result = results[0]
     assert result.interrupted
-    assert (result.status, result.reason) == (Status.FAILED, "interrupted by Ctrl-C")
+    assert (result.status, result.reason) == (ShotStatus.FAILED, "interrupted by Ctrl-C")
     assert result.cause is Cause.OPERATOR_STOP
     assert result.cycles["reaction"].max() >= Reaction.COMPLETE
     assert result.cycles["phase"][-1] == Phase.STANDING

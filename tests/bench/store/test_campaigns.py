@@ -19,7 +19,7 @@ from sqlalchemy import select
 
 from bench.config import database_url
 from bench.errors import BenchError, Refused
-from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.campaigns import (
     CampaignEntry,
     CampaignState,
@@ -40,8 +40,8 @@ ENTRY = CampaignEntry(
     versions={"golfbench": "0.1.0"}, real_time={}, calibrations={},
 )  # fmt: skip
 SHOT = Shot(
-    1, 1, 1, "driver", "tour", Status.VALID, club_speed_mps=42.1, carry_m=181.25, delivery_source="simulated",
-    time_utc=NOW, swing="default", sample=3, air_temperature_k=298.15,
+    1, 1, 1, "driver", "tour", ShotStatus.VALID, club_speed_mps=42.1, carry_m=181.25,
+    delivery_source="simulated",    time_utc=NOW, swing="default", sample=3, air_temperature_k=298.15,
 )  # fmt: skip
 PROMPTS = [
     Prompt(1, 1, "club", "Mount club driver.", {"club": "driver"}, NOW, NOW, "Ann"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.design.designer import Demand, top_pose
+from bench.design.designer import SwingDemand, top_pose
 from bench.design.follow import demand_like, gave_way
 from bench.swing.golfers import GOLFERS, Golfer, HumanDownswing, deviation, free_wrist, human_downswing
 from bench.swing.profile import Profile
@@ -35,7 +35,7 @@ def test_a_golfer_whose_wrist_meets_its_stop_first_is_as_fast_as_can_be(plant: P
 @pytest.mark.parametrize("golfer", GOLFERS.values(), ids=GOLFERS)
 def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, golfer: Golfer) -> None:
     human = human_downswing(plant, golfer)
-    demand = demand_like(plant, golfer, human, Demand())
+    demand = demand_like(plant, golfer, human, SwingDemand())
     assert demand.head_speed == golfer.head_speed
     assert demand.backswing_time == golfer.backswing
     top = top_pose(plant, demand)
@@ -46,17 +46,17 @@ def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, gol
     # Where the robot can go, the human's own motion is asked for.
     inside = (human.angle[:, 2] > top[2]) & (human.angle[:, 2] < plant.wrist.upper)
     assert np.array_equal(demand.follow[inside, 2], human.angle[inside, 2])
-    assert demand_like(plant, golfer, human, Demand(), 30.0).head_speed == 30.0
+    assert demand_like(plant, golfer, human, SwingDemand(), 30.0).head_speed == 30.0
 
 
 def test_what_gave_way_is_told_with_both_figures(slow_swing: Profile) -> None:
     # The slow swing takes 0.5 s from the top to the ball.
     delivery = {"head_speed_mps": 48.6, "attack_angle_deg": 2.0}
     swing = replace(slow_swing, delivery=delivery)
-    met = Demand(head_speed=48.6, attack=np.radians(2.0).item(), downswing_time=(0.4, 0.5))
+    met = SwingDemand(head_speed=48.6, attack=np.radians(2.0).item(), downswing_time=(0.4, 0.5))
     assert gave_way(met, swing) == []
     assert gave_way(replace(met, head_speed=None), swing) == []
-    more = Demand(head_speed=51.4, attack=0.0, downswing_time=(0.2, 0.25))
+    more = SwingDemand(head_speed=51.4, attack=0.0, downswing_time=(0.2, 0.25))
     assert gave_way(more, swing) == [
         "a downswing of 0.500 s, 0.250 s at most demanded",
         "attack +2.0 deg, +0.0 deg demanded",

@@ -9,14 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.record_queue import Record, RecordQueue, folder_trouble, record_path, remove_partial
+from bench.telemetry.record_queue import (
+    QueuedRecord,
+    RecordQueue,
+    folder_trouble,
+    record_path,
+    remove_partial,
+)
 from bench.telemetry.recorder import read_swing
 
 
-def record(path: Path, number: int = 1, kind: str = "swing") -> Record:
+def record(path: Path, number: int = 1, kind: str = "swing") -> QueuedRecord:
     cycles = np.zeros(5, CYCLE)
     cycles["tick"] = number
-    return Record(
+    return QueuedRecord(
         path / f"{number}.parquet", datetime.fromtimestamp(0.0, UTC), cycles, {"kind": kind, "number": number}
     )
 

@@ -21,7 +21,7 @@ from bench.swing.profile import Profile, load_profile
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot, read_snapshot, unpack_snapshot
 from bench.telemetry.swing_cutter import Cut
 from bench.telemetry.swing_metadata import (
-    Surroundings,
+    RunMetadata,
     begin_of,
     profile_entry,
     read_profile,
@@ -165,7 +165,7 @@ def test_a_profile_that_is_no_good_is_refused(profile: Profile) -> None:
 def test_what_is_no_json_is_told_at_the_start(profile: Profile) -> None:
     for bad in (float("nan"), object()):
         with pytest.raises(BenchError, match="metadata of records"):
-            Surroundings("b", "r", profile, {"x": bad}, {}, {}, {}).entries()
-    entries = Surroundings("b", "r", profile, {"x": (1, 2)}, {}, {}, {"club": 1}).entries()
+            RunMetadata("b", "r", profile, {"x": bad}, {}, {}, {}).entries()
+    entries = RunMetadata("b", "r", profile, {"x": (1, 2)}, {}, {}, {"club": 1}).entries()
     assert entries["configuration"] == {"x": [1, 2]}
     assert entries["profile"]["name"] == profile.name

@@ -28,7 +28,7 @@ from bench.tuning.linear_loop import (
     operating_points,
     steady_estimator,
 )
-from bench.tuning.recipe import STEP, Steps, Trial, step_profile, tune_by_recipe
+from bench.tuning.recipe import STEP, Steps, StepTrial, step_profile, tune_by_recipe
 from sim.plant import advance, build_plant
 
 compiled_only = pytest.mark.skipif(
@@ -151,10 +151,10 @@ class Ideal(Steps):
     def __init__(self) -> None:
         self.wanted: list[tuple[int, int]] = []
 
-    def step(self, gains: Gains, joint: int, rule: int) -> Trial:
+    def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
         self.wanted.append((joint, rule))
         p, i, d = (values[joint] for values in gains[:3])
-        return Trial(joint, rule, gains, p - 3 * d - 1.0, 0.02 - 0.1 * i)
+        return StepTrial(joint, rule, gains, p - 3 * d - 1.0, 0.02 - 0.1 * i)
 
 
 def test_the_recipe_raises_p_then_d_then_i(bench: Bench) -> None:
@@ -173,8 +173,8 @@ def test_the_recipe_raises_p_then_d_then_i(bench: Bench) -> None:
 class Stuck(Ideal):
     """A joint that never overshoots, and whose error stays."""
 
-    def step(self, gains: Gains, joint: int, rule: int) -> Trial:
-        return Trial(joint, rule, gains, -0.5, 0.05)
+    def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
+        return StepTrial(joint, rule, gains, -0.5, 0.05)
 
 
 def test_what_the_recipe_misses_is_told(bench: Bench) -> None:

@@ -14,7 +14,7 @@ import pytest
 import rerun as rr
 
 from bench.lifecycle import Cause, Phase, State
-from bench.shot.recorded_shot import Surroundings, shot_to_json
+from bench.shot.recorded_shot import FlightConditions, shot_to_json
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed
@@ -70,7 +70,7 @@ def watched(tmp_path: Path, plant: PlantParameters) -> Iterator[Watched]:
     with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.FileSink(file, write_footer=False))
-        view = LiveView(stream, feed, BENCH, plant, Surroundings())
+        view = LiveView(stream, feed, BENCH, plant, FlightConditions())
         made = Watched(bench, view, file, stream)
         made.subscribed()
         yield made

@@ -21,7 +21,7 @@ from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
-from sim.live.surroundings import Surroundings
+from sim.live.surroundings import SurroundingsWriter
 from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 
@@ -123,7 +123,7 @@ def test_commands_arrive_and_positions_come(driver: CanopenDriver, nodes: Nodes)
 
 
 def test_the_operators_hands_are_felt(driver: CanopenDriver, nodes: Nodes) -> None:
-    with Surroundings(nodes.folder) as around:
+    with SurroundingsWriter(nodes.folder) as around:
         around.change(emergency_stop_clear=False, encoder_valid=(True, False, True))
         run(driver, lambda: not driver.read(time.monotonic()).emergency_stop_clear, PASSIVE)
         run(driver, lambda: not driver.read(time.monotonic()).encoder_valid[1], PASSIVE)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.launch_monitor.matching import Match, MatchWindow, Outcome, SwingImpact, match
+from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.record import LaunchRecord
 
 WINDOW = MatchWindow(earliest=0.1, latest=5.0, patience=10.0)
@@ -23,7 +23,7 @@ def outcomes(
 def test_a_swing_and_its_launch() -> None:
     swing, launch = SwingImpact("7", 100.0), told(101.0)
     (found,) = match([swing], [launch], 200.0, WINDOW).decided
-    assert (found.outcome, found.shot, found.launch, found.reason) == (Outcome.MATCHED, "7", launch, "")
+    assert (found.outcome, found.shot, found.launch, found.reason) == (MatchOutcome.MATCHED, "7", launch, "")
 
 
 @pytest.mark.parametrize("delay", [-0.1, 0.0, 5.0])
@@ -43,9 +43,9 @@ def test_nothing_is_settled_before_its_time() -> None:
     assert early.decided == ()
     assert (early.swings, set(early.launches)) == ((swing,), {launch, stray})
     later = match(early.swings, early.launches, 104.9, WINDOW)
-    assert [m.outcome for m in later.decided] == [Outcome.NO_SWING]
+    assert [m.outcome for m in later.decided] == [MatchOutcome.NO_SWING]
     last = match(later.swings, later.launches, 105.1, WINDOW)
-    assert [m.outcome for m in last.decided] == [Outcome.MATCHED]
+    assert [m.outcome for m in last.decided] == [MatchOutcome.MATCHED]
     assert (last.swings, last.launches) == ((), ())
 
 
@@ -58,7 +58,7 @@ def test_the_same_message_again_is_a_repetition() -> None:
 
 def test_another_launch_in_the_same_swing_puts_both_in_doubt() -> None:
     decided = match([SwingImpact("7", 100.0)], [told(101.0), told(101.2, 2, 61.0)], 200.0, WINDOW).decided
-    assert [m.outcome for m in decided] == [Outcome.MATCHED, Outcome.DOUBLE]
+    assert [m.outcome for m in decided] == [MatchOutcome.MATCHED, MatchOutcome.DOUBLE]
     assert "2 different launches" in decided[0].reason
 
 
@@ -85,7 +85,9 @@ def test_each_swing_and_each_launch_comes_to_exactly_one_outcome(
     launches = [told(time, number) for time, number in messages]
     decided = match(swings, launches, 1e3, WINDOW)
     assert (decided.swings, decided.launches) == ((), ())
-    of_swings = [m.shot for m in decided.decided if m.outcome in (Outcome.MATCHED, Outcome.NO_LAUNCH)]
+    of_swings = [
+        m.shot for m in decided.decided if m.outcome in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH)
+    ]
     assert sorted(of_swings) == sorted(swing.shot for swing in swings)
     of_launches = [m.launch for m in decided.decided if m.launch is not None]
     assert sorted(map(id, of_launches)) == sorted(map(id, launches))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.base import Launch
 from drivers.launch_monitor.open_connect import (
-    Refusal,
-    Status,
+    MonitorStatus,
+    RejectedMessage,
     read_answer,
     read_message,
     write_answer,
@@ -39,7 +39,7 @@ SPECIFICATION: dict[str, Any] = {
 }  # fmt: skip
 
 
-def read(**changes: Any) -> LaunchRecord | Status | Refusal:
+def read(**changes: Any) -> LaunchRecord | MonitorStatus | RejectedMessage:
     return read_message(json.dumps({**SPECIFICATION, **changes}).encode(), 7.0)
 
 
@@ -139,7 +139,7 @@ def test_metres() -> None:
 @pytest.mark.parametrize("options", [{}, {"IsHeartBeat": True}, {"IsHeartBeat": "1"}])
 def test_heartbeats_and_status(options: dict[str, Any]) -> None:
     given_options = {"ContainsBallData": False, "ContainsClubData": False, **options}
-    assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == Status(
+    assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == MonitorStatus(
         "UF-BENCH", bool(options), False, None
     )
 
@@ -179,7 +179,7 @@ def test_club_data_alone_is_a_record_without_a_launch() -> None:
 )
 def test_what_is_no_message_is_refused_with_its_reason(data: bytes, says: str) -> None:
     message = read_message(data, 0.0)
-    assert isinstance(message, Refusal)
+    assert isinstance(message, RejectedMessage)
     assert message.code == 501
     assert says in message.reason
     assert len(message.reason) < 200
@@ -250,7 +250,7 @@ def test_a_figure_that_is_not_finite_is_not_sent(bad: float) -> None:
 
 
 def test_heartbeat_and_answers_read_back() -> None:
-    assert read_message(write_heartbeat(3, "bench"), 0.0) == Status("bench", True, True, False)
+    assert read_message(write_heartbeat(3, "bench"), 0.0) == MonitorStatus("bench", True, True, False)
     answer = read_answer(write_answer(200, "Shot received successfully"))
     assert answer is not None
     assert (answer.code, answer.text) == (200, "Shot received successfully")

@@ -15,7 +15,7 @@ from sim.driver import SimDriver
 from sim.live.contact_watch import ContactWatch, warm_up
 from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE
 from sim.live.paced_driver import PacedPlantDriver
-from sim.live.surroundings import Surroundings
+from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
 
 
@@ -51,7 +51,7 @@ def test_left_alone_it_is_the_sim_driver(driver: PacedPlantDriver) -> None:
 
 def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
     assert driver.read(0.0).guard_closed
-    with Surroundings(tmp_path) as hands:
+    with SurroundingsWriter(tmp_path) as hands:
         hands.change(guard_closed=False)
         assert not driver.read(0.001).guard_closed
         hands.change(guard_closed=True, frozen=True)
@@ -80,7 +80,7 @@ def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDri
     assert contact is not None
     assert contact.ball_velocity[0] == 60.0
     assert watch.look() is None
-    with Surroundings(tmp_path) as hands:
+    with SurroundingsWriter(tmp_path) as hands:
         hands.place_ball()
     driver.read(0.002)
     strike(driver, 0.003, 61.0)

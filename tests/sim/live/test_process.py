@@ -36,7 +36,7 @@ from sim.live.exchange import (
     PlantPlan,
 )
 from sim.live.process import start_plant
-from sim.live.surroundings import Surroundings
+from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
 
 PLANT = PlantParameters()
@@ -286,7 +286,7 @@ def test_the_surroundings_reach_the_loop(
 ) -> None:
     driver.open()
     assert driver.read(time.monotonic()).emergency_stop_clear
-    with Surroundings(folder) as hands:
+    with SurroundingsWriter(folder) as hands:
         hands.change(emergency_stop_clear=False, encoder_valid=(True, True, False))
         hands.place_ball()
     observer.pass_ticks(2)
@@ -295,7 +295,7 @@ def test_the_surroundings_reach_the_loop(
     assert readings.guard_closed
     assert readings.encoder_valid == (True, True, False)
     assert readings.ball_present
-    with Surroundings(folder) as hands:
+    with SurroundingsWriter(folder) as hands:
         hands.change(frozen=True)
         observer.pass_ticks(2)
         first = driver.read(time.monotonic())

@@ -16,7 +16,7 @@ from bench.commands.demo.live import demo_configuration
 from bench.commands.demo.result import demo_plan
 from bench.config import load_configuration
 from bench.errors import ExitCode
-from bench.shot.shot import Status
+from bench.shot.shot import ShotStatus
 from bench.shot.shot_table import read_shot_table
 from bench.telemetry.recorder import read_swing
 
@@ -50,7 +50,7 @@ def test_a_demo_leaves_report_recording_table_and_swings_and_no_process(tmp_path
     assert not psutil.wait_procs(started, 5.0)[1]
     assert {"report.html", "demo.rrd", "shots.csv", "bench.log"} <= {path.name for path in out.iterdir()}
     shots = read_shot_table(out / "shots.csv")
-    valid = [shot for shot in shots if shot.status is Status.VALID]
+    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
     assert {shot.ball for shot in valid} == {"tour", "range"}
     assert {(s.delivery_source, s.launch_source, s.carry_source) for s in valid} == {
         ("encoders+model", "simulated", "model")

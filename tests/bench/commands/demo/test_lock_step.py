@@ -19,7 +19,7 @@ from bench.commands.demo.lock_step import run_lock_step_demo
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.errors import BenchError, ExitCode
-from bench.shot.shot import COLUMNS, Shot, Status
+from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.shot.shot_table import read_shot_table
 from bench.swing.library import find_profile
 from bench.telemetry.recorder import read_swing
@@ -70,7 +70,7 @@ def test_the_table_has_the_exported_columns_and_two_balls_in_turn(folder: Path) 
     shots = read_shot_table(folder / "shots.csv")
     assert [(s.shot, s.block, s.position) for s in shots] == [(1, 1, 1), (2, 1, 2)]
     assert {s.ball for s in shots} == {"tour", "range"}
-    assert [(s.status, s.launch_source) for s in shots] == [(Status.VALID, "simulated")] * 2
+    assert [(s.status, s.launch_source) for s in shots] == [(ShotStatus.VALID, "simulated")] * 2
     assert all(s.club_speed_mps is not None and s.club_speed_mps > 40 for s in shots)
 
 
@@ -121,7 +121,7 @@ def test_a_swing_that_fails_is_shown_with_its_reason(
     assert _demo("--config", str(lame), str(tmp_path / "out")) == ExitCode.REFUSED
     shots = read_shot_table(tmp_path / "out" / "shots.csv")
     # The stopped club may sink against the ball: then it was hit, and is excluded.
-    assert {shot.status for shot in shots} <= {Status.FAILED, Status.EXCLUDED}
+    assert {shot.status for shot in shots} <= {ShotStatus.FAILED, ShotStatus.EXCLUDED}
     assert all("reference" in shot.reason for shot in shots)
     assert (tmp_path / "out" / "report.html").exists()
     assert "shots in a row not valid" in " ".join(capsys.readouterr().out.split())

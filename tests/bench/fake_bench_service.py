@@ -13,16 +13,16 @@ import zenoh
 
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
 from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
-from bench.network.command_plane import CommandPlane
-from bench.network.desk import (
+from bench.network.bench_service import (
+    BenchStatus,
     CauseStatus,
     CountStatus,
     DeviceStatus,
     LoopStatus,
     ProcessStatus,
     Reply,
-    Status,
 )
+from bench.network.command_plane import CommandPlane
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
 
@@ -80,10 +80,10 @@ class FakeDesk:
         self.state = state
         return Reply(True, state.name, "")
 
-    def status(self) -> Status:
+    def status(self) -> BenchStatus:
         stopped = self.state in (State.ESTOP, State.FAULT)
         cause = CauseStatus(name=Cause.POWER_UP.name, text=CAUSE_TEXT[Cause.POWER_UP]) if stopped else None
-        return Status(
+        return BenchStatus(
             version=1,
             bench="bench1",
             state=self.state.name,

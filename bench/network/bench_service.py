@@ -1,7 +1,7 @@
-"""What the command plane needs of a running bench: a desk where requests are put and answered.
+"""The service that the command plane needs from a running bench: requests and their answers.
 
-The supervisor is one; tests have their own. The shape of `Status` is what `golfbench status --json` prints
-and what `golfbench/<id>/state` carries.
+The supervisor implements it; tests have their own. `golfbench status --json` prints a `BenchStatus`, and
+`golfbench/<id>/state` carries one.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class DeviceStatus(TypedDict):
     """What its driver has counted since its start, of frames and of what went wrong; empty: nothing."""
 
 
-class Status(TypedDict):
+class BenchStatus(TypedDict):
     """A snapshot of the bench, JSON-able: no NaN, None where a value is not there."""
 
     version: int
@@ -177,14 +177,14 @@ class Status(TypedDict):
     """s since the supervisor's start."""
 
 
-class Desk(Protocol):
+class BenchService(Protocol):
     """A running bench.
 
     The command plane calls it from threads of its own: `request` one at a time, the others at any moment,
     also while `request` waits.
     """
 
-    def status(self) -> Status:
+    def status(self) -> BenchStatus:
         """Return the snapshot; `lease` and `counts` are overwritten by the command plane."""
 
     def request(self, request: Request) -> Reply:
