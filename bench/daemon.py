@@ -85,9 +85,12 @@ class Daemon:
     """A running bench: a `BenchService`, and `run`, which ends when asked to stop."""
 
     def __init__(
-        self, configuration: Configuration, *, read_only: bool = False,
+        self,
+        configuration: Configuration,
+        *,
+        read_only: bool = False,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Check what can be checked before anything is started; `now` is the calendar's.
 
         Raises:
@@ -413,8 +416,11 @@ class Daemon:
             old = self._before
             codes = keys[k].tolist()
             state, phase, reaction, cause = (
-                State(codes[0]), Phase(codes[1]), Reaction(codes[2]), Cause(codes[3]),
-            )  # fmt: skip
+                State(codes[0]),
+                Phase(codes[1]),
+                Reaction(codes[2]),
+                Cause(codes[3]),
+            )
             self._before = state, phase, reaction, cause
             if state is State.SWINGING and old[0] is not State.SWINGING:
                 self._swings += 1

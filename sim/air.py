@@ -50,14 +50,17 @@ class Air:
         x = self.relative_humidity * enhancement * saturation / p
         compressibility = (
             1.0
-            - p / T
+            - p
+            / T
             * (
-                1.58123e-6 - 2.9331e-8 * t + 1.1043e-10 * t**2
+                1.58123e-6
+                - 2.9331e-8 * t
+                + 1.1043e-10 * t**2
                 + (5.707e-6 - 2.051e-8 * t) * x
                 + (1.9898e-4 - 2.376e-6 * t) * x**2
             )
             + (p / T) ** 2 * (1.83e-11 - 0.765e-8 * x**2)
-        )  # fmt: skip
+        )
         return 3.483740e-3 * p / (compressibility * T) * (1.0 - 0.3780 * x)
 
     @property

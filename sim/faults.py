@@ -29,22 +29,52 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 SIGNALS = (
     *(f"{joint} encoder" for joint in JOINTS),
     *(f"{joint} valve" for joint in JOINTS),
-    "supply", "vents", "emergency stop", "guard closed", "guard locked", "local reset", "ball sensor", "tee",
+    "supply",
+    "vents",
+    "emergency stop",
+    "guard closed",
+    "guard locked",
+    "local reset",
+    "ball sensor",
+    "tee",
     "supply sensor",
     *(f"{chamber} sensor" for chamber in CHAMBERS),
-    "club head", "link", "clock", "loop", "supervisor", "recorder", "lease", "launch monitor",
-)  # fmt: skip
+    "club head",
+    "link",
+    "clock",
+    "loop",
+    "supervisor",
+    "recorder",
+    "lease",
+    "launch monitor",
+)
 """Signals and parts that can break."""
 
 PHASES = (
-    "standing", "homing", "hold", "backswing", "top", "downswing", "committed", "impact", "follow_through",
+    "standing",
+    "homing",
+    "hold",
+    "backswing",
+    "top",
+    "downswing",
+    "committed",
+    "impact",
+    "follow_through",
     "return",
-)  # fmt: skip
+)
 """Names of the phases for onsets, by number; a test holds them equal to the bench's."""
 
 _ANALOGUE: tuple[Kind, ...] = (
-    "off", "stuck", "garbage", "offset", "scale", "slow", "delayed", "intermittent", "drifting",
-)  # fmt: skip
+    "off",
+    "stuck",
+    "garbage",
+    "offset",
+    "scale",
+    "slow",
+    "delayed",
+    "intermittent",
+    "drifting",
+)
 _SWITCH: tuple[Kind, ...] = ("off", "stuck", "garbage", "delayed", "intermittent")
 
 MEANINGS: dict[str, dict[Kind, str]] = {
@@ -305,11 +335,16 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
             if fault.value > longest:
                 raise ValueError(f"{fault.name}: found a delay of {fault.value:g} s, at most {longest:g} s")
         made[k] = (
-            SIGNALS.index(fault.signal), KINDS.index(fault.kind), fault.value, fault.time,
+            SIGNALS.index(fault.signal),
+            KINDS.index(fault.kind),
+            fault.value,
+            fault.time,
             PHASES.index(fault.phase) if fault.phase != "any" else -1,
             JOINTS.index(fault.joint) if fault.joint != "none" else -1,
-            fault.angle, fault.after, fault.duration or np.inf,
-        )  # fmt: skip
+            fault.angle,
+            fault.after,
+            fault.duration or np.inf,
+        )
         drawn = np.random.SeedSequence([seed, k]).generate_state(1, np.uint64)
         memory["random"][k] = drawn[0] | np.uint64(1)
     device = new_record(DEVICE)
@@ -319,9 +354,16 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
     sent["guard_lock"] = True
     late = LONGEST_DELAY + 1
     return Faults(
-        made, memory, device, plant.robot.copy(), plant.plant.copy(), new_record(READINGS), sent,
-        new_record(READINGS, late), new_record(COMMAND, late),
-    )  # fmt: skip
+        made,
+        memory,
+        device,
+        plant.robot.copy(),
+        plant.plant.copy(),
+        new_record(READINGS),
+        sent,
+        new_record(READINGS, late),
+        new_record(COMMAND, late),
+    )
 
 
 def own_records(plant: Plant) -> Plant:
@@ -489,8 +531,10 @@ def _copy_readings(source: Any, target: Any) -> None:
         b.encoder_valid[i], b.encoder_age[i] = a.encoder_valid[i], a.encoder_age[i]
         b.encoder_indexed[i] = a.encoder_indexed[i]
     b.emergency_stop_clear, b.guard_closed, b.guard_locked = (
-        a.emergency_stop_clear, a.guard_closed, a.guard_locked,
-    )  # fmt: skip
+        a.emergency_stop_clear,
+        a.guard_closed,
+        a.guard_locked,
+    )
     b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
     for i in range(6):
         b.chamber_pressure[i] = a.chamber_pressure[i]
@@ -503,8 +547,12 @@ def _copy_command(source: Any, target: Any) -> None:
     for i in range(3):
         b.valve[i] = a.valve[i]
     b.supply_enable, b.exhaust_closed, b.guard_lock, b.beacon, b.tee = (
-        a.supply_enable, a.exhaust_closed, a.guard_lock, a.beacon, a.tee,
-    )  # fmt: skip
+        a.supply_enable,
+        a.exhaust_closed,
+        a.guard_lock,
+        a.beacon,
+        a.tee,
+    )
 
 
 @compiled

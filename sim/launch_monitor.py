@@ -180,10 +180,12 @@ def _root(number: int, p: MonitorParameters, options: dict[str, Any], more: dict
         "ShotNumber": number,
         "APIVersion" if p.other_spelling else "APIversion": "1",
         "ShotDataOptions": {
-            **options, "LaunchMonitorIsReady": True, "LaunchMonitorBallDetected": True,
+            **options,
+            "LaunchMonitorIsReady": True,
+            "LaunchMonitorBallDetected": True,
         },
         **more,
-    }  # fmt: skip
+    }
     return json.dumps(root, indent=1 if p.other_spelling else None).encode()
 
 

@@ -53,9 +53,12 @@ class Child:
             try:
                 process = subprocess.Popen(
                     [sys.executable, "-P", "-m", module],
-                    bufsize=0, stdin=stdin, stdout=subprocess.PIPE, pass_fds=pass_fds,
+                    bufsize=0,
+                    stdin=stdin,
+                    stdout=subprocess.PIPE,
+                    pass_fds=pass_fds,
                     env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
-                )  # fmt: skip
+                )
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return cls(name, process)

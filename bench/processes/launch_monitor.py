@@ -132,8 +132,10 @@ class LaunchMonitorDesk:
         link = self._status()
         essence = (
             [(one["address"], one["device"], one["ready"]) for one in link["monitors"]],
-            link["note"], link["simulator"], link["outcomes"],
-        )  # fmt: skip
+            link["note"],
+            link["simulator"],
+            link["outcomes"],
+        )
         if essence != self._linked or now - self._link_at >= _LINK:
             self._linked, self._link_at = essence, now
             tell("link", link=link)
@@ -143,18 +145,23 @@ class LaunchMonitorDesk:
         listening = "" if self._trouble else "{}:{}".format(*self._server.address)
         monitors = [
             MonitorStatus(
-                address=one.address, device=one.device, silent_s=round(one.silent, 3), ready=one.ready,
+                address=one.address,
+                device=one.device,
+                silent_s=round(one.silent, 3),
+                ready=one.ready,
                 ball_detected=one.ball_detected,
             )
             for one in link.connected
-        ]  # fmt: skip
+        ]
         simulator: SimulatorStatus | None = None
         if self._client is not None:
             p = self._client.passing()
             simulator = SimulatorStatus(
-                connected=p.connected, trouble=shortened(p.trouble), taken=p.taken,
+                connected=p.connected,
+                trouble=shortened(p.trouble),
+                taken=p.taken,
                 refused=p.refused + p.out_of_date,
-            )  # fmt: skip
+            )
         note = self._trouble
         if len(monitors) > 1:
             note = note or f"{len(monitors)} monitors are connected: two launches of one swing are doubtful"

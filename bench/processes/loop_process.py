@@ -94,9 +94,15 @@ class LoopProcess:
         if c.faults and isinstance(self.driver, PacedPlantDriver):
             self._tell_phase = self.driver.tell_phase
         self.parameters = build_controller(
-            c.plant, plan.profile, c.control, c.envelope, c.estimator, c.lifecycle, c.homing,
+            c.plant,
+            plan.profile,
+            c.control,
+            c.envelope,
+            c.estimator,
+            c.lifecycle,
+            c.homing,
             read_only=plan.read_only,
-        )  # fmt: skip
+        )
         self._snapshot = new_record(SNAPSHOT)
         self._failures = 0
         self._trouble = ""

@@ -98,9 +98,14 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
     """
     # Scheduling last: before it the memory is locked and the garbage collected, both long.
     items = (
-        _collector(), _huge_pages(), _memory(), _processor(cpu), _timer_slack(), _idle_states(),
+        _collector(),
+        _huge_pages(),
+        _memory(),
+        _processor(cpu),
+        _timer_slack(),
+        _idle_states(),
         _scheduling(priority),
-    )  # fmt: skip
+    )
     with ExitStack() as undo:
         asked = mode != "off"
         refusals = [_try(item, undo) if asked else "" for item in items]

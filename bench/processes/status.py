@@ -21,9 +21,7 @@ from bench.telemetry.cycle_record import CYCLE
 
 Cycles = np.ndarray[Any, Any]
 
-NO_STATISTICS = LoopStatus(
-    rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0
-)  # fmt: skip
+NO_STATISTICS = LoopStatus(rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0)
 """Before the loop has run for a second, and on a virtual clock."""
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(

@@ -67,9 +67,7 @@ class Orders:
         if version == self._version and alive == self._alive:
             return
         version = self._shared.read(self._told)
-        (
-            heartbeat, lease_held, support_ready, _, request, number, stops, emergencies,
-        ) = self._told.item()  # fmt: skip
+        (heartbeat, lease_held, support_ready, _, request, number, stops, emergencies) = self._told.item()
         if heartbeat != self._heartbeat or self._heard == -np.inf:
             self._heartbeat, self._heard = heartbeat, time
         self._alive = alive = time - self._heard < self._silence

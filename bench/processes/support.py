@@ -41,9 +41,12 @@ class ManagedProcess:
     """One process of the support."""
 
     def __init__(
-        self, name: str, heart: Path, start: Callable[[], Child],
+        self,
+        name: str,
+        heart: Path,
+        start: Callable[[], Child],
         listener: Callable[[dict[str, Any]], None] = lambda _: None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Make the file of its `heart`; `start` starts the process; `listener` hears what else it tells.
 
         Raises:

@@ -203,9 +203,11 @@ class TimingReader:
         except OSError as error:
             found = error.strerror or str(error)
         raise SharedMemoryError(
-            str(path), found, f"the loop's timing: {TIMING.itemsize} bytes, layout {_LAYOUT}",
+            str(path),
+            found,
+            f"the loop's timing: {TIMING.itemsize} bytes, layout {_LAYOUT}",
             "Start all processes of the bench anew from one installation.",
-        )  # fmt: skip
+        )
 
     def snapshot(self) -> np.ndarray[Any, Any]:
         """Return a copy of the counters, a one-element array of TIMING."""

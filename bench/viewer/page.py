@@ -21,18 +21,20 @@ _LONGEST_PATH = 4096
 
 def content_policy(data_port: int) -> str:
     """Return the policy of a page that takes its data from `data_port` of the loopback."""
-    return "; ".join((
-        "default-src 'none'",
-        "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:",
-        "worker-src 'self' blob:",
-        "style-src 'self' 'unsafe-inline'",
-        "img-src 'self' data: blob:",
-        "font-src 'self' data:",
-        f"connect-src 'self' data: blob: http://{LOOPBACK}:{data_port}",
-        "frame-ancestors 'none'",
-        "form-action 'none'",
-        "base-uri 'self'",
-    ))  # fmt: skip
+    return "; ".join(
+        (
+            "default-src 'none'",
+            "script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob:",
+            "worker-src 'self' blob:",
+            "style-src 'self' 'unsafe-inline'",
+            "img-src 'self' data: blob:",
+            "font-src 'self' data:",
+            f"connect-src 'self' data: blob: http://{LOOPBACK}:{data_port}",
+            "frame-ancestors 'none'",
+            "form-action 'none'",
+            "base-uri 'self'",
+        )
+    )
 
 
 class ViewerPage:

@@ -30,8 +30,13 @@ Times = Callable[[Array], list[rr.TimeColumn]]
 TIMELINE = "bench_time"
 
 COLOURS: tuple[Colour, ...] = (
-    (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
-)  # fmt: skip
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (230, 159, 0),
+)
 """Told apart by the colour-blind too (Okabe and Ito)."""
 
 _LIMIT: Colour = (120, 125, 135)

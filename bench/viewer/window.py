@@ -57,9 +57,11 @@ def rerun_program() -> Path:
         if (program := folder / "rerun").exists():
             return program
     raise ViewerFailed(
-        "Rerun's viewer", "no program in the package rerun-sdk", "rerun-sdk with its viewer",
+        "Rerun's viewer",
+        "no program in the package rerun-sdk",
+        "rerun-sdk with its viewer",
         "Install rerun-sdk anew, or write a file with --save and open it on another machine.",
-    )  # fmt: skip
+    )
 
 
 def checked_memory(text: str) -> str:
@@ -114,9 +116,11 @@ class RerunWindow:
         memory_limit = checked_memory(memory_limit)
         if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise BenchError(
-                "screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", "one for the viewer's window",
+                "screen",
+                "none (neither DISPLAY nor WAYLAND_DISPLAY is set)",
+                "one for the viewer's window",
                 "Use --web and a browser, or --save FILE.",
-            )  # fmt: skip
+            )
         self._page: ViewerPage | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
         try:
@@ -136,8 +140,11 @@ class RerunWindow:
             self._said = (folder / "said").open("w+b")
             self._process = subprocess.Popen(
                 [str(rerun_program()), *arguments],
-                env=environment, stdin=subprocess.DEVNULL, stdout=self._said, stderr=self._said,
-            )  # fmt: skip
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=self._said,
+                stderr=self._said,
+            )
             self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
             if source_port is not None:
                 self._page = _page(web_port or 0, source_port, self.port)
@@ -200,9 +207,11 @@ class RerunWindow:
                 lines = self._said.read().decode("utf-8", "replace").strip().splitlines()
                 what = "does not listen" if self.alive else f"ended with {self._process.returncode}"
                 raise ViewerFailed(
-                    "Rerun's viewer", f"{what}: {lines[-1][:200] if lines else 'it said nothing'}",
-                    "it to open its window and listen", "Try --web, or --save FILE.",
-                )  # fmt: skip
+                    "Rerun's viewer",
+                    f"{what}: {lines[-1][:200] if lines else 'it said nothing'}",
+                    "it to open its window and listen",
+                    "Try --web, or --save FILE.",
+                )
             time.sleep(0.05)
 
 

@@ -5,9 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 CLASSES = (
-    "positions", "late", "duplicates", "inputs", "pressures", "heartbeats", "boot_ups", "emergencies",
-    "services", "wrong_length", "error_frames", "foreign",
-)  # fmt: skip
+    "positions",
+    "late",
+    "duplicates",
+    "inputs",
+    "pressures",
+    "heartbeats",
+    "boot_ups",
+    "emergencies",
+    "services",
+    "wrong_length",
+    "error_frames",
+    "foreign",
+)
 """The counters that sum up to `frames`."""
 
 

@@ -63,10 +63,13 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
     """Yield every frame at a tick of `period` (s)."""
     node = settings.valve_node
     yield Frame(
-        NMT, "NMT", 2, _MASTER,
+        NMT,
+        "NMT",
+        2,
+        _MASTER,
         (Signal("command", 0, 8, words=_NMT_COMMANDS), Signal("node", 8, 8)),
         "States of the nodes; node 0: all",
-    )  # fmt: skip
+    )
     yield Frame(SYNC, "SYNC", 0, _MASTER, (), "All encoders sample now", period)
     for joint, number in zip(JOINTS, settings.encoders.nodes, strict=True):
         position = Signal("position", 0, 32, unit="counts")
@@ -87,14 +90,24 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
     ]
     switches = [Signal(name, 48 + bit, 1) for name, bit in vars(node.outputs).items()]
     yield Frame(
-        RPDO1 + node.node, "COMMAND", COMMAND_LENGTH, _MASTER, (*valves, *switches),
-        "Valves (centred at canopen.valve_node.centre) and switches", period,
-    )  # fmt: skip
+        RPDO1 + node.node,
+        "COMMAND",
+        COMMAND_LENGTH,
+        _MASTER,
+        (*valves, *switches),
+        "Valves (centred at canopen.valve_node.centre) and switches",
+        period,
+    )
     contacts = tuple(Signal(name, bit, 1) for name, bit in vars(node.inputs).items())
     yield Frame(
-        TPDO1 + node.node, "INPUTS", INPUTS_LENGTH, sender(node.node), contacts,
-        "Interlocks, on change and at least this often", settings.interlock_period,
-    )  # fmt: skip
+        TPDO1 + node.node,
+        "INPUTS",
+        INPUTS_LENGTH,
+        sender(node.node),
+        contacts,
+        "Interlocks, on change and at least this often",
+        settings.interlock_period,
+    )
     yield from _pressures(settings, period)
     yield from _services(settings, watchdog)
 
@@ -114,17 +127,24 @@ def _pressures(settings: CanopenSettings, period: float) -> Iterator[Frame]:
             for k, channel in enumerate(group)
         )
         yield Frame(
-            base + node.node, f"PRESSURES_{n}", 2 * len(group), sender(node.node), signals,
-            "Absolute pressures", settings.pressure_ticks * period,
-        )  # fmt: skip
+            base + node.node,
+            f"PRESSURES_{n}",
+            2 * len(group),
+            sender(node.node),
+            signals,
+            "Absolute pressures",
+            settings.pressure_ticks * period,
+        )
 
 
 def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
     """Yield what every node has: errors, heartbeats, questions and answers."""
     object_signals = (
-        Signal("specifier", 0, 8), Signal("object_index", 8, 16), Signal("sub_index", 24, 8),
+        Signal("specifier", 0, 8),
+        Signal("object_index", 8, 16),
+        Signal("sub_index", 24, 8),
         Signal("content", 32, 32),
-    )  # fmt: skip
+    )
     state = (Signal("state", 0, 8, words=_STATES),)
     for number in (*settings.encoders.nodes, settings.valve_node.node):
         error = (Signal("error_code", 0, 16), Signal("error_register", 16, 8))

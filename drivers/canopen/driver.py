@@ -127,15 +127,21 @@ class CanopenDriver:
         self._valve_centre = (a, b, c)
         outputs = valve_node.outputs
         self._output_bits = (
-            1 << outputs.supply_enable, 1 << outputs.exhaust_closed, 1 << outputs.guard_release,
-            1 << outputs.beacon, 1 << outputs.tee,
-        )  # fmt: skip
+            1 << outputs.supply_enable,
+            1 << outputs.exhaust_closed,
+            1 << outputs.guard_release,
+            1 << outputs.beacon,
+            1 << outputs.tee,
+        )
         self._passive_frame = self._packed(PASSIVE)
         inputs = valve_node.inputs
         self._input_bits = (
-            1 << inputs.emergency_stop_clear, 1 << inputs.guard_closed, 1 << inputs.guard_locked,
-            1 << inputs.local_reset, 1 << inputs.ball_present,
-        )  # fmt: skip
+            1 << inputs.emergency_stop_clear,
+            1 << inputs.guard_closed,
+            1 << inputs.guard_locked,
+            1 << inputs.local_reset,
+            1 << inputs.ball_present,
+        )
         self._pressure_zero = valve_node.pressure_at_zero
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
         self._pressure_groups = pressure_groups(valve_node)

@@ -77,9 +77,13 @@ class ValveNodeSettings:
     supply_pressure: OptionalSubIndex = 1
     """Sub-index of 6401h; 0: not fitted."""
     chamber_pressures: tuple[
-        OptionalSubIndex, OptionalSubIndex, OptionalSubIndex,
-        OptionalSubIndex, OptionalSubIndex, OptionalSubIndex,
-    ] = (2, 3, 4, 5, 6, 7)  # fmt: skip
+        OptionalSubIndex,
+        OptionalSubIndex,
+        OptionalSubIndex,
+        OptionalSubIndex,
+        OptionalSubIndex,
+        OptionalSubIndex,
+    ] = (2, 3, 4, 5, 6, 7)
     """Sub-indices of 6401h, chambers in their usual order; 0: not fitted."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
     """Pa absolute at count 0."""

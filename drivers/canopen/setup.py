@@ -30,9 +30,12 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
     chosen = settings.encoders
     _identify(node, _ENCODER_PROFILE, chosen.vendor, chosen.product)
     node.expect(
-        0x6501, 0, counts, "counts per revolution",
+        0x6501,
+        0,
+        counts,
+        "counts per revolution",
         "set plant.encoders.counts_per_revolution to what the encoder has, or scale the encoder",
-    )  # fmt: skip
+    )
     revolutions = node.read(0x6502, 0, "revolutions") or 1
     _silence(node, _TPDO, keep=1)
     _set_pdo(node, _TPDO + 1, _TPDO_MAP + 1, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
@@ -157,10 +160,13 @@ def _identify(node: Node, profile: int, vendor: int, product: int) -> None:
         DriverError: it is another one, or does not answer.
     """
     node.expect(
-        0x1000, 0, profile, "device type",
+        0x1000,
+        0,
+        profile,
+        "device type",
         f"expected is profile {profile}: correct the node numbers in [canopen], or the device's number",
         mask=0xFFFF,
-    )  # fmt: skip
+    )
     for subindex, wanted, name in ((1, vendor, "vendor"), (2, product, "product")):
         if wanted:
             cure = f"another device was fitted: see that it does the same, then correct {name} in [canopen]"

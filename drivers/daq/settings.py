@@ -93,9 +93,7 @@ class DaqSettings:
     @property
     def output_lines(self) -> tuple[str, ...]:
         """All digital outputs: those of the bench, then sync and watchdog where there are such."""
-        return (
-            *vars(self.outputs).values(), *filter(None, (self.sync_line, self.watchdog_line)),
-        )  # fmt: skip
+        return (*vars(self.outputs).values(), *filter(None, (self.sync_line, self.watchdog_line)))
 
     @property
     def analogue_inputs(self) -> tuple[str, ...]:

@@ -112,9 +112,14 @@ class SimulatorClient:
         """Return how it does."""
         with self._lock:
             return Passing(
-                self._connected, self._trouble, len(self._queue), self._taken, self._refused,
-                self._out_of_date, self._player,
-            )  # fmt: skip
+                self._connected,
+                self._trouble,
+                len(self._queue),
+                self._taken,
+                self._refused,
+                self._out_of_date,
+                self._player,
+            )
 
     def close(self) -> None:
         """End connection and thread, within the time of an attempt to connect. Allowed in any state."""

@@ -88,9 +88,9 @@ class ProcessPlantDriver:
             )
         self._last_time = time
         self._incoming.read(self.report)
-        (
-            _, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed,
-        ) = self._readings.item()  # fmt: skip
+        (_, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed) = (
+            self._readings.item()
+        )
         a, b, c = stamp.tolist()
         v1, v2, v3 = valid.tolist()
         i1, i2, i3 = indexed.tolist()

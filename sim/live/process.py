@@ -62,8 +62,11 @@ def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[byt
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "sim.live.process"],
-        bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment,
-    )  # fmt: skip
+        bufsize=0,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+    )
     try:
         _await_ready(process, plan, time.monotonic() + timeout)
     except BaseException:

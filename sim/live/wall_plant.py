@@ -112,9 +112,16 @@ class WallPlant:
             report[name] = state[name]
         report["contacts"], report["ticks"] = self.contacts, self.ticks
         self._node[0] = (
-            self._node["watchdog"][0], node.session, node.operational, node.passive_by_watchdog, node.trips,
-            node.counter, node.command_tick, node.passive_tick, node.applied,
-        )  # fmt: skip
+            self._node["watchdog"][0],
+            node.session,
+            node.operational,
+            node.passive_by_watchdog,
+            node.trips,
+            node.counter,
+            node.command_tick,
+            node.passive_tick,
+            node.applied,
+        )
 
     def _spoilt(self, faults: Faults) -> np.ndarray[Any, Any]:
         """Return the command that reaches the plant in this tick; break what is to break in it."""

@@ -281,9 +281,10 @@ class CanopenDevice:
         if value != _SAVE:
             raise SdoAbortedError(_NOT_STORED)
         self._stored = {
-            key: kept for key, kept in self._values.items()
+            key: kept
+            for key, kept in self._values.items()
             if self._objects[key].writable and not self._objects[key].pdo_mappable
-        }  # fmt: skip
+        }
 
     def _find(self, index: int, subindex: int) -> ODVariable:
         found = self._objects.get((index, subindex))

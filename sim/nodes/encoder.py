@@ -8,8 +8,13 @@ from pathlib import Path
 from sim.nodes.device import NO_ERROR, CanopenDevice, Send
 
 _PRESET, _POSITION, _RESOLUTION, _REVOLUTIONS, _ALARMS, _OFFSET = (
-    0x6003, 0x6004, 0x6501, 0x6502, 0x6503, 0x6509,
-)  # fmt: skip
+    0x6003,
+    0x6004,
+    0x6501,
+    0x6502,
+    0x6503,
+    0x6509,
+)
 _POSITION_ERROR = 0x0001
 """Alarm."""
 _HARDWARE_ERROR = 0x5000

@@ -41,4 +41,4 @@ class NodesPlan:
         """What the plant is started with; its own valve node is out of work."""
         return PlantPlan(
             self.folder, self.plant, 1.0, self.angle, self.priority, self.cpu, self.burst, faults=self.faults
-        )  # fmt: skip
+        )

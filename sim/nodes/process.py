@@ -326,8 +326,14 @@ def main() -> int:
         tell("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
         return 0
     except (
-        ValueError, TypeError, pickle.UnpicklingError, EOFError, OSError, can.CanError, SharedMemoryError,
-    ) as error:  # fmt: skip
+        ValueError,
+        TypeError,
+        pickle.UnpicklingError,
+        EOFError,
+        OSError,
+        can.CanError,
+        SharedMemoryError,
+    ) as error:
         tell("failed", reason=f"{error}")
     return 1
 

@@ -86,10 +86,15 @@ class NodesProcess:
             "local_socket", str(folder / "can"), heartbeat=0.05, interlock_period=0.3, service_time=2.0
         )
         plan = NodesPlan(
-            self.settings.interface, self.settings.channel, self.settings.bitrate,
-            self.settings.encoders.nodes, self.settings.valve_node.node, PlantParameters(), folder,
+            self.settings.interface,
+            self.settings.channel,
+            self.settings.bitrate,
+            self.settings.encoders.nodes,
+            self.settings.valve_node.node,
+            PlantParameters(),
+            folder,
             angle=(0.2, 4.3, 6.0),
-        )  # fmt: skip
+        )
         self.process = Child.start("nodes", "sim.nodes.process", plan)
         try:
             self.process.wait_until_ready(100.0)

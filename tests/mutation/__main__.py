@@ -27,13 +27,17 @@ _CONTROL = "tests/bench/control"
 TARGETS = {
     "bench.control.envelope": (f"{_CONTROL}/test_envelope.py",),
     "bench.control.requests": (
-        f"{_CONTROL}/test_answers.py", f"{_CONTROL}/test_requests.py", f"{_CONTROL}/test_edges.py",
-    ),
-    "bench.lifecycle": (
-        "tests/bench/test_lifecycle.py", f"{_CONTROL}/test_answers.py", f"{_CONTROL}/test_requests.py",
+        f"{_CONTROL}/test_answers.py",
+        f"{_CONTROL}/test_requests.py",
         f"{_CONTROL}/test_edges.py",
     ),
-}  # fmt: skip
+    "bench.lifecycle": (
+        "tests/bench/test_lifecycle.py",
+        f"{_CONTROL}/test_answers.py",
+        f"{_CONTROL}/test_requests.py",
+        f"{_CONTROL}/test_edges.py",
+    ),
+}
 """Modules and the tests that must notice."""
 AT_LEAST = 0.95
 SURVIVORS = Path(__file__).with_name("survivors.toml")

@@ -62,8 +62,13 @@ def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
     run = tried(file)
     assert run.returncode == 0, run.stderr
     assert ast.literal_eval(run.stdout) == [
-        "", "test_a_constant_in_an_importer", "test_a_function_in_an_importer", "import", "test_that_ends", ""
-    ]  # fmt: skip
+        "",
+        "test_a_constant_in_an_importer",
+        "test_a_function_in_an_importer",
+        "import",
+        "test_that_ends",
+        "",
+    ]
 
 
 def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
@@ -79,17 +84,29 @@ def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
     [
         ("a < b", ["a < b -> a <= b", "a < b -> a >= b"]),
         ("x = a + 1", ["a + 1 -> a - 1", "1 -> 2"]),
-        ("if not a and b:\n    c()", [
-            "if not a and b: -> if not (not a and b):", "not a and b -> not a or b", "not a and b -> b",
-            "not a and b -> not a", "not a -> a", "c() -> pass",
-        ]),
-        ("s.x = max(y, -z)", [
-            "s.x = max(y, -z) -> pass", "max(y, -z) -> min(y, -z)", "-z -> z",
-        ]),
+        (
+            "if not a and b:\n    c()",
+            [
+                "if not a and b: -> if not (not a and b):",
+                "not a and b -> not a or b",
+                "not a and b -> b",
+                "not a and b -> not a",
+                "not a -> a",
+                "c() -> pass",
+            ],
+        ),
+        (
+            "s.x = max(y, -z)",
+            [
+                "s.x = max(y, -z) -> pass",
+                "max(y, -z) -> min(y, -z)",
+                "-z -> z",
+            ],
+        ),
         ('"""Text 1."""\nx: tuple[int] = True', ["True -> False"]),
         ("x = Colour.RED\ny = Colour.BLUE", ["Colour.RED -> Colour.BLUE", "Colour.BLUE -> Colour.RED"]),
     ],
-)  # fmt: skip
+)
 def test_what_becomes_of_a_source(source: str, changes: list[str]) -> None:
     found = list(mutants(source, {"Colour": ("RED", "BLUE")}))
     assert [mutant.change for mutant in found] == changes

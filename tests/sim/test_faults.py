@@ -162,10 +162,15 @@ def test_garbage_is_any_count() -> None:
 @pytest.mark.parametrize(
     ("kind", "value", "expected"),
     [
-        ("off", nan, 0.0), ("stuck", -1.0, -1.0), ("stuck", nan, 0.5), ("offset", 0.2, 0.7),
-        ("offset", 0.9, 1.0), ("scale", 0.5, 0.25), ("drifting", 1.0, 0.599),
+        ("off", nan, 0.0),
+        ("stuck", -1.0, -1.0),
+        ("stuck", nan, 0.5),
+        ("offset", 0.2, 0.7),
+        ("offset", 0.9, 1.0),
+        ("scale", 0.5, 0.25),
+        ("drifting", 1.0, 0.599),
     ],
-)  # fmt: skip
+)
 def test_valves(kind: str, value: float, expected: float) -> None:
     bed = Bed(broken("shoulder valve", kind, value)).run(100)
     assert bed.valve == pytest.approx([expected, -0.3, 0.1], abs=1e-6)
@@ -181,8 +186,9 @@ def test_a_valve_follows_slowly_and_late() -> None:
 
 def test_parts_break_and_are_whole_again() -> None:
     faults = [
-        broken("arm valve", "leaking", 0.05, duration=0.05), broken("supply", "scale", 0.7, duration=0.05),
-    ]  # fmt: skip
+        broken("arm valve", "leaking", 0.05, duration=0.05),
+        broken("supply", "scale", 0.7, duration=0.05),
+    ]
     bed = Bed(*faults).run(40)
     p, h = bed.plant.plant, bed.faults.healthy_plant
     assert p["leakage"][0, 1] == 0.05
@@ -217,9 +223,10 @@ def test_switches(signal: str) -> None:
 
 def test_pressure_sensors() -> None:
     faults = (
-        broken("supply sensor", "off"), broken("shoulder vane A sensor", "scale", 0.5),
+        broken("supply sensor", "off"),
+        broken("shoulder vane A sensor", "scale", 0.5),
         broken("wrist cylinder B sensor", "offset", 1e4),
-    )  # fmt: skip
+    )
     bed = Bed(*faults).run()
     true = bed.state["pressure"][0]
     assert np.isnan(bed.readings["supply_pressure"][0])

@@ -65,8 +65,11 @@ def test_speeds_after_friction_are_those_of_the_complementarity_problem() -> Non
 coefficient = st.floats(-1.0, 1.0)
 
 
-@given(st.lists(coefficient, min_size=9, max_size=9), st.lists(st.floats(-20, 20), min_size=3, max_size=3),
-       st.lists(st.floats(0, 10), min_size=3, max_size=3))  # fmt: skip
+@given(
+    st.lists(coefficient, min_size=9, max_size=9),
+    st.lists(st.floats(-20, 20), min_size=3, max_size=3),
+    st.lists(st.floats(0, 10), min_size=3, max_size=3),
+)
 def test_friction_never_adds_energy(factor: list[float], speed: list[float], bound: list[float]) -> None:
     root = np.array(factor).reshape(3, 3)
     matrix, u = root @ root.T + 0.05 * np.eye(3), np.array(speed)

@@ -92,9 +92,20 @@ def test_collision_conserves_momentum_and_never_gains_energy(
     axes: Any = tuple(tuple(float(x) for x in rotation[:, i]) for i in range(3))
     tensor = rotation @ np.diag(inertia) @ rotation.T
     result = collide(
-        velocity, spin, tuple(n.tolist()), arm, axes, head_mass, inertia,
-        BALL.mass, r, BALL.inertia, restitution, friction, factor,
-    )  # fmt: skip
+        velocity,
+        spin,
+        tuple(n.tolist()),
+        arm,
+        axes,
+        head_mass,
+        inertia,
+        BALL.mass,
+        r,
+        BALL.inertia,
+        restitution,
+        friction,
+        factor,
+    )
     v_ball, w_ball, impulse, v_head, w_head = (np.array(x) for x in result)
     v0, w0 = np.array(velocity), np.array(spin)
 
@@ -133,10 +144,20 @@ def test_collision_conserves_momentum_and_never_gains_energy(
 
 def _central(factor: float, friction: float, loft: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
     result = collide(
-        (40.0, 0.0, 0.0), (0.0, 0.0, 0.0), (cos(loft), sin(loft), 0.0), (0.0, 0.0, 0.0),
-        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.2, (3e-4, 4e-4, 3e-4),
-        BALL.mass, BALL.radius, BALL.inertia, 0.8, friction, factor,
-    )  # fmt: skip
+        (40.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        (cos(loft), sin(loft), 0.0),
+        (0.0, 0.0, 0.0),
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        0.2,
+        (3e-4, 4e-4, 3e-4),
+        BALL.mass,
+        BALL.radius,
+        BALL.inertia,
+        0.8,
+        friction,
+        factor,
+    )
     return np.array(result[0]), np.array(result[1])
 
 
@@ -413,7 +434,7 @@ def test_meets_face() -> None:
 
 PLANE_STATES = st.tuples(
     st.floats(-0.1, 0.1), st.floats(20, 60), st.floats(-4, 4), st.floats(0, 40), st.floats(-0.02, 0.02)
-)  # fmt: skip
+)
 
 
 @settings(max_examples=100, deadline=None)

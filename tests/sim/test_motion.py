@@ -405,10 +405,13 @@ class FlexibleRobot:
     def acceleration(self, x: Array, v: Array) -> Array:
         step = 1e-4
         slopes = [
-            (8 * (self.matrix(x + step * e) - self.matrix(x - step * e))
-             - (self.matrix(x + 2 * step * e) - self.matrix(x - 2 * step * e))) / (12 * step)
+            (
+                8 * (self.matrix(x + step * e) - self.matrix(x - step * e))
+                - (self.matrix(x + 2 * step * e) - self.matrix(x - 2 * step * e))
+            )
+            / (12 * step)
             for e in np.eye(4)
-        ]  # fmt: skip
+        ]
         rate = sum(slope * vi for slope, vi in zip(slopes, v, strict=True))
         force = np.array([v @ slope @ v / 2 for slope in slopes]) - rate @ v - self.potential_slope(x)
         force[3] -= self.damping * v[3]

@@ -46,20 +46,31 @@ class Container:
         for group in self._groups:
             group.mkdir()
         nspawn = [
-            "systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network", "--boot",
-            f"--directory={root.folder}", f"--machine={self._name}", "--console=pipe", "--link-journal=no",
+            "systemd-nspawn",
+            "--quiet",
+            "--register=no",
+            "--keep-unit",
+            "--private-network",
+            "--boot",
+            f"--directory={root.folder}",
+            f"--machine={self._name}",
+            "--console=pipe",
+            "--link-journal=no",
             # A container's default leaves out what a service on the machine itself may be granted.
-            "--capability=CAP_IPC_LOCK,CAP_SYS_RESOURCE", "--system-call-filter=@memlock @resources",
+            "--capability=CAP_IPC_LOCK,CAP_SYS_RESOURCE",
+            "--system-call-filter=@memlock @resources",
             *(f"--bind-ro={outside}:{inside}" for inside, outside in root.seen.items()),
-        ]  # fmt: skip
+        ]
         join = "".join(f"echo $$ > {shlex.quote(str(group))}/cgroup.procs; " for group in self._groups)
         self._leader = 0
         with console.open("wb") as output:
             self._nspawn = subprocess.Popen(
                 ["sh", "-c", f"{join} exec {shlex.join(nspawn)}"],
                 env={**os.environ, "SYSTEMD_NSPAWN_UNIFIED_HIERARCHY": "1"},
-                stdin=subprocess.DEVNULL, stdout=output, stderr=output,
-            )  # fmt: skip
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+            )
         try:
             wait_until(self._booted, 60.0, f"systemd up in the container, see {console}")
             self.run("ldconfig")

@@ -19,20 +19,43 @@ PROJECT = Path(__file__).parents[2]
 UNITS = PROJECT / "systemd"
 
 _FOLDERS = (
-    "usr", "etc/systemd/system", "etc/golfbench", "var", "run", "tmp", "proc", "sys", "dev", "root", "home",
-)  # fmt: skip
+    "usr",
+    "etc/systemd/system",
+    "etc/golfbench",
+    "var",
+    "run",
+    "tmp",
+    "proc",
+    "sys",
+    "dev",
+    "root",
+    "home",
+)
 _PYTHON = Path("/opt/python")
 _DEPENDENCIES = Path("/opt/golfbench/dependencies")
 _SITE = "opt/golfbench/lib/python{}.{}/site-packages".format(*sys.version_info)
 _TARGET = "golfbench-test.target"
 _NO_USE = (
-    "dev-hugepages.mount", "dev-mqueue.mount", "kmod-static-nodes.service", "systemd-binfmt.service",
-    "proc-sys-fs-binfmt_misc.automount", "sys-fs-fuse-connections.mount", "sys-kernel-config.mount",
-    "sys-kernel-debug.mount", "sys-kernel-tracing.mount", "systemd-firstboot.service",
-    "systemd-journal-flush.service", "systemd-random-seed.service", "systemd-update-utmp.service",
-    "systemd-pcrphase.service", "systemd-pcrphase-sysinit.service", "systemd-journald-audit.socket",
-    "systemd-repart.service", "systemd-modules-load.service", "systemd-initctl.socket",
-)  # fmt: skip
+    "dev-hugepages.mount",
+    "dev-mqueue.mount",
+    "kmod-static-nodes.service",
+    "systemd-binfmt.service",
+    "proc-sys-fs-binfmt_misc.automount",
+    "sys-fs-fuse-connections.mount",
+    "sys-kernel-config.mount",
+    "sys-kernel-debug.mount",
+    "sys-kernel-tracing.mount",
+    "systemd-firstboot.service",
+    "systemd-journal-flush.service",
+    "systemd-random-seed.service",
+    "systemd-update-utmp.service",
+    "systemd-pcrphase.service",
+    "systemd-pcrphase-sysinit.service",
+    "systemd-journald-audit.socket",
+    "systemd-repart.service",
+    "systemd-modules-load.service",
+    "systemd-initctl.socket",
+)
 
 
 class Root(NamedTuple):
@@ -81,10 +104,22 @@ def _install(folder: Path, python: Path) -> None:
     for path in (home / "bin", home / "dependencies", folder / _SITE):
         path.mkdir(parents=True)
     subprocess.run(
-        [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet", "--no-deps",
-         "--no-build-isolation", "--wheel-dir", wheels, PROJECT],
-        check=True, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "--disable-pip-version-check",
+            "wheel",
+            "--quiet",
+            "--no-deps",
+            "--no-build-isolation",
+            "--wheel-dir",
+            wheels,
+            PROJECT,
+        ],
+        check=True,
+        stdin=subprocess.DEVNULL,
+    )
     [wheel] = wheels.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / _SITE)

@@ -53,10 +53,22 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
     parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
     parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
-    parser.add_argument("--faults", nargs="*", choices=list(FAULTS), default=list(FAULTS), metavar="NAME",
-                        help="of the driver's part, default: all")  # fmt: skip
-    parser.add_argument("--swing-faults", nargs="*", choices=[*SWING_FAULTS, "all"], default=list(USUAL),
-                        metavar="NAME", help="of the bench's part, in mid-swing")  # fmt: skip
+    parser.add_argument(
+        "--faults",
+        nargs="*",
+        choices=list(FAULTS),
+        default=list(FAULTS),
+        metavar="NAME",
+        help="of the driver's part, default: all",
+    )
+    parser.add_argument(
+        "--swing-faults",
+        nargs="*",
+        choices=[*SWING_FAULTS, "all"],
+        default=list(USUAL),
+        metavar="NAME",
+        help="of the bench's part, in mid-swing",
+    )
     parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
     options = parser.parse_args()

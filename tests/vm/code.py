@@ -20,7 +20,7 @@ from tests.vm.image import (
     archive,
     digest_of,
     run_pip,
-)  # fmt: skip
+)
 
 WHAT_IS_COMPILED = Path(__file__).with_name("compile_all.py")
 

@@ -24,9 +24,14 @@ def main() -> None:
     c = load_configuration(None)
     warm_up_shots(c.plant, FlightConditions())
     parameters = build_controller(
-        c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope, c.estimator, c.lifecycle,
+        c.plant,
+        load_profile(find_profile(c.swing.profile)),
+        c.control,
+        c.envelope,
+        c.estimator,
+        c.lifecycle,
         c.homing,
-    )  # fmt: skip
+    )
     with tempfile.TemporaryDirectory() as name:
         folder, driver = Path(name), MockDriver()
         ring = RingWriter(folder / "ring", 16)
@@ -40,9 +45,14 @@ def main() -> None:
         ring.close()
         bus = c.canopen
         plan = NodesPlan(
-            "local_socket", str(folder / "bus"), bus.bitrate, bus.encoders.nodes, bus.valve_node.node,
-            c.plant, folder,
-        )  # fmt: skip
+            "local_socket",
+            str(folder / "bus"),
+            bus.bitrate,
+            bus.encoders.nodes,
+            bus.valve_node.node,
+            c.plant,
+            folder,
+        )
         run_nodes(plan, lambda scheduling: None, lambda: True)
 
 

@@ -86,10 +86,15 @@ def slower(profile: Profile, times: int) -> Profile:
     begun = np.arange(0, len(angle), spacing) * times  # samples of the profile at which a blind stop begins
     nearest = np.minimum(np.rint(begun / profile.blind_spacing).astype(int), len(profile.blind_brake) - 1)
     return replace(
-        profile, period=times * profile.period, begins=tuple(ceil(begin / times) for begin in profile.begins),
-        angle=angle, velocity=profile.velocity[::times], valve=profile.valve[::times],
-        blind_spacing=spacing, blind_brake=profile.blind_brake[nearest],
-    )  # fmt: skip
+        profile,
+        period=times * profile.period,
+        begins=tuple(ceil(begin / times) for begin in profile.begins),
+        angle=angle,
+        velocity=profile.velocity[::times],
+        valve=profile.valve[::times],
+        blind_spacing=spacing,
+        blind_brake=profile.blind_brake[nearest],
+    )
 
 
 def _calibrate(c: Configuration) -> None:
@@ -105,9 +110,14 @@ def _calibrate(c: Configuration) -> None:
     with open_database(database_url(c.bench.database, c.bench.data_dir), now) as database:
         for value in values:
             add_calibration(
-                database, c.bench.id, value, date=now, expires=now + timedelta(days=30), by="test",
+                database,
+                c.bench.id,
+                value,
+                date=now,
+                expires=now + timedelta(days=30),
+                by="test",
                 method="values of the simulated robot",
-            )  # fmt: skip
+            )
 
 
 class GuestBench:
@@ -169,9 +179,11 @@ class GuestBench:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"not at the address but {self.words()}")
             ask = {
-                State.ESTOP: self.client.reset, State.FAULT: self.client.reset, State.SAFE: self.client.home,
+                State.ESTOP: self.client.reset,
+                State.FAULT: self.client.reset,
+                State.SAFE: self.client.home,
                 State.READY: self.client.arm,
-            }.get(state)  # fmt: skip
+            }.get(state)
             if ask is not None:
                 with suppress(CommandRefused):  # not vented yet, not at rest
                     ask()

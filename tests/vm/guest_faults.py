@@ -88,11 +88,14 @@ def _watch(
         (
             frame.time
             for frame in frames
-            if frame.time > begun and ((frame.identifier == EMERGENCY and frame.data[:2] != b"\0\0")
-            or (frame.identifier == COMMAND and (frame.time > decided or not frame.data[6] & SUPPLY)))
+            if frame.time > begun
+            and (
+                (frame.identifier == EMERGENCY and frame.data[:2] != b"\0\0")
+                or (frame.identifier == COMMAND and (frame.time > decided or not frame.data[6] & SUPPLY))
+            )
         ),
         default=None,
-    )  # fmt: skip
+    )
     ending = _ending(bench)
     later = bench.ring.read()
     time.sleep(_NEWS)
@@ -209,9 +212,18 @@ class _Babble:
 
     def begin(self) -> float:
         command = [
-            "cangen", "can2", "-I", f"{self._identifier:03X}", "-L", "4", "-D", "00000000",
-            "-g", f"{self._gap:g}", "-i",
-        ]  # fmt: skip
+            "cangen",
+            "can2",
+            "-I",
+            f"{self._identifier:03X}",
+            "-L",
+            "4",
+            "-D",
+            "00000000",
+            "-g",
+            f"{self._gap:g}",
+            "-i",
+        ]
         begun = time.monotonic()
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
         return begun

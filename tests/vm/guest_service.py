@@ -35,10 +35,16 @@ def kill_and_freeze(bench: GuestBench) -> tuple[GuestBench, list[Row]]:
     told = [frame.time - begun for frame in witness.frames() if frame.data[:2] != b"\0\0"]
     witness.close()
     rows += [
-        Row(TITLE, "loop killed, to centred valves", 1e3 * told[0] if told else float("nan"), "ms",
-            "by the valve node itself", at_most=WATCHDOG),
+        Row(
+            TITLE,
+            "loop killed, to centred valves",
+            1e3 * told[0] if told else float("nan"),
+            "ms",
+            "by the valve node itself",
+            at_most=WATCHDOG,
+        ),
         Row(TITLE, "loop killed, to READY=1 again", took, "s", _state(bench)),
-    ]  # fmt: skip
+    ]
     begun, before = time.monotonic(), _restarts()
     os.kill(int(service("MainPID")), signal.SIGSTOP)
     bench.close()

@@ -115,21 +115,35 @@ def _sums(
         Row(title, "frames of the nodes lost", answered - heard, f"of {answered}", "can1 to can0", 0, 0),
         Row(title, "frames dropped or in error", dropped, "", "by any of the three drivers", at_most=0),
         Row(
-            title, "positions missing", 3 * new[SYNC] - sum(positions), f"of {3 * new[SYNC]}",
-            "three for each SYNC", -3, 3,
+            title,
+            "positions missing",
+            3 * new[SYNC] - sum(positions),
+            f"of {3 * new[SYNC]}",
+            "three for each SYNC",
+            -3,
+            3,
         ),
         Row(title, "SYNCs less ticks", new[SYNC] - ticks, f"of {ticks}", "", -2, 2),
         Row(title, "commands less SYNCs", new[COMMAND] - new[SYNC], f"of {new[SYNC]}", "", -1, 1),
         Row(
-            title, "frames on the wire less those of all classes",
-            links[witness]["rx_packets"] - classes, f"of {links[witness]['rx_packets']}",
-            f"positions {sum(positions)}, commands {new[COMMAND]}, others {others}", -3, 3,
+            title,
+            "frames on the wire less those of all classes",
+            links[witness]["rx_packets"] - classes,
+            f"of {links[witness]['rx_packets']}",
+            f"positions {sum(positions)}, commands {new[COMMAND]}, others {others}",
+            -3,
+            3,
         ),
         Row(
-            title, "frames on the wire less those sent", links[witness]["rx_packets"] - sent - answered, "",
-            "", 0, 0,
+            title,
+            "frames on the wire less those sent",
+            links[witness]["rx_packets"] - sent - answered,
+            "",
+            "",
+            0,
+            0,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _shots(title: str, bench: GuestBench, before: set[Path], shots: int) -> list[Row]:
@@ -165,13 +179,16 @@ def look_at_wire(title: str, bench: GuestBench, interface: str) -> list[Row]:
     first, commanded = _answer_times([(frame.time, frame.identifier) for frame in frames])
     return [
         Row(
-            title, "bus load, frames really sent", load, "%",
+            title,
+            "bus load, frames really sent",
+            load,
+            "%",
             f"{len(frames) / _WIRE_TIME:.0f} frames a second, stuff bits counted",
             at_most=most,
         ),
         _times(title, "round trip, SYNC to the third position", first),
         _times(title, "SYNC to command", commanded),
-    ]  # fmt: skip
+    ]
 
 
 def _times(title: str, name: str, durations: Sequence[float]) -> Row:

@@ -33,25 +33,68 @@ PACKAGES = {
 SUITE = "bookworm"
 _INSTALLED = "systemd,systemd-sysv,dbus,udev,kmod,iproute2,can-utils,python3,procps"
 _WHEELS = (
-    "annotated-doc", "annotated-types", "canopen", "click", "eclipse-zenoh", "filterpy", "greenlet", "jinja2",
-    "llvmlite", "markdown-it-py", "markupsafe", "mdurl", "numba", "numpy", "packaging", "pyarrow", "pydantic",
-    "pydantic-core", "pygments", "python-can", "rich", "scipy", "shellingham", "sqlalchemy", "typer",
-    "typing-extensions", "typing-inspection", "wrapt",
-)  # fmt: skip
+    "annotated-doc",
+    "annotated-types",
+    "canopen",
+    "click",
+    "eclipse-zenoh",
+    "filterpy",
+    "greenlet",
+    "jinja2",
+    "llvmlite",
+    "markdown-it-py",
+    "markupsafe",
+    "mdurl",
+    "numba",
+    "numpy",
+    "packaging",
+    "pyarrow",
+    "pydantic",
+    "pydantic-core",
+    "pygments",
+    "python-can",
+    "rich",
+    "scipy",
+    "shellingham",
+    "sqlalchemy",
+    "typer",
+    "typing-extensions",
+    "typing-inspection",
+    "wrapt",
+)
 """What daemon, nodes and client import; viewer, reports and exports do not run in the guest."""
 _MODULES_AT_START = ("virtio_pci", "9pnet_virtio", "9p", "loop", "crc32c_generic", "erofs", "overlay")
 _MODULES = (*_MODULES_AT_START, "sch_netem", "button", "acpiphp_ibm")
 _MASKED = (
-    "dev-hugepages.mount", "dev-mqueue.mount", "kmod-static-nodes.service", "ldconfig.service",
-    "modprobe@drm.service", "proc-sys-fs-binfmt_misc.automount", "sys-fs-fuse-connections.mount",
-    "sys-kernel-config.mount", "sys-kernel-debug.mount", "sys-kernel-tracing.mount",
-    "systemd-ask-password-console.path", "systemd-ask-password-wall.path", "systemd-binfmt.service",
-    "systemd-boot-system-token.service", "systemd-firstboot.service", "systemd-hwdb-update.service",
-    "systemd-journal-flush.service", "systemd-journald-audit.socket", "systemd-machine-id-commit.service",
-    "systemd-pcrphase-sysinit.service", "systemd-pcrphase.service", "systemd-pstore.service",
-    "systemd-random-seed.service", "systemd-remount-fs.service", "systemd-repart.service",
-    "systemd-rfkill.socket", "systemd-update-done.service", "systemd-update-utmp.service",
-)  # fmt: skip
+    "dev-hugepages.mount",
+    "dev-mqueue.mount",
+    "kmod-static-nodes.service",
+    "ldconfig.service",
+    "modprobe@drm.service",
+    "proc-sys-fs-binfmt_misc.automount",
+    "sys-fs-fuse-connections.mount",
+    "sys-kernel-config.mount",
+    "sys-kernel-debug.mount",
+    "sys-kernel-tracing.mount",
+    "systemd-ask-password-console.path",
+    "systemd-ask-password-wall.path",
+    "systemd-binfmt.service",
+    "systemd-boot-system-token.service",
+    "systemd-firstboot.service",
+    "systemd-hwdb-update.service",
+    "systemd-journal-flush.service",
+    "systemd-journald-audit.socket",
+    "systemd-machine-id-commit.service",
+    "systemd-pcrphase-sysinit.service",
+    "systemd-pcrphase.service",
+    "systemd-pstore.service",
+    "systemd-random-seed.service",
+    "systemd-remount-fs.service",
+    "systemd-repart.service",
+    "systemd-rfkill.socket",
+    "systemd-update-done.service",
+    "systemd-update-utmp.service",
+)
 """Units that a test's machine has no use for: half of the time that it takes to boot."""
 
 HOME = "opt/golfbench"
@@ -113,14 +156,21 @@ def _build(image: Image, say: Say) -> None:
     kernel = "$(apt-cache depends linux-image-amd64 | sed -n 's/ *Depends: \\(linux-image-[0-9].*\\)/\\1/p')"
     subprocess.run(
         [
-            "mmdebstrap", "--quiet", "--mode=root", "--variant=minbase", f"--include={_INSTALLED}",
+            "mmdebstrap",
+            "--quiet",
+            "--mode=root",
+            "--variant=minbase",
+            f"--include={_INSTALLED}",
             *(f"--dpkgopt=path-exclude=/usr/share/{part}/*" for part in ("doc", "man", "locale")),
-            "--dpkgopt=force-unsafe-io", '--aptopt=Acquire::Languages "none"',
+            "--dpkgopt=force-unsafe-io",
+            '--aptopt=Acquire::Languages "none"',
             f"--customize-hook={fetch} && apt-get -qq download {kernel}",
-            SUITE, root,
+            SUITE,
+            root,
         ],
-        check=True, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        check=True,
+        stdin=subprocess.DEVNULL,
+    )
     say("unpacking the kernel")
     [package] = (root / "opt/kernel").glob("linux-image-*.deb")
     unpacked = package.parent
@@ -145,10 +195,20 @@ def _install_packages(root: Path) -> None:
     site, home = root / SITE, root / HOME
     platforms = [f"--platform=manylinux_2_{minor}_x86_64" for minor in (36, 34, 28, 27, 24, 17)]
     run_pip(
-        "install", "--target", site, "--python-version=3.11", "--implementation=cp",
-        *platforms, "--platform=manylinux2014_x86_64", "--only-binary=:all:", "--no-deps", "--no-compile",
-        "-c", PROJECT / "constraints.txt", *_WHEELS,
-    )  # fmt: skip
+        "install",
+        "--target",
+        site,
+        "--python-version=3.11",
+        "--implementation=cp",
+        *platforms,
+        "--platform=manylinux2014_x86_64",
+        "--only-binary=:all:",
+        "--no-deps",
+        "--no-compile",
+        "-c",
+        PROJECT / "constraints.txt",
+        *_WHEELS,
+    )
     for needless in [*site.rglob("tests"), site / "pyarrow/include", site / "bin"]:
         shutil.rmtree(needless, ignore_errors=True)
     (home / "bin").mkdir()
@@ -207,8 +267,9 @@ def _pack(image: Image, modules: Path) -> None:
     (top / "init").chmod(0o755)
     subprocess.run(
         ["mkfs.erofs", "-zlz4", "--quiet", top / "root.erofs", image.root],
-        check=True, stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
     archive(top, image.initramfs)
     shutil.rmtree(top)
 
@@ -219,8 +280,11 @@ def archive(folder: Path, file: Path) -> None:
     with file.open("wb") as output:
         subprocess.run(
             ["cpio", "--create", "--format=newc", "--quiet", "--owner=+0:+0"],
-            cwd=folder, input=names.encode(), stdout=output, check=True,
-        )  # fmt: skip
+            cwd=folder,
+            input=names.encode(),
+            stdout=output,
+            check=True,
+        )
 
 
 def run_pip(*arguments: str | Path) -> None:

@@ -99,35 +99,75 @@ def measure(title: str, loop: DriverLoop, seconds: float, wire: str, ends: tuple
 
 
 def _sums(
-    title: str, ticks: int, new: dict[str, int], frames: dict[int, int], links: dict[str, dict[str, int]],
-    wire: str, ends: tuple[str, ...],
-) -> list[Row]:  # fmt: skip
+    title: str,
+    ticks: int,
+    new: dict[str, int],
+    frames: dict[int, int],
+    links: dict[str, dict[str, int]],
+    wire: str,
+    ends: tuple[str, ...],
+) -> list[Row]:
     positions = sum(frames[i] for i in POSITIONS)
     classes = sum(new[name] for name in CLASSES)
     rows = [
-        Row(title, "driver: frames less those of its classes", new["frames"] - classes, f"of {new['frames']}",
+        Row(
+            title,
+            "driver: frames less those of its classes",
+            new["frames"] - classes,
+            f"of {new['frames']}",
             f"positions {new['positions']}, heartbeats {new['heartbeats']}, inputs {new['inputs']}, "
-            f"pressures {new['pressures']}", 0, 0),
+            f"pressures {new['pressures']}",
+            0,
+            0,
+        ),
         Row(title, "samples missing or late", new["missing"] + new["late"], f"of {3 * ticks}", "", 0, 0),
         Row(title, "wire: SYNCs less ticks", frames[SYNC] - ticks, f"of {ticks}", "", 0, 0),
         Row(title, "wire: commands less ticks", frames[COMMAND] - ticks, f"of {ticks}", "", 0, 0),
-        Row(title, "wire: positions less three for each SYNC", positions - 3 * frames[SYNC],
-            f"of {positions}", "", 0, 0),
-    ]  # fmt: skip
+        Row(
+            title,
+            "wire: positions less three for each SYNC",
+            positions - 3 * frames[SYNC],
+            f"of {positions}",
+            "",
+            0,
+            0,
+        ),
+    ]
     if len(ends) == 2:
         (bench, nodes), dropped = ends, 0
         for link in links.values():
             dropped += sum(link[what] for what in link if what not in ("tx_packets", "rx_packets"))
         sent, answered = links[bench]["tx_packets"], links[nodes]["tx_packets"]
         rows += [
-            Row(title, "kernel: frames lost, bench to nodes", sent - links[nodes]["rx_packets"], f"of {sent}",
-                "", 0, 0),
-            Row(title, "kernel: frames lost, nodes to bench", answered - links[bench]["rx_packets"],
-                f"of {answered}", "", 0, 0),
-            Row(title, "kernel: frames seen less those sent", links[wire]["rx_packets"] - sent - answered,
-                f"of {sent + answered}", f"and {sum(frames.values())} by identifier", 0, 0),
+            Row(
+                title,
+                "kernel: frames lost, bench to nodes",
+                sent - links[nodes]["rx_packets"],
+                f"of {sent}",
+                "",
+                0,
+                0,
+            ),
+            Row(
+                title,
+                "kernel: frames lost, nodes to bench",
+                answered - links[bench]["rx_packets"],
+                f"of {answered}",
+                "",
+                0,
+                0,
+            ),
+            Row(
+                title,
+                "kernel: frames seen less those sent",
+                links[wire]["rx_packets"] - sent - answered,
+                f"of {sent + answered}",
+                f"and {sum(frames.values())} by identifier",
+                0,
+                0,
+            ),
             Row(title, "kernel: dropped, overruns, errors", dropped, "", "", 0, 0),
-        ]  # fmt: skip
+        ]
     return rows
 
 
@@ -147,12 +187,24 @@ def look_at_wire(title: str, loop: DriverLoop, seconds: float, wire: str) -> lis
     nearest = np.abs(np.subtract.outer(np.array(loop.sampled), syncs)).argmin(axis=1)
     errors = 1e6 * (np.array(loop.sampled) - syncs[nearest])
     return [
-        Row(title, "bus load, frames really sent", load, "%",
-            f"{len(frames) / seconds:.0f} frames a second, stuff bits counted", at_most=most),
+        Row(
+            title,
+            "bus load, frames really sent",
+            load,
+            "%",
+            f"{len(frames) / seconds:.0f} frames a second, stuff bits counted",
+            at_most=most,
+        ),
         times(title, "SYNC to the third position, on the wire", thirds),
-        Row(title, "a sample's time less its SYNC's, spread", float(np.std(errors)), "us",
-            f"mean {np.mean(errors):+.1f}, from {errors.min():+.1f} to {errors.max():+.1f} us", at_most=2.0),
-    ]  # fmt: skip
+        Row(
+            title,
+            "a sample's time less its SYNC's, spread",
+            float(np.std(errors)),
+            "us",
+            f"mean {np.mean(errors):+.1f}, from {errors.min():+.1f} to {errors.max():+.1f} us",
+            at_most=2.0,
+        ),
+    ]
 
 
 def _thirds(frames: list[Frame]) -> list[float]:

@@ -52,17 +52,50 @@ def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ende
     """
     monitor, asked = share / "monitor", share / "asked"
     command: list[str | Path] = [
-        "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot", "-M", "pc",
-        "-accel", "tcg", "-cpu", "Nehalem", "-smp", "1", "-m", str(MEMORY), "-icount", "shift=0,sleep=off",
-        "-kernel", kernel, "-initrd", initramfs, "-append", _APPEND,
-        "-fsdev", f"local,id=host,path={share},security_model=none",
-        "-device", "virtio-9p-pci,fsdev=host,mount_tag=host",
-        "-device", "isa-debug-exit,iobase=0x501,iosize=1",
-        "-serial", f"file:{share / 'console'}", "-serial", f"file:{asked}",
-        "-qmp", f"unix:{monitor},server=on,wait=off", "-object", "can-bus,id=wire",
-        *(word for card, place in CARDS.items()
-          for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={place}")),
-    ]  # fmt: skip
+        "qemu-system-x86_64",
+        "-nodefaults",
+        "-no-user-config",
+        "-display",
+        "none",
+        "-no-reboot",
+        "-M",
+        "pc",
+        "-accel",
+        "tcg",
+        "-cpu",
+        "Nehalem",
+        "-smp",
+        "1",
+        "-m",
+        str(MEMORY),
+        "-icount",
+        "shift=0,sleep=off",
+        "-kernel",
+        kernel,
+        "-initrd",
+        initramfs,
+        "-append",
+        _APPEND,
+        "-fsdev",
+        f"local,id=host,path={share},security_model=none",
+        "-device",
+        "virtio-9p-pci,fsdev=host,mount_tag=host",
+        "-device",
+        "isa-debug-exit,iobase=0x501,iosize=1",
+        "-serial",
+        f"file:{share / 'console'}",
+        "-serial",
+        f"file:{asked}",
+        "-qmp",
+        f"unix:{monitor},server=on,wait=off",
+        "-object",
+        "can-bus,id=wire",
+        *(
+            word
+            for card, place in CARDS.items()
+            for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={place}")
+        ),
+    ]
     begin = time.monotonic()
     machine = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:

@@ -12,10 +12,20 @@ OPEN, PASSIVE = bytes([0, 0, 0, 0, 0, 0, 1]), bytes(7)
 
 
 def test_an_answer_is_over_with_the_third_position() -> None:
-    frames = [Frame(t, i, b"") for t, i in [
-        (0.0, 0x281), (1.0, SYNC), (1.2, 0x282), (1.3, 0x281), (1.4, COMMAND), (1.5, 0x283),
-        (2.0, SYNC), (2.1, 0x281), (3.0, SYNC),
-    ]]  # fmt: skip
+    frames = [
+        Frame(t, i, b"")
+        for t, i in [
+            (0.0, 0x281),
+            (1.0, SYNC),
+            (1.2, 0x282),
+            (1.3, 0x281),
+            (1.4, COMMAND),
+            (1.5, 0x283),
+            (2.0, SYNC),
+            (2.1, 0x281),
+            (3.0, SYNC),
+        ]
+    ]
     assert _thirds(frames) == pytest.approx([0.5])
 
 

@@ -37,8 +37,12 @@ def test_each_module_is_loaded_after_what_it_needs(folder: Path) -> None:
 def test_modules_of_can_and_those_wanted_are_kept(folder: Path) -> None:
     keep_modules(folder, ["overlay", "not_there"])
     assert sorted(path.stem for path in folder.rglob("*.ko")) == [
-        "base", "can", "can-dev", "overlay", "sja1000",
-    ]  # fmt: skip
+        "base",
+        "can",
+        "can-dev",
+        "overlay",
+        "sja1000",
+    ]
 
 
 def test_the_kernel_is_found_behind_what_only_looks_like_it(tmp_path: Path) -> None:

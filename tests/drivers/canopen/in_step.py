@@ -165,9 +165,15 @@ class Wire:
 def nodes_plan(plant: PlantParameters = PLANT, settings: CanopenSettings = SETTINGS) -> NodesPlan:
     """Return the plan of nodes that need no folder."""
     return NodesPlan(
-        settings.interface, settings.channel, settings.bitrate, settings.encoders.nodes,
-        settings.valve_node.node, plant, Path("/nowhere"), angle=START,
-    )  # fmt: skip
+        settings.interface,
+        settings.channel,
+        settings.bitrate,
+        settings.encoders.nodes,
+        settings.valve_node.node,
+        plant,
+        Path("/nowhere"),
+        angle=START,
+    )
 
 
 class DriverInStep(CanopenDriver):

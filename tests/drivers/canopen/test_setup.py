@@ -77,57 +77,77 @@ def dropping(*identifiers: int) -> Callable[[Wire], None]:
 
 REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "no such node": (
-        SETTINGS, silent(2),
+        SETTINGS,
+        silent(2),
         r"node 2 \(encoder of the arm\), object 1000h:0 .* no answer within 0.1 s; see whether",
     ),
     "another kind of device": (
-        SETTINGS, changed(arm, 0x1000, 0x000F0191),
+        SETTINGS,
+        changed(arm, 0x1000, 0x000F0191),
         r"node 2 .* object 1000h:0 \(device type\): found 0xf0191, expected 0x196; .* profile 406",
     ),
     "another vendor": (
-        replace(SETTINGS, encoders=EncoderSettings(vendor=0x56)), lambda wire: None,
+        replace(SETTINGS, encoders=EncoderSettings(vendor=0x56)),
+        lambda wire: None,
         r"node 1 .* object 1018h:1 \(vendor\): found 0xffffff01, expected 0x56; another device",
     ),
     "another product": (
-        replace(SETTINGS, valve_node=ValveNodeSettings(product=7)), lambda wire: None,
+        replace(SETTINGS, valve_node=ValveNodeSettings(product=7)),
+        lambda wire: None,
         r"node 10 .* object 1018h:2 \(product\): found 0x191, expected 0x7",
     ),
     "another resolution": (
-        SETTINGS, changed(arm, 0x6501, 4096),
+        SETTINGS,
+        changed(arm, 0x6501, 4096),
         r"node 2 .* object 6501h:0 .*: found 0x1000, expected 0x20000; set plant.encoders",
     ),
     "no error value": (
-        SETTINGS, without(valve_node, *((0x6444, n) for n in range(4))),
+        SETTINGS,
+        without(valve_node, *((0x6444, n) for n in range(4))),
         r"node 10 .* object 6444h:1 \(error value of the valve of the shoulder vane\).* 06020000h.*"
         r"0 V is full stroke.*watchdog_relay",
     ),
     "an error value that is fixed": (
-        SETTINGS, fixed, r"object 6444h:3 .* wrist cylinder\).* 06010002h.*set it at the device"
+        SETTINGS,
+        fixed,
+        r"object 6444h:3 .* wrist cylinder\).* 06010002h.*set it at the device",
     ),
     "an error value that is not kept": (
-        SETTINGS, forgetful, r"object 6444h:1 .*: found 0x0, expected 0x40000000; take a device that keeps"
+        SETTINGS,
+        forgetful,
+        r"object 6444h:1 .*: found 0x0, expected 0x40000000; take a device that keeps",
     ),
     "no watchdog at all": (
-        SETTINGS, without(valve_node, (0x1400, 5), (0x1016, 0), (0x1016, 1), (0x1016, 2)),
+        SETTINGS,
+        without(valve_node, (0x1400, 5), (0x1016, 0), (0x1016, 1), (0x1016, 2)),
         r"node 10 .* neither object 1400h:5 .* nor 1016h:1 .*watchdog_relay",
     ),
     "an output that cannot be in a PDO": (
-        SETTINGS, unmappable, r"node 10 .* object 1600h:2 .* abort code 06040041h, .*cannot put this object"
+        SETTINGS,
+        unmappable,
+        r"node 10 .* object 1600h:2 .* abort code 06040041h, .*cannot put this object",
     ),
     "inputs without a timer": (
-        SETTINGS, without(valve_node, (0x1800, 5)), r"node 10 .* object 1800h:5 .*broken line"
+        SETTINGS,
+        without(valve_node, (0x1800, 5)),
+        r"node 10 .* object 1800h:5 .*broken line",
     ),
     "an encoder deaf for SYNC": (
-        SETTINGS, changed(arm, 0x1005, 0x81), r"node 2 .* object 6004h in TPDO2: found no answer to SYNC"
+        SETTINGS,
+        changed(arm, 0x1005, 0x81),
+        r"node 2 .* object 6004h in TPDO2: found no answer to SYNC",
     ),
     "a node that does not start": (
-        SETTINGS, dropping(0x703), r"node 3 .* heartbeat: found no heartbeat within 0.25 s .* expected 5"
+        SETTINGS,
+        dropping(0x703),
+        r"node 3 .* heartbeat: found no heartbeat within 0.25 s .* expected 5",
     ),
     "no such object": (
-        replace(SETTINGS, encoders=EncoderSettings(position=0x6104)), lambda wire: None,
+        replace(SETTINGS, encoders=EncoderSettings(position=0x6104)),
+        lambda wire: None,
         r"node 1 .* object 1A01h:1 .* abort code 06020000h, Object does not exist; the device has no such",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("refusal", REFUSALS.values(), ids=REFUSALS)

@@ -237,9 +237,15 @@ class System(base.BaseInterpreter):  # type: ignore[misc]  # the package has no 
     # Channels
 
     def create_ao_voltage_chan(
-        self, task: Task, physical_channel: str, name_to_assign_to_channel: str, min_val: float,
-        max_val: float, units: int, custom_scale_name: str,
-    ) -> None:  # fmt: skip
+        self,
+        task: Task,
+        physical_channel: str,
+        name_to_assign_to_channel: str,
+        min_val: float,
+        max_val: float,
+        units: int,
+        custom_scale_name: str,
+    ) -> None:
         assert (min_val, max_val) == (0.0, 10.0)
         self._add(task, physical_channel, "ao", lambda card: card.volts, "create_ao")
 
@@ -257,26 +263,45 @@ class System(base.BaseInterpreter):  # type: ignore[misc]  # the package has no 
         self._add(task, lines, "di", lambda card: card.lines, "create_di")
 
     def create_ai_voltage_chan(
-        self, task: Task, physical_channel: str, name_to_assign_to_channel: str, terminal_config: int,
-        min_val: float, max_val: float, units: int, custom_scale_name: str,
-    ) -> None:  # fmt: skip
+        self,
+        task: Task,
+        physical_channel: str,
+        name_to_assign_to_channel: str,
+        terminal_config: int,
+        min_val: float,
+        max_val: float,
+        units: int,
+        custom_scale_name: str,
+    ) -> None:
         assert (min_val, max_val) == (0.0, 10.0)
         self._add(task, physical_channel, "ai", lambda card: card.levels, "create_ai")
 
     def create_ci_ang_encoder_chan(
-        self, task: Task, counter: str, name_to_assign_to_channel: str, decoding_type: int, zidx_enable: bool,
-        zidx_val: float, zidx_phase: int, units: int, pulses_per_rev: int, initial_angle: float,
+        self,
+        task: Task,
+        counter: str,
+        name_to_assign_to_channel: str,
+        decoding_type: int,
+        zidx_enable: bool,
+        zidx_val: float,
+        zidx_phase: int,
+        units: int,
+        pulses_per_rev: int,
+        initial_angle: float,
         custom_scale_name: str,
-    ) -> None:  # fmt: skip
+    ) -> None:
         assert not task.channels, "one counter a task"
         assert (decoding_type, units) == (EncoderType.X_4.value, AngleUnits.TICKS.value)
         assert isinstance(pulses_per_rev, int)
         assert isinstance(zidx_val, float)
         self._add(task, counter, "ci", lambda card: card.motion, "create_ci")
         task.arguments = {
-            "index": zidx_enable, "value": zidx_val, "phase": zidx_phase, "pulses": pulses_per_rev,
+            "index": zidx_enable,
+            "value": zidx_val,
+            "phase": zidx_phase,
+            "pulses": pulses_per_rev,
             "initial": initial_angle,
-        }  # fmt: skip
+        }
 
     def cfg_samp_clk_timing(
         self, task: Task, rate: float, source: str, active_edge: int, sample_mode: int, samps_per_chan: int
@@ -306,9 +331,14 @@ class System(base.BaseInterpreter):  # type: ignore[misc]  # the package has no 
             raise fail(code, "Write cannot be performed, because the watchdog timer has expired.")
 
     def write_analog_f64(
-        self, task: Task, num_samps_per_chan: int, auto_start: bool, timeout: float, data_layout: int,
+        self,
+        task: Task,
+        num_samps_per_chan: int,
+        auto_start: bool,
+        timeout: float,
+        data_layout: int,
         write_array: Any,
-    ) -> int:  # fmt: skip
+    ) -> int:
         card = self._of(task, "write_analog", "ao", "running")
         assert (num_samps_per_chan, auto_start, data_layout) == (1, False, FillMode.GROUP_BY_CHANNEL.value)
         assert (write_array.dtype, write_array.shape) == (np.float64, (len(task.channels),))
@@ -322,9 +352,14 @@ class System(base.BaseInterpreter):  # type: ignore[misc]  # the package has no 
         return 1
 
     def write_digital_lines(
-        self, task: Task, num_samps_per_chan: int, auto_start: bool, timeout: float, data_layout: int,
+        self,
+        task: Task,
+        num_samps_per_chan: int,
+        auto_start: bool,
+        timeout: float,
+        data_layout: int,
         write_array: Any,
-    ) -> int:  # fmt: skip
+    ) -> int:
         card = self._of(task, "write_digital", "do", "running")
         assert (num_samps_per_chan, auto_start, data_layout) == (1, False, FillMode.GROUP_BY_CHANNEL.value)
         assert (write_array.dtype, write_array.shape) == (np.bool_, (len(task.channels),))

@@ -149,8 +149,12 @@ def test_the_counters_are_set_up_as_the_encoders_are(driver: DaqDriver, system: 
     assert [task.channels for task in counters] == [["Dev1/ctr0"], ["Dev1/ctr1"], ["Dev1/ctr2"]]
     for task in counters:
         assert task.arguments == {
-            "index": True, "value": 0.0, "phase": 10040, "pulses": 2**15, "initial": float(PRESET),
-        }  # fmt: skip
+            "index": True,
+            "value": 0.0,
+            "phase": 10040,
+            "pulses": 2**15,
+            "initial": float(PRESET),
+        }
 
 
 def test_a_lost_counter_keeps_its_last_sample_which_ages(driver: DaqDriver, card: Card) -> None:

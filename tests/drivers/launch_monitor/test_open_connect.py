@@ -23,20 +23,40 @@ from drivers.launch_monitor.open_connect import (
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 
 SPECIFICATION: dict[str, Any] = {
-    "DeviceID": "UF-BENCH", "Units": "Yards", "ShotNumber": 13, "APIversion": "1",
+    "DeviceID": "UF-BENCH",
+    "Units": "Yards",
+    "ShotNumber": 13,
+    "APIversion": "1",
     "BallData": {
-        "Speed": 147.5, "SpinAxis": -13.2, "TotalSpin": 3250.0, "BackSpin": 2500.0, "SideSpin": -800.0,
-        "HLA": 2.3, "VLA": 14.3, "CarryDistance": 256.5,
+        "Speed": 147.5,
+        "SpinAxis": -13.2,
+        "TotalSpin": 3250.0,
+        "BackSpin": 2500.0,
+        "SideSpin": -800.0,
+        "HLA": 2.3,
+        "VLA": 14.3,
+        "CarryDistance": 256.5,
     },
     "ClubData": {
-        "Speed": 101.2, "AngleOfAttack": -1.1, "FaceToTarget": 0.4, "Lie": 0.0, "Loft": 13.1, "Path": -0.6,
-        "SpeedAtImpact": 101.2, "VerticalFaceImpact": 1.0, "HorizontalFaceImpact": -2.5, "ClosureRate": 0.0,
+        "Speed": 101.2,
+        "AngleOfAttack": -1.1,
+        "FaceToTarget": 0.4,
+        "Lie": 0.0,
+        "Loft": 13.1,
+        "Path": -0.6,
+        "SpeedAtImpact": 101.2,
+        "VerticalFaceImpact": 1.0,
+        "HorizontalFaceImpact": -2.5,
+        "ClosureRate": 0.0,
     },
     "ShotDataOptions": {
-        "ContainsBallData": True, "ContainsClubData": True, "LaunchMonitorIsReady": True,
-        "LaunchMonitorBallDetected": True, "IsHeartBeat": False,
+        "ContainsBallData": True,
+        "ContainsClubData": True,
+        "LaunchMonitorIsReady": True,
+        "LaunchMonitorBallDetected": True,
+        "IsHeartBeat": False,
     },
-}  # fmt: skip
+}
 
 
 def read(**changes: Any) -> LaunchRecord | MonitorStatus | RejectedMessage:
@@ -70,13 +90,20 @@ def test_the_specifications_shot() -> None:
 
 def test_numbers_as_text_and_other_spellings() -> None:
     tree = {
-        "deviceID": "PiTrac", "units": "yards", "Shot_Number": "13", "APIVersion": 1.0,
+        "deviceID": "PiTrac",
+        "units": "yards",
+        "Shot_Number": "13",
+        "APIVersion": 1.0,
         "balldata": {
-            "speed": "147.5", "TotalSpin": "0.0", "Backspin": "2500.0", "side_spin": " -800 ", "hla": "2.3",
+            "speed": "147.5",
+            "TotalSpin": "0.0",
+            "Backspin": "2500.0",
+            "side_spin": " -800 ",
+            "hla": "2.3",
             "VLA": "1.43e1",
         },
         "shotDataOptions": {"containsBallData": "true", "ContainsClubData": "false", "IsHeartBeat": 0},
-    }  # fmt: skip
+    }
     shot = read_message(json.dumps(tree).encode(), 0.0)
     assert isinstance(shot, LaunchRecord)
     assert shot.number == 13

@@ -54,8 +54,11 @@ def give(plant: WallPlant) -> Give:
 def surroundings(**changes: Any) -> np.ndarray[Any, Any]:
     record = new_record(PLANT_SURROUNDINGS)
     for name, value in {
-        "emergency_stop_clear": True, "guard_closed": True, "encoder_valid": 1, **changes,
-    }.items():  # fmt: skip
+        "emergency_stop_clear": True,
+        "guard_closed": True,
+        "encoder_valid": 1,
+        **changes,
+    }.items():
         record[name] = value
     return record
 
