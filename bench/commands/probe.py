@@ -93,7 +93,7 @@ def daq_cards() -> dict[str, Any]:
 
 def compiled_code_folder() -> str:
     """Return the folder in which this installation keeps its machine code."""
-    from drivers.base.compiled import cache_folder
+    from drivers.base.machine_code import cache_folder
 
     return str(cache_folder())
 

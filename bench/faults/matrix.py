@@ -18,7 +18,7 @@ from bench.config import Configuration
 from bench.faults.case import CaseOutcome, Instant, Workbench, instants_of
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
 from bench.swing.profile import Profile
-from drivers.base.compiled import source_digest
+from drivers.base.machine_code import source_digest
 
 _PR_SET_PDEATHSIG = 1
 _AT_ONCE = 12

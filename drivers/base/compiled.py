@@ -1,8 +1,4 @@
-"""The one decorator for compiled numerics, and where their machine code is kept.
-
-Numba looks only at the file of the function it loads from its cache. A function whose *callee* in
-another file has changed would be served stale, which is not acceptable beside a machine. The cache
-folder therefore carries a digest of every compiled source file: any change compiles all of it anew.
+"""The one decorator for compiled numerics, and the records that compiled functions take.
 
 `NUMBA_DISABLE_JIT=1` runs everything as plain Python (coverage and mutation tests).
 `NUMBA_CACHE_DIR` moves the cache (the service sets it).
@@ -10,42 +6,28 @@ folder therefore carries a digest of every compiled source file: any change comp
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 
+from drivers.base.machine_code import cache_folder, mark_in_use, prune_caches
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-_COMPILED = ("sim/*.py", "drivers/base/*.py", "bench/lifecycle.py", "bench/*/*.py")
-"""Source files of compiled functions and of the constants and record layouts compiled into them."""
+
+def _use_cache() -> None:
+    """Let Numba keep machine code in this source tree's cache folder."""
+    folder = cache_folder()
+    numba.config.CACHE_DIR = str(folder)
+    mark_in_use(folder)
+    prune_caches(folder.parent)
 
 
-def source_digest() -> str:
-    """Return the digest of all source files that may hold compiled functions (16 hex digits)."""
-    top = Path(__file__).resolve().parents[2]
-    digest = hashlib.sha256(numba.__version__.encode())
-    for pattern in _COMPILED:
-        for path in sorted(top.glob(pattern)):
-            source = path.read_bytes()
-            if b"compiled" in source:
-                digest.update(path.name.encode())
-                digest.update(source)
-    return digest.hexdigest()[:16]
-
-
-def cache_folder() -> Path:
-    """Return the folder of this source tree's machine code (not created here)."""
-    fallback = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "golfbench"
-    return Path(os.environ.get("NUMBA_CACHE_DIR") or fallback) / f"compiled-{source_digest()}"
-
-
-# Numba reads this setting when a function is decorated, so it must stand before the first one.
-numba.config.CACHE_DIR = str(cache_folder())
+# Numba reads the folder when a function is decorated, so it must be set before the first one.
+if not numba.config.DISABLE_JIT:
+    _use_cache()
 
 
 def compiled(function: _Function) -> _Function:

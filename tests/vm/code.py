@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from drivers.base.compiled import source_digest
+from drivers.base.machine_code import source_digest
 from tests.vm.image import (
     HOME,
     MACHINE_CODE,

@@ -1,0 +1,187 @@
+"""The digest of what machine code depends on, and the pruning of old caches."""
+
+from __future__ import annotations
+
+import ast
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.base.machine_code import compiled_sources, mark_in_use, prune_caches, source_digest
+
+TOP = Path(__file__).parents[3]
+PACKAGES = ("bench", "drivers", "sim")
+
+
+def parsed() -> dict[str, tuple[str, ast.Module]]:
+    """Return path and syntax tree of every module of the packages, keyed by the module's name."""
+    trees = {}
+    for package in PACKAGES:
+        for path in (TOP / package).rglob("*.py"):
+            relative = path.relative_to(TOP)
+            parts = relative.with_suffix("").parts
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            trees[name] = (relative.as_posix(), ast.parse(path.read_bytes()))
+    return trees
+
+
+def imported(module: str, is_package: bool, tree: ast.Module) -> Iterator[str]:
+    """Yield the names that `tree` imports, absolute, at any depth."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                package = module.split(".")[: None if is_package and node.level == 1 else -node.level]
+                base = ".".join([*package, *([base] if base else [])])
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def has_compiled_function(tree: ast.Module) -> bool:
+    return any(
+        isinstance(decorator, ast.Name) and decorator.id == "compiled"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        for decorator in node.decorator_list
+    )
+
+
+def test_the_graph_has_every_file_that_compiled_functions_import() -> None:
+    trees = parsed()
+    reached = set[str]()
+    waiting = [module for module, (_, tree) in trees.items() if has_compiled_function(tree)]
+    assert len(waiting) > 30
+    while waiting:
+        module = waiting.pop()
+        if module in trees and module not in reached:
+            reached.add(module)
+            path, tree = trees[module]
+            waiting += [module.rpartition(".")[0], *imported(module, path.endswith("/__init__.py"), tree)]
+    paths = compiled_sources(TOP)
+    assert {trees[module][0] for module in reached} <= paths.keys()
+    assert {
+        "bench/lifecycle.py",
+        "bench/telemetry/cycle_record.py",
+        "drivers/base/contract.py",
+        "drivers/base/__init__.py",
+        "bench/control/settings.py",
+    } <= paths.keys()
+    assert not [path for path in paths if path.startswith("bench/commands/")]
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    for package in PACKAGES:
+        shutil.copytree(TOP / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def test_the_digest_covers_every_file_of_the_graph_and_no_other(copy: Path) -> None:
+    digest = source_digest(copy)
+    assert digest == source_digest() == source_digest(copy)
+    sources = compiled_sources(copy)
+    for path, source in sources.items():
+        (copy / path).write_bytes(source + b"\n")
+        assert source_digest(copy) != digest, path
+        (copy / path).write_bytes(source)
+    assert source_digest(copy) == digest
+    other = copy / "bench/cli.py"
+    other.write_text(other.read_text() + "\n")
+    assert source_digest(copy) == digest
+
+
+def test_the_digest_covers_the_paths(tmp_path: Path) -> None:
+    source = "from drivers.base.compiled import compiled\n\n@compiled\ndef f(): ...\n"
+    for package in PACKAGES:
+        (tmp_path / package).mkdir()
+    digests = set()
+    for path in ("bench/a.py", "bench/b.py", "sim/a.py"):
+        (tmp_path / path).write_text(source)
+        digests.add(source_digest(tmp_path))
+        (tmp_path / path).unlink()
+    assert len(digests) == 3
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import sim.constants",
+        "import sim.constants as c",
+        "from sim import constants",
+        "from sim import (\n    constants,\n)",
+        "from sim.constants import A",
+        "def f():\n    from sim.constants import A",
+        "if TYPE_CHECKING:\n    from sim.constants import A",
+    ],
+)
+def test_every_form_of_import_is_followed(tmp_path: Path, line: str) -> None:
+    for package in PACKAGES:
+        (tmp_path / package).mkdir()
+    (tmp_path / "sim/constants.py").write_text("from bench.enums import B\n")
+    (tmp_path / "bench/enums.py").write_text("B = 1\n")
+    (tmp_path / "bench/other.py").write_text("")
+    (tmp_path / "bench/user.py").write_text(f"{line}\n\n@compiled\ndef g(): ...\n")
+    assert [*compiled_sources(tmp_path)] == ["bench/enums.py", "bench/user.py", "sim/constants.py"]
+
+
+# Pruning ---------------------------------------------------------------------------------------------
+
+
+def cache(parent: Path, number: int, last_used: float) -> Path:
+    folder = parent / f"compiled-{number:016x}"
+    (folder / "sim").mkdir(parents=True)
+    (folder / "sim/f.nbc").touch()
+    os.utime(folder, (last_used, last_used))
+    return folder
+
+
+def test_the_last_used_caches_are_kept(tmp_path: Path) -> None:
+    folders = [cache(tmp_path, number, 1e9 + 10.0 * number) for number in range(5)]
+    others = [tmp_path / "compiled-notes", tmp_path / "numba"]
+    for other in others:
+        other.mkdir()
+        os.utime(other, (1.0, 1.0))
+    mark_in_use(folders[1])
+    prune_caches(tmp_path, kept=2)
+    assert sorted(tmp_path.iterdir()) == sorted([folders[1], folders[4], *others])
+
+
+def test_a_cache_that_a_process_uses_is_kept(tmp_path: Path) -> None:
+    folders = [cache(tmp_path, number, 1e9 + 10.0 * number) for number in range(3)]
+    user = os.open(folders[0], os.O_RDONLY)
+    fcntl.flock(user, fcntl.LOCK_SH)
+    prune_caches(tmp_path, kept=1)
+    assert sorted(tmp_path.iterdir()) == [folders[0], folders[2]]
+    os.close(user)
+    prune_caches(tmp_path, kept=1)
+    assert sorted(tmp_path.iterdir()) == [folders[2]]
+
+
+def test_marking_keeps_the_folder_until_the_process_ends(tmp_path: Path) -> None:
+    folder = tmp_path / "compiled-0123456789abcdef"
+    mark_in_use(folder)
+    os.utime(folder, (1.0, 1.0))
+    prune_caches(tmp_path, kept=0)
+    assert folder.is_dir()
+
+
+def test_neither_fails_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prune_caches(tmp_path / "absent", kept=0)
+    (tmp_path / "file").touch()
+    mark_in_use(tmp_path / "file" / "compiled-0123456789abcdef")
+    old = cache(tmp_path, 1, 1.0)
+    (tmp_path / "compiled-fedcba9876543210").symlink_to(tmp_path / "elsewhere")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr("os.open", refuse)
+    prune_caches(tmp_path, kept=0)
+    mark_in_use(old)
+    assert old.is_dir()
