@@ -166,7 +166,7 @@ def test_the_wheel_holds_code_data_and_types(tmp_path: Path) -> None:
     expected = {str(path.relative_to(TOP)) for path in _sources()}
     for package in PACKAGES:
         expected.add(f"{package}/py.typed")
-        for pattern in ("*.toml", "*.j2", "*.eds", "*.json", "*.csv"):
+        for pattern in ("*.toml", "*.j2", "*.eds", "*.json", "*.csv", "*.parquet"):
             expected |= {str(path.relative_to(TOP)) for path in (TOP / package).rglob(pattern)}
     assert expected - names == set()
     assert [name for name in names if name.startswith("tests/")] == []

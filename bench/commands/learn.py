@@ -59,7 +59,8 @@ def learn(
     ] = None,
     swings: Annotated[int, typer.Option(min=1, max=100, help="At most.")] = 12,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the corrected profile, .toml.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write the corrected profile, .toml; its table beside it."),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:

@@ -56,17 +56,24 @@ def show(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw it: a .png, .svg or .pdf.")
     ] = None,
+    table: Annotated[
+        bool,
+        typer.Option("--table", help="Print all of it as one TOML file with its tables, to read or edit."),
+    ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
     from rich.console import Console
 
     from bench.commands.swing_tables import details, draw
     from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
+    from bench.swing.profile import load_profile, profile_text
 
     _require_picture(plot)
     path = find_profile(profile)
     swing = load_profile(path)
+    if table:
+        typer.echo(profile_text(swing), nl=False)
+        return
     plant = context.ensure_object(Session).configuration().plant
     console = Console()
     console.print(details(swing, path, plant), highlight=False)
@@ -195,7 +202,10 @@ def design(
     context: typer.Context,
     output: Annotated[
         Path | None,
-        typer.Argument(metavar="[FILE]", help="The profile to write, .toml [default: by its demand]."),
+        typer.Argument(
+            metavar="[FILE]",
+            help="The profile to write, .toml; its table goes beside it [default: by its demand].",
+        ),
     ] = None,
     club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
     golfer: Annotated[

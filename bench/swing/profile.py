@@ -1,14 +1,18 @@
 """A swing profile: what the robot is to do, tick by tick, and how it stops when it may not go on.
 
-A profile is one TOML file: who and what it is for, the planned delivery, tables per actuator at a fixed
-period, the no-return instant, the impact window, blind-brake patterns and the limits it was designed
-for. It runs from address to standstill after the follow-through; the return is the controller's.
+A profile is a short TOML file (who and what it is for, times, planned delivery, limits it was designed for)
+and its table beside it, a Parquet file (`bench.swing.profile_table`) whose digest the TOML file holds. The
+table has angles, velocities and valve openings at a fixed period, and blind-brake patterns. A TOML file that
+holds its tables itself is a profile, too. The swing runs from address to standstill after the follow-through;
+the return is the controller's.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +22,14 @@ from numpy.typing import NDArray
 from bench.errors import BenchError, did_you_mean
 from bench.from_toml import GREATEST, format_value, read_toml
 from bench.lifecycle import Phase
+from bench.swing.profile_table import DIGITS, decode_table, encode_table
 
 Array = NDArray[np.float64]
 
-SCHEMA = "golfbench-profile/1"
+SCHEMA = "golfbench-profile/2"
+"""Schema of a file whose table stands beside it."""
+SCHEMA_WITH_TABLES = "golfbench-profile/1"
+"""Schema of a file that holds its tables itself."""
 PHASES = (
     Phase.HOLD,
     Phase.BACKSWING,
@@ -97,105 +105,46 @@ _SCALARS: dict[str, tuple[type, str]] = {
     "blind_spacing": (int, "a whole number of samples"),
     "impact_time_s": _SECONDS,
 }
+_LISTS = ("ball_m", "begins")
 _TABLES = {
-    "ball_m": 1,
-    "begins": 1,
-    "angle_rad": 2,
-    "velocity_rad_per_s": 2,
-    "valve": 2,
-    "blind_brake": 2,
+    "angle_rad": "angle",
+    "velocity_rad_per_s": "velocity",
+    "valve": "valve",
+    "blind_brake": "blind_brake",
 }
+"""Key of a table in a file, and its field."""
+_BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
 _GROUPS = ("delivery", "limits")
+_CURE = "Correct the profile, or design it again with `golfbench swing design`."
+_CURE_TABLE = (
+    "Copy both files from the same place, or design the profile again with `golfbench swing design`. "
+    "To edit a profile, start from `golfbench swing show PROFILE --table`."
+)
 
 
 def load_profile(path: Path) -> Profile:
     """Read and check the profile at `path`.
 
     Raises:
-        BenchError: the file is missing or not TOML, a key is unknown, missing or of the wrong type, a number
-            is not finite or outside its physical range, or the tables do not fit together.
+        BenchError: a file is missing, unreadable or not what it should be, the table does not match its
+            digest, a key is unknown, missing or of the wrong type, a number is not finite or outside its
+            physical range, or the tables do not fit together.
     """
-    cure = "`golfbench swing list` shows the known ones."
-    raw = read_toml(path, "a swing profile", cure)
-    return _check(path, raw)
-
-
-def _check(path: Path, raw: dict[str, Any]) -> Profile:
-    known = set(_SCALARS) | set(_TABLES) | set(_GROUPS)
-    cure = "Mend the profile or design it anew with `golfbench swing design`."
-    for key in sorted(set(raw) - known):
-        mend = did_you_mean(key, known, cure)
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", mend)
-    for key in sorted(known - set(raw)):
-        raise BenchError(f"{path}: {key}", "nothing", "this key", cure)
-    for key, (kind, text) in _SCALARS.items():
-        if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
-            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, cure)
-    if raw["blind_spacing"] < 1:
-        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", cure)
-    if raw["schema"] != SCHEMA:
-        raise BenchError(f"{path}: schema", repr(raw["schema"]), repr(SCHEMA), cure)
-    for key in _GROUPS:
-        group = raw[key]
-        if not isinstance(group, dict) or not all(
-            type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
-        ):
-            raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", cure)
-    tables: dict[str, Array] = {}
-    for key, dimensions in _TABLES.items():
-        try:
-            if not _only_numbers(raw[key]):
-                raise TypeError
-            array = np.array(raw[key], dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise BenchError(
-                f"{path}: {key}", "rows of different length or not numbers", "a table of numbers", cure
-            ) from None
-        if array.ndim != dimensions:
-            raise BenchError(f"{path}: {key}", f"{array.ndim} dimensions", f"{dimensions}", cure)
+    raw = read_toml(path, "a swing profile", "`golfbench swing list` shows the known ones.")
+    beside = raw.get("schema") == SCHEMA
+    _check_keys(path, raw, _BESIDE if beside else {}, () if beside else tuple(_TABLES))
+    tables = {key: _array(path, key, raw[key], 1) for key in _LISTS}
+    if beside:
+        tables |= _read_table(path, raw)
+    else:
+        tables |= {key: _array(path, key, raw[key], 2) for key in _TABLES}
+    for key, array in tables.items():
         if not np.all(np.isfinite(array)):
-            where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise BenchError(
-                f"{path}: {key}[{', '.join(map(str, where))}]", "not a finite number", "a finite number", cure
-            )
-        tables[key] = array
-    n = len(tables["angle_rad"])
-    shapes = {
-        "ball_m": (2,),
-        "begins": (len(PHASES),),
-        "angle_rad": (n, 3),
-        "velocity_rad_per_s": (n, 3),
-        "valve": (n, 3),
-        "blind_brake": (max(n - 1, 0) // max(raw["blind_spacing"], 1) + 1, 6),
-    }
-    for key, shape in shapes.items():
-        if tables[key].shape != shape:
-            raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", cure)
-    if np.any(tables["begins"] % 1):
-        raise BenchError(f"{path}: begins", repr(raw["begins"]), "whole numbers of samples", cure)
-    begins = tuple(int(v) for v in tables["begins"])
-    ranges: tuple[tuple[str, Array, float, float, str], ...] = (
-        ("period_s", np.array([raw["period_s"]]), 1e-4, 0.02, "0.0001 to 0.02 s"),
-        ("angle_rad", tables["angle_rad"], -10.0, 10.0, "-10 to 10 rad"),
-        ("velocity_rad_per_s", tables["velocity_rad_per_s"], -100.0, 100.0, "-100 to 100 rad/s"),
-        ("valve", tables["valve"], -1.0, 1.0, "openings -1 to 1"),
-        ("blind_brake", tables["blind_brake"][:, :3], -1.0, 1.0, "openings -1 to 1"),
-        ("blind_brake", tables["blind_brake"][:, 3:], 0.0, 2.0, "durations 0 to 2 s"),
-        (
-            "impact_time_s",
-            np.array([raw["impact_time_s"]]),
-            0.0,
-            n * raw["period_s"],
-            "a time within the swing",
-        ),
-        ("ball_m", tables["ball_m"], -3.0, 3.0, "-3 to 3 m"),
-    )
-    for key, values, low, high, expected in ranges:
-        if np.any(values < low) or np.any(values > high):
-            worst = values.flat[int(np.argmax(np.maximum(low - values, values - high)))]
-            raise BenchError(f"{path}: {key}", f"{worst:g}", expected, cure)
-    if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:
-        raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", cure)
+            where = ", ".join(str(int(i)) for i in np.argwhere(~np.isfinite(array))[0])
+            raise BenchError(f"{path}: {key}[{where}]", "not a finite number", "a finite number", _CURE)
+    _check_shapes(path, raw["blind_spacing"], tables)
+    _check_ranges(path, raw, tables)
+    begins = _check_begins(path, raw["begins"], tables)
     return Profile(
         name=raw["name"],
         text=raw["text"],
@@ -215,57 +164,178 @@ def _check(path: Path, raw: dict[str, Any]) -> Profile:
     )
 
 
+def _check_keys(
+    path: Path, raw: dict[str, Any], beside: dict[str, tuple[type, str]], tables: tuple[str, ...]
+) -> None:
+    scalars = _SCALARS | beside
+    known = {*scalars, *_LISTS, *tables, *_GROUPS}
+    for key in sorted(set(raw) - known):
+        cure = did_you_mean(key, known, _CURE)
+        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", cure)
+    for key in sorted(known - set(raw)):
+        raise BenchError(f"{path}: {key}", "nothing", "this key", _CURE)
+    for key, (kind, text) in scalars.items():
+        if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
+            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, _CURE)
+    if raw["blind_spacing"] < 1:
+        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", _CURE)
+    if raw["schema"] not in {SCHEMA, SCHEMA_WITH_TABLES}:
+        wanted = f"{SCHEMA!r}, or {SCHEMA_WITH_TABLES!r} with tables in the file"
+        raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _CURE)
+    for key in _GROUPS:
+        group = raw[key]
+        if not isinstance(group, dict) or not all(
+            type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
+        ):
+            raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _CURE)
+
+
+def _array(path: Path, key: str, value: Any, dimensions: int) -> Array:
+    try:
+        if not _only_numbers(value):
+            raise TypeError
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        found = "rows of different length or not numbers"
+        raise BenchError(f"{path}: {key}", found, "a table of numbers", _CURE) from None
+    if array.ndim != dimensions:
+        raise BenchError(f"{path}: {key}", f"{array.ndim} dimensions", f"{dimensions}", _CURE)
+    return array
+
+
 def _only_numbers(value: Any) -> bool:
-    """Tell whether `value` is a number or (nested) lists of numbers; True, False and texts are none."""
+    """Return whether `value` is a number or (nested) lists of numbers; booleans are not numbers."""
     return all(map(_only_numbers, value)) if isinstance(value, list) else type(value) in {int, float}
 
 
-_DIGITS = {"angle": 6, "velocity": 4, "valve": 5, "blind_brake": 4}
-"""Behind the decimal point in a file."""
+def _read_table(path: Path, raw: dict[str, Any]) -> dict[str, Array]:
+    """Return the tables of the Parquet file that the profile at `path` names, by their keys in TOML."""
+    table = path.parent / raw["table"]
+    try:
+        content = table.read_bytes()
+    except FileNotFoundError:
+        expected = f"the table of {path}"
+        raise BenchError(str(table), "no such file", expected, _CURE_TABLE) from None
+    except OSError as error:
+        found = error.strerror or str(error)
+        raise BenchError(str(table), found, "a file that can be read", _CURE_TABLE) from None
+    digest = sha256(content).hexdigest()
+    if digest != raw["table_sha256"]:
+        expected = f"{format_value(raw['table_sha256'])}, as {path} says"
+        raise BenchError(str(table), f"SHA-256 {digest}", expected, _CURE_TABLE)
+    try:
+        tables = decode_table(content, raw["blind_spacing"])
+    except ValueError as error:
+        raise BenchError(str(table), str(error), "the table of a profile", _CURE_TABLE) from None
+    return {key: tables[name] for key, name in _TABLES.items()}
+
+
+def _check_shapes(path: Path, blind_spacing: int, tables: dict[str, Array]) -> None:
+    n = len(tables["angle_rad"])
+    shapes = {
+        "ball_m": (2,),
+        "begins": (len(PHASES),),
+        "angle_rad": (n, 3),
+        "velocity_rad_per_s": (n, 3),
+        "valve": (n, 3),
+        "blind_brake": (max(n - 1, 0) // blind_spacing + 1, 6),
+    }
+    for key, shape in shapes.items():
+        if tables[key].shape != shape:
+            raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", _CURE)
+
+
+def _check_ranges(path: Path, raw: dict[str, Any], tables: dict[str, Array]) -> None:
+    period, swing = raw["period_s"], len(tables["angle_rad"]) * raw["period_s"]
+    ranges: tuple[tuple[str, Any, float, float, str], ...] = (
+        ("period_s", period, 1e-4, 0.02, "0.0001 to 0.02 s"),
+        ("angle_rad", tables["angle_rad"], -10.0, 10.0, "-10 to 10 rad"),
+        ("velocity_rad_per_s", tables["velocity_rad_per_s"], -100.0, 100.0, "-100 to 100 rad/s"),
+        ("valve", tables["valve"], -1.0, 1.0, "openings -1 to 1"),
+        ("blind_brake", tables["blind_brake"][:, :3], -1.0, 1.0, "openings -1 to 1"),
+        ("blind_brake", tables["blind_brake"][:, 3:], 0.0, 2.0, "durations 0 to 2 s"),
+        ("impact_time_s", raw["impact_time_s"], 0.0, swing, "a time within the swing"),
+        ("ball_m", tables["ball_m"], -3.0, 3.0, "-3 to 3 m"),
+    )
+    for key, given, low, high, expected in ranges:
+        values = np.atleast_1d(given)
+        if np.any(values < low) or np.any(values > high):
+            worst = values.flat[int(np.argmax(np.maximum(low - values, values - high)))]
+            raise BenchError(f"{path}: {key}", f"{worst:g}", expected, _CURE)
+
+
+def _check_begins(path: Path, given: Any, tables: dict[str, Array]) -> tuple[int, ...]:
+    n = len(tables["angle_rad"])
+    if np.any(tables["begins"] % 1):
+        raise BenchError(f"{path}: begins", repr(given), "whole numbers of samples", _CURE)
+    begins = tuple(int(v) for v in tables["begins"])
+    if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:
+        raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", _CURE)
+    return begins
 
 
 def as_written(profile: Profile) -> Profile:
     """Return `profile` with its tables as `save_profile` rounds them."""
-    return replace(profile, **{key: np.round(getattr(profile, key), n) for key, n in _DIGITS.items()})
+    return replace(profile, **{key: np.round(getattr(profile, key), n) for key, n in DIGITS.items()})
 
 
-def save_profile(path: Path, profile: Profile) -> None:
-    """Write `profile` as TOML that `load_profile` reads back; one row of a table a line."""
+def save_profile(path: Path, profile: Profile) -> Path:
+    """Write `profile` as TOML to `path` and its table beside it, and return the table's path.
 
-    def quoted(text: str) -> str:
-        return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    Raises:
+        OSError: a file cannot be written.
+    """
+    table = path.with_suffix(".parquet") if path.suffix == ".toml" else Path(f"{path}.parquet")
+    content = encode_table({key: getattr(profile, key) for key in DIGITS}, profile.blind_spacing)
+    beside = (
+        "# Angles, velocities, valves, blind brakes; `golfbench swing show PROFILE --table` prints them.",
+        f"table = {_quoted(table.name)}",
+        f'table_sha256 = "{sha256(content).hexdigest()}"',
+    )
+    table.write_bytes(content)
+    path.write_text("\n".join([*_head(profile, SCHEMA), *beside, *_tail(profile)]) + "\n", encoding="utf-8")
+    return table
 
-    def rows(key: str) -> str:
-        array, digits = getattr(profile, key), _DIGITS[key]
-        lines = ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)
-        return "[\n" + "\n".join(lines) + "\n]"
 
-    def group(values: dict[str, float]) -> str:
-        return "\n".join(f"{key} = {value!r}" for key, value in values.items())
+def profile_text(profile: Profile) -> str:
+    """Return `profile` with its tables as one TOML file, to read or edit; one row of a table a line."""
+    columns = "# Columns: shoulder, arm, wrist."
+    blind = (
+        "# Openings of the three valves, then how long each holds (s); one row every blind_spacing samples."
+    )
+    tables: list[str] = []
+    for key, name in _TABLES.items():
+        tables += [*([blind] if key == "blind_brake" else [columns] if key == "angle_rad" else [])]
+        tables += [f"{key} = [", *_rows(getattr(profile, name), DIGITS[name]), "]"]
+    return "\n".join([*_head(profile, SCHEMA_WITH_TABLES), *tables, *_tail(profile)]) + "\n"
 
-    text = f'''schema = "{SCHEMA}"
-name = {quoted(profile.name)}
-text = {quoted(profile.text)}
-golfer = {quoted(profile.golfer)}
-club = {quoted(profile.club)}
-period_s = {profile.period!r}
-# Sample at which hold, backswing, top, downswing, committed, impact window, follow-through begin.
-begins = {list(profile.begins)!r}
-# Face centre at the ball in the swing plane (x0, y0).
-ball_m = [{profile.ball[0]!r}, {profile.ball[1]!r}]
-impact_time_s = {profile.impact_time!r}
-blind_spacing = {profile.blind_spacing}
-# Columns: shoulder, arm, wrist.
-angle_rad = {rows("angle")}
-velocity_rad_per_s = {rows("velocity")}
-valve = {rows("valve")}
-# Openings of the three valves, then how long each holds (s); one row every blind_spacing samples.
-blind_brake = {rows("blind_brake")}
 
-[delivery]
-{group(profile.delivery)}
+def _head(profile: Profile, schema: str) -> list[str]:
+    return [
+        f'schema = "{schema}"',
+        f"name = {_quoted(profile.name)}",
+        f"text = {_quoted(profile.text)}",
+        f"golfer = {_quoted(profile.golfer)}",
+        f"club = {_quoted(profile.club)}",
+        f"period_s = {profile.period!r}",
+        "# Sample at which hold, backswing, top, downswing, committed, impact window, follow-through begin.",
+        f"begins = {list(profile.begins)!r}",
+        "# Face centre at the ball in the swing plane (x0, y0).",
+        f"ball_m = [{profile.ball[0]!r}, {profile.ball[1]!r}]",
+        f"impact_time_s = {profile.impact_time!r}",
+        f"blind_spacing = {profile.blind_spacing}",
+    ]
 
-[limits]
-{group(profile.limits)}
-'''
-    path.write_text(text, encoding="utf-8")
+
+def _tail(profile: Profile) -> Iterator[str]:
+    for name, values in (("delivery", profile.delivery), ("limits", profile.limits)):
+        yield f"\n[{name}]"
+        yield from (f"{key} = {value!r}" for key, value in values.items())
+
+
+def _rows(array: Array, digits: int) -> Iterator[str]:
+    return ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

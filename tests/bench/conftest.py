@@ -1,4 +1,4 @@
-"""A swing made by kinematics alone, and a day made of states, for tests of what is stored and shown."""
+"""A swing made by kinematics alone, a slow swing that every machine can do, and a day made of states."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from bench.control.settings import EnvelopeSettings
 from bench.lifecycle import Cause, Phase, State
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
+from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
 from sim.flight import fly
 from sim.impact import Delivery
-from sim.kinematics import joint_positions
+from sim.kinematics import forward_kinematics, inverse_kinematics, joint_positions
+from sim.plant import PlantParameters
 from sim.robot import Club, RobotParameters, thesis_robot
 
 ADDRESS = np.array([0.571, 4.141, 2 * np.pi])
@@ -173,3 +176,44 @@ def _cycles(
     cycles["head_orientation"] = angle.sum(axis=1)
     cycles["plant_head_speed"] = np.linalg.norm(np.gradient(head, time, axis=0), axis=1)
     return cycles
+
+
+@pytest.fixture(scope="session")
+def plant() -> PlantParameters:
+    return PlantParameters()
+
+
+@pytest.fixture(scope="session")
+def envelope() -> EnvelopeSettings:
+    return EnvelopeSettings()
+
+
+@pytest.fixture(scope="session")
+def slow_swing(plant: PlantParameters) -> Profile:
+    """The shoulder alone turns by 0.5 rad in two seconds, smoothly, with the face at the ball halfway."""
+    site, n = plant.site, 2000
+    face = (site.ball_x - plant.ball.radius, site.ball_y, 3.5 * np.pi)
+    at_ball = inverse_kinematics(plant.robot, face)
+    assert forward_kinematics(plant.robot, at_ball) == pytest.approx(face)
+    part = np.arange(n) / n
+    turn = 0.5 * (part**3 * (10 - 15 * part + 6 * part**2) - 0.5)
+    angle, velocity = np.tile(at_ball, (n, 1)), np.zeros((n, 3))
+    angle[:, 0] += turn
+    velocity[:, 0] = 0.5 * 30 * part**2 * (1 - part) ** 2 / (n * plant.tick)
+    return Profile(
+        name="slow",
+        text='for tests, "quoted" and \\ back',
+        golfer="nobody",
+        club=plant.robot.club.name,
+        period=plant.tick,
+        begins=(0, 1, 400, 500, 900, 997, 1005),
+        angle=angle,
+        velocity=velocity,
+        valve=np.zeros((n, 3)),
+        blind_spacing=100,
+        blind_brake=np.tile([0.1, -0.2, 0.3, 0.05, 0.0, 0.1], (20, 1)),
+        ball=(site.ball_x, site.ball_y),
+        impact_time=1.0,
+        delivery={"head_speed_mps": 0.7},
+        limits={"supply_pressure_pa": plant.supply.pressure},
+    )

@@ -115,6 +115,13 @@ def test_show_draws_a_profile(run: Run, tmp_path: Path) -> None:
     assert run("swing", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
 
 
+def test_show_prints_a_profile_that_can_be_edited_and_loaded(run: Run, tmp_path: Path) -> None:
+    answer = run("swing", "show", "slow", "--table")
+    assert (answer.code, "angle_rad = [" in answer.out) == (ExitCode.OK, True)
+    (tmp_path / "edited.toml").write_text(answer.out.replace('golfer = "nobody"', 'golfer = "somebody"'))
+    assert "somebody" in run("swing", "show", "edited.toml").out
+
+
 def test_simulate_tells_why_there_is_no_shot(run: Run, tmp_path: Path) -> None:
     answer = run("--config", "mine.toml", "swing", "simulate", "slow", "--json")
     found = json.loads(answer.out)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pyarrow import parquet as pq
 
 from bench.errors import BenchError
 from bench.lifecycle import Phase
-from bench.swing.profile import Profile, load_profile, save_profile
+from bench.swing.library import find_profile, profile_names
+from bench.swing.profile import Profile, as_written, load_profile, profile_text, save_profile
+from bench.swing.profile_table import decode_table, encode_table
+
+TABLES = ("angle", "velocity", "valve", "blind_brake")
 
 
 @pytest.fixture(scope="module")
@@ -33,12 +41,25 @@ def short(slow_swing: Profile) -> Profile:
 
 @pytest.fixture
 def path(short: Profile, tmp_path: Path) -> Path:
+    """Write the short swing as a pair of files, and return the TOML one."""
     save_profile(tmp_path / "short.toml", short)
     return tmp_path / "short.toml"
 
 
-def test_a_saved_profile_is_loaded_again(short: Profile, path: Path) -> None:
-    found = load_profile(path)
+@pytest.fixture
+def one_file(short: Profile, tmp_path: Path) -> Path:
+    """Write the short swing as one TOML file with its tables."""
+    (tmp_path / "one.toml").write_text(profile_text(short))
+    return tmp_path / "one.toml"
+
+
+def bits(profile: Profile) -> list[bytes]:
+    return [getattr(profile, name).tobytes() for name in TABLES]
+
+
+@pytest.mark.parametrize("form", ["path", "one_file"])
+def test_a_saved_profile_is_loaded_again(form: str, short: Profile, request: pytest.FixtureRequest) -> None:
+    found = load_profile(request.getfixturevalue(form))
     for name in (
         "name",
         "text",
@@ -60,7 +81,92 @@ def test_a_saved_profile_is_loaded_again(short: Profile, path: Path) -> None:
 
 def test_saving_what_was_loaded_changes_nothing(path: Path, tmp_path: Path) -> None:
     save_profile(tmp_path / "again.toml", load_profile(path))
-    assert (tmp_path / "again.toml").read_bytes() == path.read_bytes()
+    found, wanted = (tmp_path / "again.toml").read_text(), path.read_text()
+    assert found.replace("again.parquet", "short.parquet") == wanted
+    assert (tmp_path / "again.parquet").read_bytes() == path.with_suffix(".parquet").read_bytes()
+
+
+def test_a_pair_and_one_file_hold_the_same_bits(path: Path, one_file: Path, short: Profile) -> None:
+    pair, whole = load_profile(path), load_profile(one_file)
+    assert bits(pair) == bits(whole) == bits(as_written(short))
+    assert profile_text(pair) == one_file.read_text()
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_the_shipped_profiles_say_the_same_as_text(name: str, tmp_path: Path) -> None:
+    shipped = load_profile(find_profile(name))
+    (tmp_path / "text.toml").write_text(profile_text(shipped))
+    assert bits(load_profile(tmp_path / "text.toml")) == bits(shipped)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    rows=st.lists(st.tuples(*[st.floats(-100, 100)] * 12), min_size=1, max_size=40),
+    spacing=st.integers(1, 50),
+)
+def test_any_table_comes_back_bit_for_bit_with_the_sign_of_zero(
+    rows: list[tuple[float, ...]], spacing: int
+) -> None:
+    values = np.array(rows)
+    tables = {
+        "angle": np.round(values[:, :3] / 10, 6),
+        "velocity": np.round(values[:, 3:6], 4),
+        "valve": np.round(values[:, 6:9] / 100, 5),
+        "blind_brake": np.round(np.hstack([values[::spacing, 9:12]] * 2), 4),
+    }
+    tables["valve"][0] = -0.0
+    tables["blind_brake"][0, 0] = -0.0
+    found = decode_table(encode_table(tables, spacing), spacing)
+    assert {key: table.tobytes() for key, table in found.items()} == {
+        key: table.tobytes() for key, table in tables.items()
+    }
+
+
+def test_a_changed_table_is_refused_with_both_digests(path: Path) -> None:
+    table = path.with_suffix(".parquet")
+    wanted = re.search(r'table_sha256 = "(\w+)"', path.read_text())
+    assert wanted is not None
+    content = bytearray(table.read_bytes())
+    content[100] ^= 1
+    table.write_bytes(content)
+    with pytest.raises(BenchError) as raised:
+        load_profile(path)
+    assert raised.value.place == str(table)
+    assert raised.value.found == f"SHA-256 {sha256(content).hexdigest()}"
+    assert wanted[1][:50] in raised.value.expected
+    assert f"as {path} says" in raised.value.expected
+    assert "Copy both files" in raised.value.cure
+
+
+def test_a_missing_or_foreign_table_is_refused(path: Path) -> None:
+    table, text = path.with_suffix(".parquet"), path.read_text()
+
+    def refused(content: bytes) -> BenchError:
+        table.write_bytes(content)
+        digest = f'table_sha256 = "{sha256(content).hexdigest()}"'
+        path.write_text(re.sub("table_sha256 = .*", digest, text))
+        with pytest.raises(BenchError) as raised:
+            load_profile(path)
+        return raised.value
+
+    def parquet_of(columns: dict[str, object]) -> bytes:
+        file = BytesIO()
+        pq.write_table(pa.table(columns), file)
+        return file.getvalue()
+
+    found = refused(b"no table")
+    assert found.place == str(table)
+    assert found.found.startswith("no Parquet file: ")
+    assert refused(parquet_of({"a": [1]})).found == "no column angle_shoulder_rad"
+    names = ("shoulder", "arm", "wrist")
+    floats = parquet_of({f"angle_{name}_rad": [0.5] for name in names})
+    assert refused(floats).found == "column angle_shoulder_rad of type double, not decimal"
+    table.unlink()
+    with pytest.raises(BenchError, match=r"short\.parquet: found no such file, expected the table of"):
+        load_profile(path)
+    path.write_text(text.replace('table = "short.parquet"', 'table = "."'))
+    with pytest.raises(BenchError, match="Is a directory"):
+        load_profile(path)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -72,8 +178,12 @@ def test_any_text_comes_back(text: str, short: Profile, tmp_path: Path) -> None:
 
 def test_phases_begin_where_they_say(short: Profile) -> None:
     assert [short.phase_of(k) for k in (0, 1, 11, 24, 49)] == [
-        Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.IMPACT, Phase.FOLLOW_THROUGH,
-    ]  # fmt: skip
+        Phase.HOLD,
+        Phase.BACKSWING,
+        Phase.TOP,
+        Phase.IMPACT,
+        Phase.FOLLOW_THROUGH,
+    ]
     assert list(short.phases) == [short.phase_of(k) for k in range(len(short.angle))]
 
 
@@ -112,15 +222,15 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
     ],
 )
 def test_each_bad_profile_is_refused_with_its_place(
-    pattern: str, text: str, place: str, found: str, expected: str, path: Path
+    pattern: str, text: str, place: str, found: str, expected: str, one_file: Path
 ) -> None:
-    good = path.read_text()
+    good = one_file.read_text()
     bad = re.sub(pattern, text.replace("\\", r"\\"), good, count=1)
     assert bad != good
-    path.write_text(bad)
+    one_file.write_text(bad)
     with pytest.raises(BenchError) as raised:
-        load_profile(path)
-    assert raised.value.place == f"{path}: {place}"
+        load_profile(one_file)
+    assert raised.value.place == f"{one_file}: {place}"
     assert found in raised.value.found
     assert expected in raised.value.expected
     assert raised.value.cure
