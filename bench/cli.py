@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
@@ -26,12 +26,16 @@ from bench.commands.launch_monitor import launch_monitor
 from bench.commands.learn import learn
 from bench.commands.nodes import nodes
 from bench.commands.operate import app as control_app
+from bench.commands.plain_help import show_plainly
 from bench.commands.run import run
 from bench.commands.session import Session
 from bench.commands.swing import app as swing_app
 from bench.commands.tune import tune
 from bench.commands.view import view
 from bench.errors import BenchError, ExitCode
+
+if TYPE_CHECKING:
+    from typer.core import TyperGroup
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -103,7 +107,7 @@ def doctor(
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
     data_dir: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Folder of records [default: data_dir of the configuration]."),
+        typer.Option(metavar="PATH", help="Folder of records.", show_default="data_dir of the configuration"),
     ] = None,
 ) -> None:
     """Show what this machine can do: packages, real time, memory, CAN, tools.
@@ -139,7 +143,9 @@ def demo(
     context: typer.Context,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="New or empty folder for the files [default: DATA_DIR/demo-TIME]."),
+        typer.Option(
+            metavar="DIR", help="New or empty folder for the files.", show_default="DATA_DIR/demo-TIME"
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the small differences between shots.")] = 1,
     swings: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 10,
@@ -170,7 +176,7 @@ def check(
     context: typer.Context,
     profile: Annotated[
         str | None,
-        typer.Argument(metavar="[PROFILE]", help="Name or path [default: the configuration's]."),
+        typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
     ] = None,
 ) -> None:
     """Check configuration and swing before anything moves, and say what was checked.
@@ -202,12 +208,18 @@ def replay(
         raise typer.Exit(ExitCode.REFUSED)
 
 
+def command_line() -> TyperGroup:
+    """Return all commands as one."""
+    command = typer.main.get_group(app)
+    show_plainly(command)
+    return command
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     session = Session()
-    command = typer.main.get_command(app)
     try:
-        command.main(args=arguments, prog_name="golfbench", obj=session)
+        command_line().main(args=arguments, prog_name="golfbench", obj=session)
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
     except Exception as error:

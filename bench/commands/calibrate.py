@@ -28,10 +28,11 @@ Days = Annotated[
         "--expires-days",
         min=1,
         max=3650,
-        help="Days for which it holds [default: encoders 365, ball 30, club 90, valves 180].",
+        help="Days for which it holds.",
+        show_default="encoders 365, ball 30, club 90, valves 180",
     ),
 ]
-By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured [default: the user's name].")]
+By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")]
 Method = Annotated[str, typer.Option(metavar="TEXT", help="How and with which tool.")]
 Note = Annotated[str, typer.Option(metavar="TEXT", help="What else is to be said.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
@@ -57,14 +58,16 @@ def encoders(
         tuple[int, int, int] | None,
         typer.Option(
             metavar="SHOULDER ARM WRIST",
-            help="What the encoders show at that pose [default: read from the running bench].",
+            help="What the encoders show at that pose.",
+            show_default="read from the running bench",
         ),
     ] = None,
     sign: Annotated[
         tuple[int, int, int] | None,
         typer.Option(
             metavar="SHOULDER ARM WRIST",
-            help="-1 where the count falls as the angle rises [default: as in force].",
+            help="-1 where the count falls as the angle rises.",
+            show_default="as in force",
         ),
     ] = None,
     method: Method = "",
@@ -144,7 +147,7 @@ def club(
     ],
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[CLUB]", help="Club of the configuration [default: the mounted one]."),
+        typer.Argument(metavar="CLUB", help="Club of the configuration.", show_default="the mounted one"),
     ] = None,
     method: Method = "values entered",
     by: By = None,

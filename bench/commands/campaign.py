@@ -138,7 +138,7 @@ def resume(
     context: typer.Context,
     campaign: Id,
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", help="Its plan, which must be unchanged.")
+        Path | None, typer.Argument(metavar="FILE", help="Its plan, which must be unchanged.")
     ] = None,
     json_: Json = False,
     junit: Annotated[
@@ -239,7 +239,9 @@ def report(
     campaign: Id,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Where to [default: report.html beside the campaign's records]."),
+        typer.Option(
+            metavar="FILE", help="Where to.", show_default="report.html beside the campaign's records"
+        ),
     ] = None,
     json_: Annotated[
         bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
@@ -281,7 +283,7 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
 def answer(
     context: typer.Context,
     campaign: Id,
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who did it [default: user@host].")] = "",
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who did it.", show_default="user@host")] = "",
 ) -> None:
     """Say that what a campaign asks for is done: a club is mounted, the feeder is filled."""
     from datetime import UTC, datetime
@@ -324,7 +326,9 @@ def air(
         float | None, typer.Option(metavar="HPA", help="Of the place, not reduced to sea level.")
     ] = None,
     humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative.")] = None,
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who or what read it [default: user@host].")] = "",
+    by: Annotated[
+        str, typer.Option(metavar="NAME", help="Who or what read it.", show_default="user@host")
+    ] = "",
 ) -> None:
     """Tell the air that was read at the bench, or show the newest reading.
 
@@ -390,7 +394,7 @@ def export(
     campaign: Id,
     format_: Annotated[Literal["csv"], typer.Option("--format", help="What to write.")] = "csv",
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to [default: standard output].")
+        Path | None, typer.Option(metavar="FILE", help="Where to.", show_default="standard output")
     ] = None,
 ) -> None:
     """Write a campaign's shots, one row each."""

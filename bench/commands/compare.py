@@ -21,7 +21,9 @@ def compare(
     context: typer.Context,
     profile: Annotated[
         str | None,
-        typer.Argument(metavar="[PROFILE]", help="Name or path of a profile [default: the configuration's]."),
+        typer.Argument(
+            metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"
+        ),
     ] = None,
     robot: Annotated[
         Literal["nominal", "worn", "both"],

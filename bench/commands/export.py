@@ -31,7 +31,9 @@ def export(
     format_: Annotated[Format, typer.Option("--format", help="What to write.")],
     output: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="File for one record, folder for several [default: beside each]."),
+        typer.Option(
+            metavar="PATH", help="File for one record, folder for several.", show_default="beside each"
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:

@@ -26,9 +26,9 @@ def faults() -> None:
 @app.command()
 def run(
     context: typer.Context,
-    profile: Annotated[str, typer.Argument(metavar="[PROFILE]", help="Name or path.")] = "default",
+    profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path.")] = "default",
     output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of results [default: DATA_DIR/faults].")
+        Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
     ] = None,
     signal: Annotated[
         list[str] | None,

@@ -128,7 +128,8 @@ def swing_when_armed(context: typer.Context) -> None:
 # The lease -------------------------------------------------------------------------------------------
 
 Seconds = Annotated[
-    float | None, typer.Option(metavar="N", min=5.0, max=600.0, help="How long [default: 30, or as before].")
+    float | None,
+    typer.Option(metavar="N", min=5.0, max=600.0, help="How long.", show_default="30, or as before"),
 ]
 
 
@@ -136,7 +137,7 @@ Seconds = Annotated[
 def take_lease(
     context: typer.Context,
     holder: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Who holds the bench [default: user@host].")
+        str | None, typer.Option(metavar="NAME", help="Who holds the bench.", show_default="user@host")
     ] = None,
     seconds: Seconds = None,
 ) -> None:

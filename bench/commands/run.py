@@ -13,14 +13,14 @@ from bench.commands.session import Session
 def run(
     context: typer.Context,
     driver: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What is driven [default: the configuration's].")
+        str | None, typer.Option(metavar="NAME", help="What is driven.", show_default="the configuration's")
     ] = None,
     time: Annotated[
         Literal["wall", "paced"] | None,
         typer.Option(help="Of the simulated plant: its own clock, or in step with the loop's ticks."),
     ] = None,
     profile: Annotated[
-        str | None, typer.Option(metavar="PROFILE", help="What is swung [default: the configuration's].")
+        str | None, typer.Option(metavar="PROFILE", help="What is swung.", show_default="the configuration's")
     ] = None,
     read_only: Annotated[
         bool, typer.Option("--read-only", help="Observe; send nothing but the passive command.")

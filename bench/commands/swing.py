@@ -91,7 +91,7 @@ def simulate(
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder for pictures and records [default: DATA_DIR/simulations/NAME]."
+            metavar="DIR", help="Folder for pictures and records.", show_default="DATA_DIR/simulations/NAME"
         ),
     ] = None,
     ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
@@ -156,9 +156,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
 @app.command()
 def check(
     context: typer.Context,
-    profile: Annotated[
-        str, typer.Argument(metavar="[PROFILE]", help="Name or path of a profile.")
-    ] = "default",
+    profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")] = "default",
     spacing: Annotated[int, typer.Option(min=1, help="Ticks between the instants that are tried.")] = 20,
     json_: Json = False,
 ) -> None:
@@ -203,8 +201,9 @@ def design(
     output: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FILE]",
-            help="The profile to write, .toml; its table goes beside it [default: by its demand].",
+            metavar="FILE",
+            help="The profile to write, .toml; its table goes beside it.",
+            show_default="by its demand",
         ),
     ] = None,
     club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
@@ -218,7 +217,8 @@ def design(
             metavar="M_PER_S",
             min=5.0,
             max=60.0,
-            help="Head speed at the ball [default: 45, or golfer's].",
+            help="Head speed at the ball.",
+            show_default="45, or golfer's",
         ),
     ] = None,
     attack: Annotated[
@@ -230,7 +230,8 @@ def design(
             metavar="DEG",
             min=-3.0,
             max=3.0,
-            help="Shaft lean at the ball, in the swing plane [default: the easiest within 1.5 deg].",
+            help="Shaft lean at the ball, in the swing plane.",
+            show_default="the easiest within 1.5 deg",
         ),
     ] = None,
     strike: Annotated[
@@ -246,7 +247,8 @@ def design(
             metavar="S",
             min=0.5,
             max=3.0,
-            help="How long the backswing takes: the tempo [default: 0.85, or the golfer's].",
+            help="How long the backswing takes: the tempo.",
+            show_default="0.85, or the golfer's",
         ),
     ] = None,
     highest: Annotated[
@@ -265,7 +267,8 @@ def design(
         typer.Option(
             "--from",
             metavar="PROFILE",
-            help='Swing to begin with, or "nothing" [default: the configuration\'s].',
+            help='Swing to begin with, or "nothing".',
+            show_default="the configuration's",
         ),
     ] = None,
 ) -> None:
@@ -378,7 +381,7 @@ def golfers(
     profile: Annotated[
         str | None,
         typer.Argument(
-            metavar="[PROFILE]", help="Name or path of a profile [default: each golfer's own swing]."
+            metavar="PROFILE", help="Name or path of a profile.", show_default="each golfer's own swing"
         ),
     ] = None,
     plot: Annotated[

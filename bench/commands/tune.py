@@ -24,7 +24,7 @@ def tune(
     context: typer.Context,
     profile: Annotated[
         str | None,
-        typer.Argument(metavar="[PROFILE]", help="Swing to tune for [default: the configuration's]."),
+        typer.Argument(metavar="PROFILE", help="Swing to tune for.", show_default="the configuration's"),
     ] = None,
     method: Annotated[
         Method,

@@ -44,7 +44,7 @@ def view(
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=1024, max=65535, help="Of the web page [default: a free one]."),
+        typer.Option(min=1024, max=65535, help="Of the web page.", show_default="a free one"),
     ] = None,
     memory_limit: Annotated[
         str, typer.Option(metavar="SIZE", help="What the viewer may keep; then the oldest goes.")

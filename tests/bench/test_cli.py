@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from typing import Any
 
 import psutil
 import pytest
 
-from bench.cli import main
+from bench.cli import command_line, main
 from bench.errors import BenchError, ExitCode, Refused
 from drivers.base import DriverError
 
@@ -73,6 +74,33 @@ def test_help_starts_without_heavy_packages() -> None:
     loaded = set(answer.stdout.splitlines()[-1].split())
     assert "bench.cli" in loaded
     assert loaded.isdisjoint(HEAVY)
+
+
+def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    yield path, command
+    for name, below in getattr(command, "commands", {}).items():
+        yield from _pages(below, *path, name)
+
+
+@pytest.mark.parametrize(
+    ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
+)
+def test_a_help_page_shows_every_text_whole(
+    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Brackets are style tags to the library that prints it: "Where to [default: here]." lost its default."""
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit):
+        main([*path, "--help"])
+    shown = capsys.readouterr().out
+    texts = [command.help or "", *(getattr(parameter, "help", "") for parameter in command.params)]
+    texts += [text for p in command.params if isinstance(text := getattr(p, "show_default", ""), str)]
+    for text in texts:
+        for paragraph in text.replace("\\[", "[").split("\n\n"):
+            assert " ".join(paragraph.split()) in shown
+    assert not re.search(r" \.(\s|$)", shown)
+    assert "<bool>" not in shown, "a flag takes no value"
+    assert "[[" not in shown
 
 
 def test_version() -> None:
