@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, cast
 
 import typer
 
@@ -210,7 +210,7 @@ def replay(
 
 def command_line() -> TyperGroup:
     """Return all commands as one."""
-    command = typer.main.get_group(app)
+    command = cast("TyperGroup", typer.main.get_command(app))
     show_plainly(command)
     return command
 
