@@ -36,6 +36,9 @@ from sim.air import Air
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")
 """Whose versions stand in the record."""
 
+SHORTEST_PREFIX = 4
+"""Characters of a campaign's id that may stand for the whole."""
+
 
 def new_entry(
     plan: CampaignPlan,
@@ -347,15 +350,27 @@ def _bench_file(data_dir: Path, bench: str) -> Path:
     return data_dir / "campaigns" / f".runner-of-{bench}"
 
 
-def known(store: CampaignStore, wanted: str) -> CampaignEntry:
-    """Return the campaign of id `wanted`, or the newest one whose id begins so; "" is the newest of all.
+def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
+    """Return the campaign with id `wanted`, or the only one whose id begins so.
 
     Raises:
-        BenchError: there is none.
+        BenchError: no campaign, several campaigns, or fewer than `SHORTEST_PREFIX` characters to go by.
     """
-    for entry, _, _ in store.entries():
-        if entry.id == wanted or entry.id.startswith(wanted):
+    place = f"campaign {wanted}"
+    found = [entry for entry, _, _ in store.entries() if entry.id.startswith(wanted)]
+    for entry in found:
+        if entry.id == wanted:
             return entry
-    raise BenchError(
-        f"campaign {wanted}", "no such campaign", "an id, or its beginning", "See golfbench campaign list."
-    )
+    if not found:
+        expected = f"an id, or at least its first {SHORTEST_PREFIX} characters"
+        raise BenchError(place, "no such campaign", expected, "See golfbench campaign list.")
+    if len(found) > 1 or len(wanted) < SHORTEST_PREFIX:
+        shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
+        number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"
+        raise BenchError(
+            place,
+            f"{number} so: {shown}",
+            f"an id, or enough of its beginning to fit one campaign, at least {SHORTEST_PREFIX} characters",
+            f"Give the id: for the newest, {found[0].id}.",
+        )
+    return found[0]

@@ -26,13 +26,23 @@ File = Annotated[
 ]
 Id = Annotated[
     str,
-    typer.Argument(metavar="ID", help="Id of a campaign or its beginning; the newest that fits is meant."),
+    typer.Argument(metavar="ID", help="Id of a campaign, or a beginning that fits no other campaign."),
 ]
 Ask = Annotated[
     bool,
     typer.Option(
         "--ask", help="Have a person change clubs and fill the feeder also where the bench is simulated."
     ),
+]
+Junit = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
+]
+ReportTo = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE", help="Also write the report, HTML.")
+]
+Check = Annotated[
+    Path | None,
+    typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
@@ -101,16 +111,9 @@ def run(
         bool, typer.Option("--sim", help="On the simulated bench, in lock-step, in this process.")
     ] = False,
     json_: Json = False,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
-    ] = None,
-    report_to: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE", help="Also write the report, HTML.")
-    ] = None,
-    check_: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
-    ] = None,
+    junit: Junit = None,
+    report_to: ReportTo = None,
+    check_: Check = None,
     ask: Ask = False,
 ) -> None:
     """Run a campaign from its first shot to its end: on the running bench, or with --sim without one.
@@ -141,26 +144,31 @@ def resume(
         Path | None, typer.Argument(metavar="FILE", help="Its plan, which must be unchanged.")
     ] = None,
     json_: Json = False,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
-    ] = None,
+    junit: Junit = None,
+    report_to: ReportTo = None,
+    check_: Check = None,
     ask_: Ask = False,
 ) -> None:
-    """Go on with a campaign that was paused, stopped, suspended or cut off."""
-    from bench.campaign.operate import ask, is_running, known, require_resumable
+    """Resume a campaign that was paused, stopped, suspended or cut off.
+
+    Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
+    """
+    from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
+    from bench.commands.campaign_baseline import read_baseline
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
+    bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
-        entry = known(store, campaign)
+        entry = find_campaign(store, campaign)
         require_resumable(entry, store.standing(entry.id).state, configuration, plan)
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
             return
         if entry.real_time:
             _bench_facts(plan_from_record(entry.plan, f"campaign {entry.id}"), configuration)
-        _run(store, entry, configuration, Outputs(json_, junit, None, []), ask=ask_)
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask_)
 
 
 def _bench_facts(plan: CampaignPlan, configuration: Configuration) -> dict[str, Any]:
@@ -252,12 +260,12 @@ def report(
 
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.operate import known
+    from bench.campaign.operate import find_campaign
     from bench.errors import Refused
 
     configuration = context.ensure_object(Session).configuration()
     with _store(configuration) as store:
-        record = load_record(store, known(store, campaign))
+        record = load_record(store, find_campaign(store, campaign))
     entry = record.entry
     if not record.shots:
         raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
@@ -271,11 +279,11 @@ def report(
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
-    from bench.campaign.operate import ask, known
+    from bench.campaign.operate import ask, find_campaign
 
     configuration = context.ensure_object(Session).configuration()
     with _store(configuration) as store:
-        entry = known(store, campaign)
+        entry = find_campaign(store, campaign)
         typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request)}")
 
 
@@ -288,12 +296,12 @@ def answer(
     """Say that what a campaign asks for is done: a club is mounted, the feeder is filled."""
     from datetime import UTC, datetime
 
-    from bench.campaign.operate import answer, known
+    from bench.campaign.operate import answer, find_campaign
     from bench.commands.campaign_terminal import user_name
 
     configuration = context.ensure_object(Session).configuration()
     with _store(configuration) as store:
-        entry = known(store, campaign)
+        entry = find_campaign(store, campaign)
         now = datetime.now(UTC)
         text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now)
     after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
@@ -313,9 +321,28 @@ def stop(context: typer.Context, campaign: Id) -> None:
 
 
 @app.command()
-def abort(context: typer.Context, campaign: Id) -> None:
-    """End a campaign for good."""
-    _request(context, campaign, "abort")
+def abort(
+    context: typer.Context,
+    campaign: Id,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+) -> None:
+    """Abort a campaign at once, after a confirmation. It cannot be resumed."""
+    from bench.campaign.operate import find_campaign
+    from bench.errors import Refused
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        entry = find_campaign(store, campaign)
+        state, shots = store.standing(entry.id).state, len(store.shots(entry.id))
+    if not yes:
+        question = f"Abort campaign {entry.id} ({state}, {shots} shots)? It cannot be resumed."
+        try:
+            confirmed = typer.confirm(question, err=True)
+        except typer.Abort:  # end of input
+            confirmed = False
+        if not confirmed:
+            cure = f"golfbench campaign abort --yes {entry.id}"
+            raise Refused(f"campaign {entry.id}", "not aborted", "a confirmation", cure)
+    _request(context, entry.id, "abort")
 
 
 @app.command()
@@ -383,7 +410,8 @@ def list_campaigns(context: typer.Context, json_: Json = False) -> None:
     if json_:
         typer.echo(json.dumps(listing_record(found), indent=2))
     elif found:
-        Console().print(listing(found))
+        console = Console()
+        console.print(listing(found, console), crop=False)
     else:
         typer.echo("No campaigns yet.")
 
@@ -398,11 +426,11 @@ def export(
     ] = None,
 ) -> None:
     """Write a campaign's shots, one row each."""
-    from bench.campaign.operate import known
+    from bench.campaign.operate import find_campaign
     from bench.shot.shot_table import shot_table_text, write_shot_table
 
     with _store(context.ensure_object(Session).configuration()) as store:
-        shots = [stored.shot for stored in store.shots(known(store, campaign).id)]
+        shots = [stored.shot for stored in store.shots(find_campaign(store, campaign).id)]
     if output is None:
         typer.echo(shot_table_text(shots), nl=False)
     else:

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group
 from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Column, Table
+from rich.text import Text
 
 from bench.campaign.course import is_settled
 from bench.campaign.plan import CampaignPlan
@@ -42,18 +44,23 @@ class ProgressWatcher(Watcher):
         self._bar.console.print(escape(text), highlight=False)
 
 
-def listing(found: Listed) -> Table:
-    """Return the campaigns as a table."""
-    columns = (Column("begun, UTC", no_wrap=True), Column("state", no_wrap=True), "shots", "valid")
-    table = Table(Column("campaign", ratio=1), *columns, box=SIMPLE_HEAD, expand=True)
+def listing(found: Listed, console: Console) -> Table:
+    """Return the campaigns as a table for `console`, wider than it where whole ids do not fit."""
+    longest = max((len(entry.id) for entry, _, _ in found), default=0)
+    identity = Column("campaign", width=longest, no_wrap=True)
+    others = (Column("begun, UTC", min_width=10), Column("state", min_width=9), "shots", "valid")
+    table = Table(identity, *others, box=SIMPLE_HEAD)
     for entry, standing, counts in found:
+        reason = [Text(standing.reason, style="dim", no_wrap=False)] if standing.reason else []
         table.add_row(
-            escape(entry.id) + (f"\n[dim]{escape(standing.reason)}[/]" if standing.reason else ""),
+            Group(Text(entry.id), *reason),
             f"{entry.date:%Y-%m-%d %H:%M}",
             f"{standing.state}{' (sim)' if entry.simulated else ''}",
             str(sum(counts.values())),
             str(counts[ShotStatus.VALID]),
         )
+    whole = console.measure(table, options=console.options.update(max_width=1000)).minimum
+    table.width = max(console.width, whole)
     return table
 
 

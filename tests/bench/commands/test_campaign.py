@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -304,3 +305,100 @@ def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], w
     assert isinstance(refused.exception, BenchError)
     assert what in str(refused.exception)
     assert "not been read yet" in call("air").output
+
+
+Begin = Callable[[int], list[str]]
+
+
+@pytest.fixture
+def begin(user: User, tmp_path: Path) -> Begin:
+    """Begin campaigns of one plan that nobody runs; return their ids, the newest first."""
+
+    def begin(number: int) -> list[str]:
+        configuration = load_configuration(tmp_path / "bench.toml")
+        plan = load_plan(tmp_path / "short.toml", configuration)
+        dates = [datetime(2026, 1, 1, 0, 0, second, tzinfo=UTC) for second in range(number)]
+        entries = [new_entry(plan, configuration, date, simulated=True) for date in dates]
+        with open_database(database_url("", tmp_path / "data")) as engine:
+            store = CampaignStore(engine)
+            for entry in entries:
+                store.begin(entry)
+                store.change(
+                    entry.id, state=CampaignState.SUSPENDED, reason="no ball came, five times running"
+                )
+        return [entry.id for entry in reversed(entries)]
+
+    return begin
+
+
+@pytest.fixture
+def two(begin: Begin) -> list[str]:
+    return begin(2)
+
+
+def state_of(user: User, campaign: str) -> str:
+    return {entry["id"]: str(entry["state"]) for entry in json.loads(user("list", "--json")[1])}[campaign]
+
+
+@pytest.mark.parametrize("columns", ["20", "40", "60", "80", "200"])
+def test_the_list_shows_ids_whole_at_any_width(
+    user: User, two: list[str], columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    code, text = user("list")
+    assert code == ExitCode.OK
+    for word in (*two, "2026-01-01", "suspended", "no ball came"):
+        assert word in text
+
+
+@pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report", "answer"])
+def test_an_ambiguous_or_short_beginning_of_an_id_stands_for_no_campaign(
+    user: User, two: list[str], verb: str
+) -> None:
+    code, text = user(verb, "short")
+    assert code == ExitCode.BAD_INPUT
+    assert f"2 campaigns begin so: {two[0]}, {two[1]}" in text
+    assert f"Give the id: for the newest, {two[0]}." in text
+    assert state_of(user, two[0]) == "suspended"
+
+
+def test_the_beginning_of_an_id_that_fits_one_campaign_stands_for_it(user: User, two: list[str]) -> None:
+    code, text = user("abort", "--yes", two[1][:-1])
+    assert code == ExitCode.OK
+    assert text.startswith(f"{two[1]} aborted")
+    assert (state_of(user, two[0]), state_of(user, two[1])) == ("suspended", "aborted")
+
+
+def test_a_beginning_of_three_characters_is_too_short(begin: Begin, user: User) -> None:
+    (campaign,) = begin(1)
+    code, text = user("abort", "--yes", "sho")
+    assert code == ExitCode.BAD_INPUT
+    assert f"1 campaign begins so: {campaign}" in text
+    assert "at least 4 characters" in text
+    assert "no such campaign" in user("abort", "--yes", "lon")[1]
+    assert state_of(user, campaign) == "suspended"
+
+
+@pytest.mark.parametrize(("typed", "state"), [("y\n", "aborted"), ("n\n", "suspended"), ("", "suspended")])
+def test_abort_asks_for_a_confirmation_that_names_the_campaign(
+    user: User, two: list[str], typed: str, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", StringIO(typed))
+    code, text = user("abort", two[0])
+    assert f"Abort campaign {two[0]} (suspended, 0 shots)? It cannot be resumed. [y/N]" in text
+    assert state_of(user, two[0]) == state
+    assert code == (ExitCode.OK if state == "aborted" else ExitCode.REFUSED)
+    if code:
+        assert f"to do: golfbench campaign abort --yes {two[0]}" in text
+
+
+def test_a_resumed_campaign_leaves_a_report_and_compares_its_figures(
+    user: User, two: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "band.toml").write_text('[[figure]]\npath = "shots"\nlow = 3\n')
+    outputs = ("--report", tmp_path / "r.html", "--check", tmp_path / "band.toml")
+    code, text = user("resume", two[0], *outputs)
+    assert code == ExitCode.REFUSED
+    assert "finished; 2 shots, 2 valid" in text
+    assert "OUTSIDE" in text
+    assert two[0] in (tmp_path / "r.html").read_text()
