@@ -33,8 +33,8 @@ from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
 from bench.network.bench_service import BenchStatus
-from bench.network.client import LATCHED, BenchClient, CommandRefused
-from bench.network.live_swing import HOLD, LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
+from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
+from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.processes.bench_folder import bench_folder
 from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, ShotStatus
@@ -295,7 +295,7 @@ class LiveShots:
             try:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
-                    if status["time"] - held_since >= HOLD:
+                    if status["time"] - held_since >= REST:
                         if self._short_of_air(step, status):
                             raise ShotPostponed(*events)
                         if self._must_practise and not status["ball_present"]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import getpass
 import os
 import socket
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,8 +17,11 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
+    from bench.network.bench_service import BenchStatus
     from bench.network.client import BenchClient
     from bench.network.command import CommandAnswer
+
+    WaitForIt = Callable[[BenchClient, Callable[[BenchStatus], None]], BenchStatus]
 
 PANEL = "A running bench"
 
@@ -27,9 +31,13 @@ lease_app = typer.Typer(
 )
 app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
 
+Wait = Annotated[bool, typer.Option("--wait", help="Wait until it is done; the lease is renewed meanwhile.")]
+Timeout = Annotated[
+    float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait with --wait.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
-_SPARE = 10
+_SPARE = 1000
 """Sequence numbers set apart for one command: a command that is killed leaves none behind that it used."""
 
 
@@ -62,15 +70,30 @@ def status(
 
 
 @app.command(rich_help_panel=PANEL)
-def home(context: typer.Context) -> None:
-    """Prove the encoders' zeros; needs the lease."""
-    _ask_as_holder(context, lambda bench: bench.home())
+def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
+    """Home the robot: prove the encoders' zeros; needs the lease.
+
+    With --wait ends with 1 when the bench is not READY in time.
+    """
+    _ask_as_holder(
+        context,
+        lambda bench: bench.home(),
+        (lambda bench, watch: bench.wait_for("READY", timeout=timeout, watch=watch)) if wait else None,
+    )
 
 
 @app.command(rich_help_panel=PANEL)
-def arm(context: typer.Context) -> None:
-    """Warn, let the air on and go to the address; needs the lease."""
-    _ask_as_holder(context, lambda bench: bench.arm())
+def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
+    """Warn, let the air on and go to the address; needs the lease.
+
+    With --wait until the robot rests at its address, ready to swing; ends with 1 when it does not in time.
+    Ctrl-C then ends the waiting only: golfbench disarm.
+    """
+    _ask_as_holder(
+        context,
+        lambda bench: bench.arm(),
+        (lambda bench, watch: bench.wait_until_armed(timeout=timeout, watch=watch)) if wait else None,
+    )
 
 
 @app.command(rich_help_panel=PANEL)
@@ -118,7 +141,7 @@ def swing_when_armed(context: typer.Context) -> None:
     def ask(bench: BenchClient) -> CommandAnswer:
         state = bench.status()["state"]
         if state != "ARMED":
-            cure = "golfbench arm, then wait until the robot is at its address."
+            cure = "golfbench arm --wait"
             raise Refused(f"swing of bench {bench.bench}", f"state {state}", "state ARMED", cure)
         return bench.swing()
 
@@ -229,14 +252,42 @@ def _holding(context: typer.Context) -> Iterator[BenchClient]:
             file.write(bench.held)
 
 
-def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
+def _ask_as_holder(
+    context: typer.Context, ask: Callable[[BenchClient], CommandAnswer], wait: WaitForIt | None = None
+) -> None:
     from bench.network.client import CommandRefused
 
     with _holding(context) as bench:
         answer = ask(bench)
         _tell(bench, answer)
+        if wait is not None:
+            status = _wait_as_holder(bench, wait)
+            typer.echo(f"bench {bench.bench}: {status['state']}, phase {status['phase']}")
         with suppress(CommandRefused):  # the command is done all the same
             bench.renew_lease()
+
+
+def _wait_as_holder(bench: BenchClient, wait: WaitForIt) -> BenchStatus:
+    """Wait with the bench's state on the screen, and renew the lease on the way."""
+    from rich.console import Console
+
+    from bench.network.client import CommandRefused
+
+    console = Console(stderr=True)
+    began = renewed = time.monotonic()
+    with console.status("") if console.is_terminal else nullcontext() as line:
+
+        def watch(status: BenchStatus) -> None:
+            nonlocal renewed
+            now = time.monotonic()
+            if line is not None:
+                line.update(f"{status['state']}, phase {status['phase']}, {now - began:.0f} s")
+            if bench.held is not None and now - renewed > bench.held.seconds / 3.0:
+                renewed = now
+                with suppress(CommandRefused):  # lost: the bench disarms, which ends the waiting
+                    bench.renew_lease()
+
+        return wait(bench, watch)
 
 
 def _ask(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:

@@ -24,8 +24,8 @@ from bench.learning.measured import figures_from
 from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request
 from bench.network.bench_service import BenchStatus
-from bench.network.client import LATCHED, BenchClient, CommandRefused
-from bench.network.live_swing import HOLD, LOOK, ShotNews, SwingRecord, in_words, tee_up
+from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
+from bench.network.live_swing import LOOK, ShotNews, SwingRecord, in_words, tee_up
 from bench.shot.recorded_shot import plant_of
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
@@ -170,7 +170,7 @@ class LiveSwinger:
             status = self._client.status()
             if status["state"] == "ARMED" and status["phase"] == "HOLD" and self._held:
                 held_since = min(held_since, status["time"])
-                if status["time"] - held_since >= HOLD:
+                if status["time"] - held_since >= REST:
                     return
             else:
                 held_since = np.inf

@@ -4,7 +4,7 @@ with BenchClient.connect(load_configuration()) as bench, bench.lease("Ann"):
     bench.home()
     bench.wait_for("READY")
     bench.arm()
-    bench.wait_for("ARMED", phase="HOLD")
+    bench.wait_until_armed()
     bench.swing()
 """
 
@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 TIMEOUT = 2.0
 """s that an answer is waited for: longer than the bench lets a request wait for its turn and for the loop."""
+
+REST = 1.0
+"""s at rest at the address before a swing: the air in the chambers settles later than the robot."""
 
 LATCHED = frozenset({"ESTOP", "FAULT"})
 
@@ -177,30 +180,80 @@ class BenchClient:
         finally:
             queryable.undeclare()
 
-    def wait_for(self, state: str, *, phase: str | None = None, timeout: float = 30.0) -> BenchStatus:
+    def wait_for(
+        self,
+        state: str,
+        *,
+        phase: str | None = None,
+        timeout: float = 30.0,
+        watch: Callable[[BenchStatus], None] | None = None,
+    ) -> BenchStatus:
         """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
 
-        "ARMED" in phase "HOLD" is at the address, ready to swing.
+        `watch` gets every status on the way.
 
         Raises:
-            Refused: it latched ESTOP or FAULT instead, or the time is over.
+            Refused: ESTOP or FAULT instead, or time-out.
         """
         wanted = state if phase is None else f"{state} in phase {phase}"
+
+        def reached(status: BenchStatus) -> bool:
+            return status["state"] == state and phase in (None, status["phase"])
+
+        return self._wait(reached, wanted, lambda status: status["state"] not in LATCHED, timeout, watch)
+
+    def wait_until_armed(
+        self, *, timeout: float = 60.0, watch: Callable[[BenchStatus], None] | None = None
+    ) -> BenchStatus:
+        """Wait up to `timeout` s until the robot rests at its address, ready to swing; return the status.
+
+        `watch` gets every status on the way.
+
+        Raises:
+            Refused: no longer ARMED (stopped, disarmed, lease expired), or time-out.
+        """
+        since = float("inf")
+
+        def reached(status: BenchStatus) -> bool:
+            nonlocal since
+            at_rest = status["phase"] == "HOLD"
+            since = min(since, status["time"]) if at_rest else float("inf")
+            return status["time"] - since >= REST
+
+        wanted = "ARMED, at rest at the address"
+        return self._wait(reached, wanted, lambda status: status["state"] == "ARMED", timeout, watch)
+
+    def _wait(
+        self,
+        reached: Callable[[BenchStatus], bool],
+        wanted: str,
+        on_the_way: Callable[[BenchStatus], bool],
+        timeout: float,
+        watch: Callable[[BenchStatus], None] | None,
+    ) -> BenchStatus:
+        """Wait until a status is what is `wanted`; refuse one that is neither that nor on the way to it."""
         deadline = time.monotonic() + timeout
         status = self.status()
         with closing(self.states(min(0.5, timeout))) as states:
-            while status["state"] != state or phase not in (None, status["phase"]):
+            while not reached(status):
+                if watch is not None:
+                    watch(status)
                 found = f"{status['state']} in phase {status['phase']}"
                 if cause := status["cause"]:
                     found += f": {cause['text']}"
-                if status["state"] in LATCHED:
-                    cure = "Mend the cause, then golfbench reset."
+                if not on_the_way(status):
+                    latched = status["state"] in LATCHED
+                    cure = (
+                        "Clear the fault, then golfbench reset." if latched else "Look at golfbench status."
+                    )
                     raise Refused(f"bench {self.bench}", found, wanted, cure)
                 if time.monotonic() >= deadline:
                     cure = "Wait longer, or look at golfbench status."
                     raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, cure)
                 heard = next(states)
-                status = self.status() if heard is None else heard.status
+                # One with an older tick was under way before, or the bench has restarted.
+                newer = heard is not None and heard.status["tick"] >= status["tick"]
+                status = heard.status if heard is not None and newer else self.status()
         return status
 
     # The lease -----------------------------------------------------------------------------------

@@ -15,8 +15,6 @@ from bench.shot.shot_message import ShotMessage
 from bench.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import MatchOutcome
 
-HOLD = 1.0
-"""s at the address before a swing: the air in the chambers comes to rest later than the robot."""
 LOOK = 0.05
 """s between two looks at the bench."""
 FEED = 2.0

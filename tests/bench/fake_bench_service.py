@@ -50,6 +50,9 @@ class FakeDesk:
         """While it is clear, requests wait."""
         self.free.set()
         self.error: Exception | None = None
+        self.armed_phase = "HOLD"
+        """"RETURN" while the robot is on its way to the address."""
+        self._began = time.monotonic()
 
     def request(self, request: Request) -> Reply:
         self.requests.append(request)
@@ -87,13 +90,13 @@ class FakeDesk:
             version=1,
             bench="bench1",
             state=self.state.name,
-            phase="HOLD" if self.state is State.ARMED else "STANDING",
+            phase=self.armed_phase if self.state is State.ARMED else "STANDING",
             reaction="NONE",
             cause=cause,
             homed=self.state not in (State.ESTOP, State.SAFE),
             vented=self.state is not State.ARMED,
             tick=123456,
-            time=123.456,
+            time=123.456 + (time.monotonic() - self._began),
             swings=self.requests.count(Request.SWING),
             lease=None,
             read_only=False,

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from io import StringIO
@@ -21,6 +22,7 @@ from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.errors import ExitCode
 from bench.lifecycle import Request, State
+from bench.network.client import REST
 from bench.network.free_port import free_port
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
@@ -79,6 +81,49 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
     assert golfbench("lease", "release").out == "bench bench1: given back\n"
     assert golfbench("lease", "show").out == "bench bench1: nobody holds it\n"
     assert running.plane.counts()["refused"] == 0
+
+
+def test_a_script_waits_until_it_may_swing(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    golfbench("reset")
+    assert golfbench("home", "--wait").out.splitlines()[-1] == "bench bench1: READY, phase STANDING"
+    began = time.monotonic()
+    armed = golfbench("arm", "--wait")
+    assert armed == Outcome(0, "bench bench1: ARMED\nbench bench1: ARMED, phase HOLD\n", "")
+    assert time.monotonic() - began >= REST
+    assert golfbench("swing").code == 0
+
+
+def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take", "--seconds", "5")
+    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+    code, _, err = golfbench("arm", "--wait", "--timeout", "6")
+    assert code == ExitCode.REFUSED
+    assert "bench bench1 after 6 s" in err
+    assert "found:    ARMED in phase RETURN" in err
+    assert "expected: ARMED, at rest at the address" in err
+    assert running.plane.lease() is not None, "5 s, taken over 6 s ago"
+    assert golfbench("disarm").code == 0
+
+
+def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+
+    def fail_once_armed() -> None:
+        while running.desk.state is not State.ARMED:
+            time.sleep(0.01)
+        running.desk.stop()
+
+    fault = threading.Thread(target=fail_once_armed)
+    fault.start()
+    code, _, err = golfbench("arm", "--wait")
+    fault.join()
+    assert code == ExitCode.REFUSED
+    assert "found:    FAULT in phase STANDING: the bench was switched on" in err
+    assert "to do:    Clear the fault, then golfbench reset." in err
 
 
 def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:

@@ -14,7 +14,8 @@ import pytest
 from bench.config import BenchSettings
 from bench.errors import BenchError, ExitCode, Refused
 from bench.lifecycle import Request, State
-from bench.network.client import BenchClient, CommandRefused
+from bench.network.bench_service import BenchStatus
+from bench.network.client import REST, BenchClient, CommandRefused
 from bench.network.command import Verb, encode_command
 from bench.network.zenoh_session import NoAnswer
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
@@ -57,7 +58,7 @@ def test_a_session_as_the_documentation_has_it(running: RunningPlane, bench: Ben
         bench.home()
         bench.wait_for("READY")
         bench.arm()
-        bench.wait_for("ARMED", phase="HOLD")
+        bench.wait_until_armed()
         assert bench.swing().accepted
         assert bench.status()["swings"] == 1
     assert running.plane.lease() is None
@@ -150,6 +151,39 @@ def test_waiting_ends_with_its_time(bench: BenchClient, running: RunningPlane) -
     running.desk.state = State.READY
     with pytest.raises(Refused, match=r"after 0\.2 s: found READY"):
         bench.wait_for("ARMED", timeout=0.2)
+
+
+def test_an_armed_bench_is_waited_for_until_the_robot_rests_at_its_address(
+    running: RunningPlane, bench: BenchClient
+) -> None:
+    running.desk.state, running.desk.armed_phase = State.ARMED, "RETURN"
+    seen: list[str] = []
+
+    def watch(status: BenchStatus) -> None:
+        seen.append(status["phase"])
+        if len(seen) == 3:
+            running.desk.armed_phase = "HOLD"
+
+    with Supervisor(running):
+        began = time.monotonic()
+        assert bench.wait_until_armed(timeout=20.0, watch=watch)["phase"] == "HOLD"
+    assert seen[:3] == ["RETURN"] * 3
+    assert time.monotonic() - began >= REST
+
+
+@pytest.mark.parametrize("state", [State.READY, State.FAULT, State.RECOVERING])
+def test_waiting_for_an_armed_bench_ends_when_it_no_longer_is(
+    state: State, running: RunningPlane, bench: BenchClient
+) -> None:
+    running.desk.state, running.desk.armed_phase = State.ARMED, "RETURN"
+
+    def watch(_: BenchStatus) -> None:
+        running.desk.state = state
+
+    with Supervisor(running), pytest.raises(Refused, match=f"found {state.name} in phase") as caught:
+        bench.wait_until_armed(timeout=20.0, watch=watch)
+    assert caught.value.expected == "ARMED, at rest at the address"
+    assert ("golfbench reset" in caught.value.cure) == (state is State.FAULT)
 
 
 def test_no_bench_no_answer() -> None:
