@@ -1,11 +1,15 @@
 """Encoder counts to continuous joint angles, believing only what the joint can have done.
 
-An absolute single-turn encoder gives a count modulo its range. The count is unwrapped against the last
-accepted one, in whole counts, so that nothing drifts. A jump that the joint could not have made in the
-time between the two samples is named implausible and not believed; the time keeps running, so that a
-joint that truly is elsewhere is believed again once it could have got there. After a silence so long
-that half a range could have passed, the branch is chosen anew from the joint's travel, which is
-narrower than the range; `design_encoders` sees to that.
+An absolute single-turn encoder gives a count modulo its range. The branch of every absolute count is the one
+nearest to the middle of the joint's travel, which is narrower than the range (`design_encoders` requires it).
+The branch therefore depends on no earlier sample: garbage that was accepted leaves no whole turns behind.
+An incremental count before its index has no known zero. It is unwrapped against the last accepted one, in
+whole counts, so that nothing drifts; after a silence in which half a range could have passed it is placed
+nearest to the middle of the travel, too.
+
+A jump that the joint could not have made in the time between two samples is named implausible and not
+believed; the time keeps running, so that a joint that truly is elsewhere is believed again once it could have
+got there.
 """
 
 from __future__ import annotations
@@ -159,13 +163,15 @@ def decode_encoders(
         if s.started[i]:
             reach = p.greatest_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
             anchored = reach < 0.5 * span
-        if anchored:
+        jump = 0
+        if anchored and s.indexed[i] == 0:
             jump = (count - s.unwrapped[i] + span // 2) % span - span // 2
             unwrapped = s.unwrapped[i] + jump
         else:
-            jump = 0
             centre = p.zero_count[i] + p.sign[i] * p.middle[i] * per_radian
             unwrapped = count + span * int(np.floor((centre - count) / span + 0.5))
+            if anchored:
+                jump = unwrapped - s.unwrapped[i]
         if count < 0 or count >= span or abs(jump) > reach:
             s.verdict[i] = IMPLAUSIBLE
             s.rejected[i] += 1

@@ -1,0 +1,96 @@
+"""An encoder that delivered garbage is never left off by whole turns."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.control.encoder import ENCODER_STATE, FRESH, decode_encoders
+from bench.lifecycle import Cause, Refusal, Request, State
+from drivers.base import READINGS
+from drivers.base.compiled import new_record
+from tests.bench.control.operating import asked, press, reach
+from tests.bench.control.puppet import ADDRESS, COUNTS, Puppet
+
+TURN = 2 * pi
+HERE = ADDRESS
+"""Where the joints rest (rad): within the travel of all three."""
+
+
+def parameters() -> Any:
+    return Puppet().parameters.encoder
+
+
+def decoded(counts: np.ndarray[Any, Any], *, indexed: int = 1) -> np.ndarray[Any, Any]:
+    """Return the joint angles (n, 3) rad that ticks of 1 ms with `counts` (n, 3) lead to."""
+    record, readings, design = new_record(ENCODER_STATE), new_record(READINGS), parameters()
+    readings["encoder_valid"], readings["encoder_indexed"] = 1, indexed
+    angles = np.empty((len(counts), 3))
+    for k, count in enumerate(counts):
+        readings["encoder_count"], readings["encoder_time"] = count, 1.0 + 1e-3 * k
+        decode_encoders(record, design, readings, 1.0 + 1e-3 * k)
+        angles[k] = record["angle"][0]
+    assert record["verdict"][0].tolist() == [FRESH] * 3
+    return angles
+
+
+def here(ticks: int) -> np.ndarray[Any, Any]:
+    return np.tile(np.round(HERE * COUNTS / TURN).astype(int) % COUNTS, (ticks, 1))
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.1, 0.5, 3.0])
+def test_garbage_leaves_no_whole_turn_behind(seconds: float) -> None:
+    rng = np.random.default_rng(round(1000 * seconds))
+    for _ in range(20):
+        garbage = rng.integers(0, COUNTS, (round(1000 * seconds), 3))
+        angles = decoded(np.vstack([here(10), garbage, here(600)]))
+        assert angles[-1] == pytest.approx(HERE, abs=1e-3)
+
+
+@pytest.mark.parametrize("speed", [-30.0, 30.0])
+def test_a_count_that_runs_round_and_round_comes_back_to_the_travel(speed: float) -> None:
+    """As a slipping cable or a rotating magnetic field makes it: every single step is plausible."""
+    turning = np.round((HERE + speed * 1e-3 * np.arange(1000)[:, None]) * COUNTS / TURN).astype(int) % COUNTS
+    angles = decoded(np.vstack([here(10), turning, here(600)]))
+    assert angles[-1] == pytest.approx(HERE, abs=1e-3)
+
+
+def test_an_incremental_count_goes_on_over_the_end_of_its_range() -> None:
+    """Before its index it has no zero, so that only differences mean anything."""
+    turning = np.round((HERE + 5e-3 * np.arange(2000)[:, None]) * COUNTS / TURN).astype(int) % COUNTS
+    angles = decoded(turning, indexed=0)
+    assert angles[-1] - angles[0] == pytest.approx(np.full(3, 5e-3 * 1999), abs=1e-3)
+
+
+def disturb(puppet: Puppet, turns: float, ticks: int) -> None:
+    """Let the shoulder's encoder tell of `turns` while the robot stands, then the truth again."""
+    for share in np.linspace(0.0, 1.0, ticks):
+        puppet.offset[0] = share * turns * TURN
+        puppet.tick()
+    puppet.offset[0] = 0.0
+    puppet.run(600)
+
+
+@pytest.mark.parametrize("turns", [1.0, -1.0, 2.0])
+def test_after_reset_the_bench_believes_no_count_that_is_a_turn_off(turns: float) -> None:
+    puppet = reach(State.READY, local_reset=True)
+    disturb(puppet, turns, 1500)
+    assert puppet.state.estimator["angle"][0] == pytest.approx(ADDRESS, abs=2e-3)
+    if puppet.bench is not State.READY:
+        press(puppet)
+        assert asked(puppet, Request.RESET) is Refusal.NONE
+    puppet.run(20)
+    assert puppet.state.estimator["angle"][0] == pytest.approx(ADDRESS, abs=2e-3)
+
+
+def test_home_succeeds_after_garbage_without_a_restart() -> None:
+    puppet = reach(State.SAFE)
+    disturb(puppet, 2.0, 1500)
+    if puppet.bench is State.FAULT:
+        assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert asked(puppet, Request.HOME) is Refusal.NONE
+    puppet.run(200)
+    assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
