@@ -353,8 +353,9 @@ class Daemon:
     def _grant(self) -> None:
         """Tell the loop that somebody lives here, and what is granted."""
         if self._plane is not None:
-            held = self._plane.lease() is not None
-            self._link.beat(lease_held=held, support_ready=self._support_ready)
+            lease = self._plane.lease()
+            number = 0 if lease is None else lease.number
+            self._link.beat(lease=number, support_ready=self._support_ready)
 
     def _sum_up(self, now: float) -> None:
         """Sum up the loop's timing since the last time."""

@@ -29,6 +29,8 @@ class Lease:
     """Known to the book and to the holder only."""
     expiry: float
     """s, on the clock that every call of the book is given."""
+    number: int
+    """Counts the leases of a book from 1: no two have the same, also of one holder."""
     sequence: int = 0
     """Of the newest command that carried the key; the next one's must be higher."""
 
@@ -54,6 +56,7 @@ class LeaseBook:
     def __init__(self, make_key: Callable[[], str] = new_key) -> None:
         self._make_key = make_key
         self._lease: Lease | None = None
+        self._given = 0
 
     def held(self, now: float) -> Lease | None:
         """Return the lease that counts at `now`."""
@@ -72,7 +75,8 @@ class LeaseBook:
             raise ValueError(f"no lease for {holder!r} and {seconds!r} s")
         if lease := self.held(now):
             raise LeaseRefused(_held_by(lease, now))
-        self._lease = Lease(holder, self._make_key(), now + seconds)
+        self._given += 1
+        self._lease = Lease(holder, self._make_key(), now + seconds, self._given)
         return self._lease
 
     def use(self, key: str, sequence: int, now: float) -> Lease:

@@ -74,11 +74,11 @@ class LoopLink:
         self._corrections.close()
         self._shared.close()
 
-    def beat(self, *, lease_held: bool, support_ready: bool) -> None:
-        """Tell the loop that its supervisor lives, and what is granted."""
+    def beat(self, *, lease: int, support_ready: bool) -> None:
+        """Tell the loop that its supervisor lives and what it grants; `lease` is its number, 0: not held."""
         self._order(
             heartbeat=int(self._orders["heartbeat"][0]) + 1,
-            lease_held=lease_held,
+            lease=lease,
             support_ready=support_ready,
         )
 
@@ -110,7 +110,8 @@ class LoopLink:
         """Put `request` to the loop and wait for its answer; one at a time."""
         with self._request_lock:
             number = int(self._orders["request_number"][0]) + 1
-            self._order(request=request, request_number=number)
+            lease = int(self._orders["lease"][0])
+            self._order(request=request, request_number=number, request_lease=lease)
             deadline = time.monotonic() + _ANSWER
             while time.monotonic() < deadline:
                 newest = self.newest()

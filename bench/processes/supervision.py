@@ -16,17 +16,19 @@ SUPERVISION_FILE = "supervision"
 SUPERVISION = np.dtype(
     [
         ("heartbeat", "i8"),
-        ("lease_held", "?"),
+        ("lease", "i8"),
         ("support_ready", "?"),
         ("shutdown", "?"),
         ("request", "u1"),
         ("request_number", "i8"),
+        ("request_lease", "i8"),
         ("stop_count", "i8"),
         ("emergency_stop_count", "i8"),
     ],
     align=True,
 )
-"""`heartbeat` changes while the supervisor lives. A request is new when its number is; stops are counted
+"""`heartbeat` changes while the supervisor lives. `lease` is the number of the lease that counts, 0 while
+nobody holds the bench. A request is new when its number is, and made under `request_lease`; stops are counted
 apart and never wait behind one. `shutdown` ends the loop, as soon as the robot stands."""
 
 
@@ -51,6 +53,7 @@ class Orders:
         self._seen = int(now["request_number"]), int(now["stop_count"]), int(now["emergency_stop_count"])
         self._heartbeat, self._heard = int(now["heartbeat"]), -np.inf
         self._alive = False
+        self._lease = 0
 
     @property
     def shutdown(self) -> bool:
@@ -62,27 +65,37 @@ class Orders:
 
         Most ticks bring nothing new and end at the first line. What was written stays: the step takes the
         request away and leaves the permissions.
+
+        A lease that follows another one, however soon, is not held for one tick: the step then disarms the
+        bench that the previous holder has armed, and refuses the request that the previous holder has left
+        waiting. A request of the new holder waits until the next tick.
         """
         version, alive = self._shared.newest, time - self._heard < self._silence
         if version == self._version and alive == self._alive:
             return
         version = self._shared.read(self._told)
-        (heartbeat, lease_held, support_ready, _, request, number, stops, emergencies) = self._told.item()
+        (heartbeat, lease, support_ready, _, request, number, request_lease, stops, emergencies) = (
+            self._told.item()
+        )
         if heartbeat != self._heartbeat or self._heard == -np.inf:
             self._heartbeat, self._heard = heartbeat, time
         self._alive = alive = time - self._heard < self._silence
         control["supervisor_alive"] = alive
-        control["lease_held"], control["support_ready"] = lease_held and alive, support_ready and alive
         seen_number, seen_stops, seen_emergencies = self._seen
+        handed_over = self._lease not in (0, lease)
+        left_over = number != seen_number and request_lease != lease
+        self._lease = lease
+        control["lease_held"] = lease != 0 and alive and not handed_over and not left_over
+        control["support_ready"] = support_ready and alive
         if emergencies != seen_emergencies:
             control["request"], seen_emergencies = Request.EMERGENCY_STOP, emergencies
         elif stops != seen_stops:
             control["request"], seen_stops = Request.STOP, stops
-        elif number != seen_number:
+        elif number != seen_number and (left_over or not handed_over):
             control["request"], control["request_number"] = request, number
             seen_number = number
         self._seen = seen_number, seen_stops, seen_emergencies
-        waiting = self._seen != (number, stops, emergencies)
+        waiting = handed_over or left_over or self._seen != (number, stops, emergencies)
         self._version = _UNREAD if waiting else version
 
     def give_up(self) -> None:

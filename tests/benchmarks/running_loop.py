@@ -60,7 +60,7 @@ class RunningLoop:
         """
         if not self.loop.alive:
             raise RuntimeError(f"the loop {self.loop.ending}")
-        self.link.beat(lease_held=True, support_ready=True)
+        self.link.beat(lease=1, support_ready=True)
         state = State[self.link.state]
         if state is State.SWINGING and self._state is not State.SWINGING:
             self.swings += 1

@@ -40,6 +40,19 @@ def test_the_holder_of_the_same_name_is_no_holder_without_the_key() -> None:
         book.take("Ann", 30.0, now=1.0)
 
 
+def test_no_two_leases_have_the_same_number() -> None:
+    """However soon one follows the other, also of one holder."""
+    book = LeaseBook()
+    numbers = []
+    for _ in range(3):
+        lease = book.take("Ann", 30.0, now=0.0)
+        numbers.append(lease.number)
+        assert book.renew(lease.key, 1, 60.0, now=0.0).number == lease.number
+        book.release(lease.key, 2, now=0.0)
+    numbers.append(book.take("Bob", 5.0, now=0.0).number)
+    assert numbers == [1, 2, 3, 4]
+
+
 def test_it_ends_at_its_instant_not_before() -> None:
     book = LeaseBook()
     lease = book.take("Ann", 30.0, now=0.0)
@@ -74,7 +87,7 @@ def test_durations_out_of_range_are_no_lease(seconds: float) -> None:
     key = book.take("Ann", 30.0, now=0.0).key
     with pytest.raises(ValueError, match="no lease"):
         book.renew(key, 1, seconds, now=0.0)
-    assert book.held(0.0) == Lease("Ann", key, 30.0)
+    assert book.held(0.0) == Lease("Ann", key, 30.0, number=1)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_stops_go_before_a_request_and_none_is_lost(put: Put, supervisor: Superv
 
 
 def test_a_silent_supervisor_grants_nothing(put: Put, supervisor: Supervisor) -> None:
-    supervisor.say(heartbeat=8, lease_held=True, support_ready=True)
+    supervisor.say(heartbeat=8, lease=1, support_ready=True)
     alive = put(100.0)
     assert alive["supervisor_alive"]
     assert alive["lease_held"]
@@ -100,7 +100,7 @@ def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervis
 def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
     put: Put, orders: Orders, supervisor: Supervisor
 ) -> None:
-    supervisor.say(heartbeat=8, lease_held=True)
+    supervisor.say(heartbeat=8, lease=1)
     assert put(100.0)["supervisor_alive"]
     orders.give_up()
     seen = put(100.001)
@@ -108,3 +108,65 @@ def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
     assert not seen["lease_held"]
     supervisor.say(heartbeat=9)
     assert not put(100.002)["supervisor_alive"]
+
+
+# A lease that is handed over ---------------------------------------------------------------------------
+
+
+def test_a_lease_handed_over_between_ticks_is_not_held_for_one_tick(put: Put, supervisor: Supervisor) -> None:
+    supervisor.say(heartbeat=8, lease=1)
+    assert put(100.0)["lease_held"]
+    supervisor.say(heartbeat=9, lease=0)
+    supervisor.say(heartbeat=10, lease=2)
+    assert [bool(put(100.001 + 0.001 * k)["lease_held"]) for k in range(3)] == [False, True, True]
+
+
+def test_a_lease_that_ends_and_one_that_begins_are_seen_as_such(put: Put, supervisor: Supervisor) -> None:
+    assert not put(100.0)["lease_held"]
+    supervisor.say(heartbeat=8, lease=1)
+    assert put(100.001)["lease_held"]
+    supervisor.say(heartbeat=9, lease=0)
+    assert not put(100.002)["lease_held"]
+    supervisor.say(heartbeat=10, lease=2)
+    assert put(100.003)["lease_held"]
+
+
+def test_a_lease_handed_over_while_the_supervisor_was_silent_is_noticed(
+    put: Put, supervisor: Supervisor
+) -> None:
+    supervisor.say(heartbeat=8, lease=1)
+    put(100.0)
+    assert not put(100.0 + 2 * SILENCE)["lease_held"]
+    supervisor.say(heartbeat=9, lease=2)
+    assert [bool(put(101.0 + 0.001 * k)["lease_held"]) for k in range(2)] == [False, True]
+
+
+def test_a_request_of_the_new_holder_waits_for_the_next_tick(put: Put, supervisor: Supervisor) -> None:
+    supervisor.say(heartbeat=8, lease=1)
+    put(100.0)
+    supervisor.say(lease=2, request=Request.SWING, request_number=4, request_lease=2)
+    seen = [put(100.001 + 0.001 * k) for k in range(3)]
+    assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
+        (0, False), (Request.SWING, True), (0, True),
+    ]  # fmt: skip
+
+
+def test_a_request_that_the_holder_before_left_waiting_is_not_made_under_the_new_lease(
+    put: Put, supervisor: Supervisor
+) -> None:
+    """The loop stood still for longer than the holder waited for the answer."""
+    supervisor.say(heartbeat=8, lease=1)
+    put(100.0)
+    supervisor.say(request=Request.ARM, request_number=4, request_lease=1)
+    supervisor.say(lease=2)
+    seen = [put(100.001 + 0.001 * k) for k in range(3)]
+    assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
+        (Request.ARM, False), (0, True), (0, True),
+    ]  # fmt: skip
+
+
+def test_a_stop_does_not_wait_for_a_lease_handed_over(put: Put, supervisor: Supervisor) -> None:
+    supervisor.say(heartbeat=8, lease=1)
+    put(100.0)
+    supervisor.say(lease=2, stop_count=3, request=Request.SWING, request_number=4, request_lease=2)
+    assert [int(put(100.001 + 0.001 * k)["request"]) for k in range(3)] == [Request.STOP, Request.SWING, 0]

@@ -1,0 +1,117 @@
+"""A lease that is handed over disarms the bench, however quickly it happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import Phase, Reaction, Request, State
+from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
+from tests.bench.control.operating import on_the_way, reach
+from tests.bench.control.puppet import Puppet
+
+
+class Led:
+    """A puppet whose permissions and requests come the way a running bench's do."""
+
+    def __init__(self, folder: Path) -> None:
+        self.shared = SharedRecord.create(folder / SUPERVISION_FILE, SUPERVISION)
+        self.record = new_record(SUPERVISION)
+        self.shared.write(self.record)
+        self.orders = Orders(folder / SUPERVISION_FILE, 0.5)
+        self.heartbeat = 0
+
+    def say(self, **values: int) -> None:
+        for name, value in values.items():
+            self.record[name] = value
+        self.shared.write(self.record)
+
+    def ask(self, request: Request) -> None:
+        """Put `request` under the lease that is in force."""
+        number = int(self.record["request_number"][0]) + 1
+        self.say(request=request, request_number=number, request_lease=int(self.record["lease"][0]))
+
+    def run(self, puppet: Puppet, ticks: int) -> None:
+        for _ in range(ticks):
+            self.heartbeat += 1
+            self.say(heartbeat=self.heartbeat, support_ready=1)
+            puppet.control["request"] = 0
+            self.orders.put(puppet.state.control, puppet.time + puppet.period)
+            puppet.step(int(puppet.control["request"]))
+
+
+@pytest.fixture
+def led(tmp_path: Path) -> Iterator[Led]:
+    made = Led(tmp_path)
+    made.say(lease=1)
+    yield made
+    made.orders.close()
+    made.shared.close()
+
+
+def hand_over(led: Led) -> None:
+    """Let one holder release the bench and another one take it between two ticks."""
+    led.say(lease=0)
+    led.say(lease=2)
+
+
+def test_an_armed_bench_is_disarmed(led: Led) -> None:
+    puppet = reach(State.ARMED)
+    led.run(puppet, 5)
+    assert not puppet.is_without_energy()
+    hand_over(led)
+    led.run(puppet, 1)
+    assert puppet.bench is State.READY
+    assert puppet.is_without_energy()
+
+
+def test_the_new_holder_cannot_swing_what_another_has_armed(led: Led) -> None:
+    puppet = reach(State.ARMED)
+    led.run(puppet, 5)
+    hand_over(led)
+    led.ask(Request.SWING)
+    led.run(puppet, 50)
+    assert puppet.bench is State.READY
+    assert not puppet.control["swings"]
+
+
+def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
+    puppet = on_the_way()
+    led.run(puppet, 5)
+    hand_over(led)
+    led.run(puppet, 1)
+    assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)
+
+
+def test_a_swing_completes_and_nothing_stays_armed(led: Led) -> None:
+    puppet = reach(State.SWINGING, series=True)
+    led.run(puppet, 5)
+    hand_over(led)
+    led.run(puppet, 1)
+    assert puppet.bench is State.SWINGING
+    led.run(puppet, 2000)
+    assert (puppet.bench, puppet.phase) == (State.READY, Phase.STANDING)
+
+
+def test_homing_ends(led: Led) -> None:
+    puppet = Puppet().enter(Phase.HOMING)
+    led.run(puppet, 5)
+    assert puppet.bench is State.HOMING
+    hand_over(led)
+    led.run(puppet, 2)
+    assert puppet.reaction is Reaction.BRAKE
+
+
+def test_an_arm_that_was_left_waiting_is_refused(led: Led) -> None:
+    puppet = reach(State.READY)
+    led.run(puppet, 5)
+    led.ask(Request.ARM)
+    hand_over(led)
+    led.run(puppet, 50)
+    assert puppet.bench is State.READY
+    assert not np.any(puppet.record["supply_enable"])
