@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bench.design.closed_loop import Rehearsal
 from bench.design.shooting import without_history
+from bench.simulation.loads import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from drivers.base.compiled import compiled
 from sim.plant import Plant, advance, build_plant
@@ -54,13 +55,14 @@ def play_blind(
 
 
 def _cost(plant: Plant, states: list[tuple[NDArray[Any], NDArray[Any]]], pattern: Array, ticks: int) -> float:
-    ratings = np.array([[a.stop.energy] for a in plant.parameters.actuators])
     shoulder = plant.parameters.shoulder
     total = 0.02 * float(np.sum(np.abs(pattern[:3])))
     for state, command in states:
         trial, applied = state.copy(), command.copy()
         low, high, speed = play_blind(*plant.records, trial, applied, pattern, ticks)
-        total += 40 * float(np.sum(np.maximum(trial["stop_energy"][0] / ratings - 0.5, 0.0)))
+        total += 40 * float(
+            np.sum(np.maximum(stop_shares(trial["stop_energy"][0], plant.parameters) - 0.5, 0.0))
+        )
         total += 10 * max(high - shoulder.upper, 0.0) + 10 * max(shoulder.lower - low, 0.0)
         total += 5e-5 * float(np.sum(np.maximum(trial["peak_pressure"] - 1.1e6, 0.0))) + 0.5 * speed
         total += 50 * max(-float(trial["lowest_clearance"][0]), 0.0)

@@ -1,42 +1,43 @@
 """`golfbench swing check`: proves a profile's stops on the plant, from every instant of the swing.
 
-The nominal swing is run once with and once without a ball. From each instant of both, each reaction of
-the stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent;
-each time the whole control step goes on against the plant until everything rests. What counts is how it
-ends: energy in the stops and pressure in the chambers against their ratings, club against ground.
+The nominal swing runs once with and once without a ball. From each instant of both, each reaction of the
+stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent; each time
+the whole control step goes on against the plant until everything rests. The end is judged by
+`bench.simulation.safety`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
 from bench.control.step import STOP, SWING
+from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault
 from sim.plant import Plant, PlantParameters, build_plant
 
-_TOUCH = 0.005
-"""Depth (m) to which the ground may be pressed: a club that sinks to the ground while the air leaves touches
-it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
-
-_LONG_STILL = 1.5  # s
-_STILL = 0.2  # rad/s
-_CHUNK = 100  # ticks
+_LONG_STILL = 1.5
+"""Standstill after which a trial ends, s."""
+_STILL = 0.2
+"""Joint speed below which a joint rests, rad/s."""
+_CHUNK = 100
+"""Ticks between two looks."""
 _WATCHED = 14.0
-"""How long a stop is watched (s): a raised arm sinks slowly on the air that its throttled vents let go."""
+"""Longest trial, s: a raised arm sinks slowly on the air that its throttled vents release."""
 
 
 class FaultTrial(NamedTuple):
-    """What is tried, by name: things that break, a request, a missing ball."""
+    """One trial: the parts that break, a request, with or without a ball."""
 
     name: str
     faults: tuple[Fault, ...] = ()
@@ -77,7 +78,7 @@ class TrialOutcome:
     phase: Phase
     stop_share: float
     stop: str
-    """The stop with that share."""
+    """Stop with that share."""
     pressure_share: float
     clearance: float
     """Lowest clearance of the head over the ground, m."""
@@ -86,20 +87,8 @@ class TrialOutcome:
     rest_time: float
     """From the fault until all joints rested, s; inf if they did not."""
     cause: Cause
-
-    @property
-    def unsafe(self) -> str:
-        """Why this end is unsafe; empty when it is safe."""
-        reasons = []
-        if not self.stop_share <= 1.0:
-            reasons.append(f"{self.stop} took {100 * self.stop_share:.0f} % of its rated energy")
-        if not self.pressure_share <= 1.0:
-            reasons.append(f"a chamber reached {100 * self.pressure_share:.0f} % of its rating")
-        if not self.clearance >= -_TOUCH:
-            reasons.append(f"the head went {-1e3 * self.clearance:.0f} mm into the ground")
-        if not np.isfinite(self.rest_time):
-            reasons.append("it did not come to rest")
-        return "; ".join(reasons)
+    unsafe: str
+    """Why this end is unsafe; empty if it is safe."""
 
 
 class SwingCheck:
@@ -119,18 +108,22 @@ class SwingCheck:
         self.parameters = build_controller(parameters, profile, control, envelope, estimator)
         self.watched = round(_WATCHED / parameters.tick)
 
-    def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, Lockstep]]:
+    def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, LockstepEngine]]:
         """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""
-        bench = Lockstep(self.plant, self.parameters, self.profile.angle[0])
-        if not bench.arm():
-            raise RuntimeError("the robot does not come to rest at address")
-        bench.state.control["tee"] = ball
+        stepper = Lockstep(self.plant, self.parameters, self.profile.angle[0])
+        bench = LockstepEngine(stepper, name=self.profile.name)
+        bench.arm()
+        bench.control["tee"] = ball
         for tick in range(0, len(self.profile.angle), spacing):
             yield tick, bench
             bench.advance(min(spacing, len(self.profile.angle) - tick), SWING if tick == 0 else 0)
-            cause = Cause(int(bench.state.control["cause"][0]))
-            if cause:
-                raise RuntimeError(f"the undisturbed swing stopped at tick {tick}: {CAUSE_TEXT[cause]}")
+            if bench.cause:
+                raise Refused(
+                    f"checking profile {self.profile.name!r}",
+                    f"the undisturbed swing stopped at tick {tick}: {CAUSE_TEXT[bench.cause]}",
+                    "an undisturbed swing that runs to its end",
+                    "Try it with `golfbench swing simulate`.",
+                )
 
     def outcomes(
         self,
@@ -141,7 +134,7 @@ class SwingCheck:
         """Return how each of `trials` ends from every `spacing`-th tick of the swing.
 
         Raises:
-            RuntimeError: the undisturbed swing does not run.
+            Refused: the undisturbed swing does not run.
         """
         found = []
         for part, ball in enumerate((True, False)):
@@ -151,39 +144,30 @@ class SwingCheck:
                 progress((part + tick / len(self.profile.angle)) / 2)
         return found
 
-    def _outcome(self, trial: FaultTrial, tick: int, base: Lockstep) -> TrialOutcome:
+    def _outcome(self, trial: FaultTrial, tick: int, base: LockstepEngine) -> TrialOutcome:
         bench = base.copy()
-        plant_state = bench.plant_state
-        plant_state["stop_energy"] = plant_state["stop_work"] = 0.0
-        plant_state["peak_pressure"] = plant_state["pressure"]
-        plant_state["lowest_clearance"], plant_state["peak_head_speed"] = np.inf, 0.0
+        bench.begin_tally()
         if trial.faults:
-            bench.break_with(trial.faults, watchdog=0.0)  # at its worst it lets go at once
+            bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: it lets go at once
         request = SWING if tick == 0 and not trial.request else trial.request
         rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
-        actuators = self.plant.parameters.actuators
-        energies: NDArray[Any] = plant_state["stop_energy"][0] / np.array(
-            [[a.stop.energy] for a in actuators]
-        )
-        pressures = plant_state["peak_pressure"][0].reshape(3, 2) / np.array(
-            [[a.pressure_rating] for a in actuators]
-        )
-        joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
-        unrest = rest >= (self.watched - 1) * self.plant.parameters.tick
+        rested = rest < (self.watched - 1) * self.plant.parameters.tick
+        loads = bench.loads()
         return TrialOutcome(
             fault=trial.name,
             time=tick * self.profile.period,
             phase=self.profile.phase_of(tick),
-            stop_share=float(energies.max()),
-            stop=f"{JOINTS[joint]} {('lower', 'upper')[side]} stop",
-            pressure_share=float(pressures.max()),
-            clearance=float(plant_state["lowest_clearance"][0]),
-            head_speed=float(plant_state["peak_head_speed"][0]),
-            rest_time=float("inf") if unrest else float(rest),
-            cause=Cause(int(bench.state.control["cause"][0])),
+            stop_share=loads.stop_share,
+            stop=loads.stop,
+            pressure_share=loads.pressure_share,
+            clearance=loads.lowest_clearance,
+            head_speed=loads.peak_head_speed,
+            rest_time=rest if rested else float("inf"),
+            cause=bench.cause,
+            unsafe="; ".join(dangers(RunEnd(loads, rested=rested), SafetyLimits())),
         )
 
-    def _run_to_rest(self, bench: Lockstep, request: int, *, silent: bool) -> float:
+    def _run_to_rest(self, bench: LockstepEngine, request: int, *, silent: bool) -> float:
         """Run `bench`; return the time (s) after which no joint exceeded `_STILL`."""
         period, rest, ticks = self.plant.parameters.tick, 0, 0
         while ticks < self.watched:
@@ -193,7 +177,7 @@ class SwingCheck:
                 rest = ticks + int(moving[-1])
             ticks, request = ticks + len(speed), 0
             # Standing still without energy for long enough: nothing more will come.
-            standing = silent or bench.state.control["phase"][0] == Phase.STANDING
+            standing = silent or bench.phase is Phase.STANDING
             if standing and (ticks - rest) * period > _LONG_STILL:
                 break
         return rest * period

@@ -36,6 +36,7 @@ from bench.design.optimal_control import (
 )
 from bench.design.refine import NEAR, UNITS, NotReached, refine
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
+from bench.simulation.loads import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from bench.swing.profile import Profile, as_written
 from sim.impact import in_plane_error
@@ -536,7 +537,6 @@ def _told(
     """Return `profile` with its delivery in closed loop and the limits it was made for."""
     error, lean, *velocity = _delivered(state, parameters)[:4]
     speed, slope, lie = float(np.hypot(*velocity)), atan2(velocity[1], velocity[0]), parameters.robot.lie
-    ratings = np.array([[a.stop.energy] for a in parameters.actuators])
     return replace(
         profile,
         text=profile.text or f"{speed:.1f} m/s at the ball in closed loop, designed for this plant",
@@ -550,9 +550,9 @@ def _told(
         limits={
             "supply_pressure_pa": parameters.supply.pressure,
             "greatest_opening": 1.0 - demand.margin,
-            "stop_share": float(np.max(state["stop_energy"][0] / ratings)),
-            "stop_share_missed": float(np.max(trial.missed_energy / ratings)),
-            "stop_share_silent": float(np.max(trial.silent_energy / ratings)),
+            "stop_share": float(stop_shares(state["stop_energy"][0], parameters).max()),
+            "stop_share_missed": float(stop_shares(trial.missed_energy, parameters).max()),
+            "stop_share_silent": float(stop_shares(trial.silent_energy, parameters).max()),
             "peak_pressure_pa": float(state["peak_pressure"].max()),
         },
     )

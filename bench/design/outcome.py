@@ -1,4 +1,4 @@
-"""What came of one simulated swing: a table, JSON, the record and a picture."""
+"""Outcome of one simulated swing: a table, JSON, the record and a picture."""
 
 from __future__ import annotations
 
@@ -40,22 +40,23 @@ FIGURES = (
 
 
 def outcome_record(result: SwingResult, time: datetime) -> dict[str, Any]:
-    """Return the swing's figures as JSON has them; units stand in the names."""
+    """Return the swing's figures as JSON; units are in the names."""
     shot = asdict(result.shot(1, time_utc=time).shot)
     shot["time_utc"] = time.isoformat(timespec="seconds")
     return {
         "shot": shot,
         "cause": result.cause.name,
         "contact_time_s": result.contact_time,
-        "peak_head_speed_mps": result.peak_head_speed,
-        "lowest_clearance_m": result.lowest_clearance,
-        "stop_energy_j": dict(zip(ACTUATORS, result.stop_energy.max(axis=1).tolist(), strict=True)),
-        "peak_pressure_pa": dict(zip(CHAMBERS, result.peak_pressure.tolist(), strict=True)),
+        "peak_head_speed_mps": result.loads.peak_head_speed,
+        "lowest_clearance_m": result.loads.lowest_clearance,
+        "stop_energy_j": dict(zip(ACTUATORS, result.loads.stop_energy.max(axis=1).tolist(), strict=True)),
+        "peak_pressure_pa": dict(zip(CHAMBERS, result.loads.peak_pressure.tolist(), strict=True)),
+        "unsafe": result.unsafe,
     }
 
 
 def outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[str, Any]) -> Table:
-    """Return what a user reads."""
+    """Return the swing's figures and loads as a table."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_header=False, title_justify="left")
     table.title = Text(result.reason or "a valid shot", "bold red" if result.reason else "bold green")
     table.add_column(no_wrap=True)
@@ -66,11 +67,13 @@ def outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[s
             table.add_row(name, form.format(value) + yards)
     table.add_section()
     for actuator, energy, name in zip(
-        plant.actuators, result.stop_energy.max(axis=1), ACTUATORS, strict=True
+        plant.actuators, result.loads.stop_energy.max(axis=1), ACTUATORS, strict=True
     ):
         table.add_row(f"end stop, {name}", f"{energy:.1f} of {actuator.stop.energy:g} J")
-    table.add_row("highest pressure", f"{result.peak_pressure.max() / 1e5:.2f} bar absolute")
-    table.add_row("sole over ground", f"at least {1e3 * result.lowest_clearance:.1f} mm")
+    table.add_row("highest pressure", f"{result.loads.peak_pressure.max() / 1e5:.2f} bar absolute")
+    table.add_row("sole over ground", f"at least {1e3 * result.loads.lowest_clearance:.1f} mm")
+    for danger in result.unsafe:
+        table.add_row("unsafe", Text(danger, "bold red"))
     return table
 
 

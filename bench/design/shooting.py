@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, PidSettings
 from bench.control.step import brake_opening
+from bench.simulation.loads import begin_tally
 from drivers.base import PASSIVE, pack_command
 from drivers.base.compiled import compiled, new_record
 from sim.impact import in_plane_error
@@ -243,13 +244,9 @@ class Shooter:
 
 
 def without_history(state: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy of `state` that has forgotten stops, peaks and impact."""
+    """Return a copy of `state` without earlier loads and impact."""
     fresh = state.copy()
-    for name in ("stop_energy", "stop_work", "stop_depth"):
-        fresh[name] = 0.0
-    fresh["lowest_clearance"] = np.inf
-    fresh["peak_pressure"] = fresh["pressure"]
-    fresh["peak_head_speed"] = 0.0
+    begin_tally(fresh)
     fresh["struck"] = False
     return fresh
 

@@ -17,24 +17,20 @@ from numpy.typing import NDArray
 from bench.config import Configuration
 from bench.control.settings import SIMULATED, build_controller
 from bench.control.step import ARM, STOP, SWING, ControlParameters, new_control_state
+from bench.errors import Refused
 from bench.faults.catalogue import EVENT_AFTER, Breakage
 from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.loop import Cycles
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.swing.profile import PHASES as SWING_PHASES
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
-from drivers.base import JOINTS
 from sim.driver import hanging_pose
 from sim.faults import own_records
 from sim.plant import Plant, build_plant
 
-GROUND_TOUCH = 0.005
-"""m that the turf may be pressed in: a club that sinks while the air leaves touches it at up to 2 m/s."""
-SPEED_SHARE = 1.05
-"""Of the profile's head speed."""
-CREEP = 0.02
-"""rad that a joint may move after the chambers were proven empty."""
 _LATCHED = (State.FAULT, State.ESTOP)
 _LONGEST = 40.0
 """s that a case is watched."""
@@ -150,7 +146,7 @@ class Workbench:
         lifecycle = replace(c.lifecycle, warning_time=SIMULATED.warning_time, series=True)
         self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
         self.period = c.plant.tick
-        self._bases: dict[Instant, Lockstep] = {}
+        self._bases: dict[Instant, LockstepEngine] = {}
         self._ends: dict[Instant, _End] = {}
         self._lifecycle = lifecycle
 
@@ -168,37 +164,41 @@ class Workbench:
             plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
         )
 
-    def base(self, instant: Instant) -> Lockstep:
+    def base(self, instant: Instant) -> LockstepEngine:
         """Return the undisturbed bench at `instant`.
 
         Raises:
-            RuntimeError: the undisturbed bench does not get there.
+            Refused: the undisturbed bench does not get there.
         """
         if instant not in self._bases:
             self._bases[instant] = self._brought_to(instant)
         return self._bases[instant].copy()
 
-    def _brought_to(self, instant: Instant) -> Lockstep:
+    def _brought_to(self, instant: Instant) -> LockstepEngine:
         if instant.phase == "homing":
             plant, parameters = self._homing
-            bench = Lockstep(plant, parameters, hanging_pose(plant.parameters))
-            bench.state = new_control_state(State.SAFE)
+            stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
+            stepper.state = new_control_state(State.SAFE)
+            bench = LockstepEngine(stepper, name=self.profile.name)
             bench.advance(20)
-            bench.advance(1, Request.HOME)
+            bench.request(Request.HOME)
             bench.advance(instant.tick)
         else:
-            bench = Lockstep(self.plant, self.parameters, hanging_pose(self.configuration.plant))
+            stepper = Lockstep(self.plant, self.parameters, hanging_pose(self.configuration.plant))
+            bench = LockstepEngine(stepper, name=self.profile.name)
             bench.advance(200)
             if instant.phase != "standing":
-                if not bench.arm():
-                    raise RuntimeError("the undisturbed robot does not come to rest at its address")
-                bench.state.control["tee"] = True
+                bench.arm()
+                bench.control["tee"] = True
                 bench.advance(400)
                 if instant.phase != "hold":
                     bench.advance(instant.tick, SWING)
-        if cause := int(bench.state.control["cause"][0]):
-            raise RuntimeError(
-                f"the undisturbed bench stopped before {instant.name}: {CAUSE_TEXT[Cause(cause)]}"
+        if bench.cause:
+            raise Refused(
+                f"fault matrix of profile {self.profile.name!r}",
+                f"the undisturbed bench stopped before {instant.name}: {CAUSE_TEXT[bench.cause]}",
+                "an undisturbed swing that runs to its end",
+                "Try it with `golfbench swing simulate`.",
             )
         return bench
 
@@ -215,25 +215,31 @@ class Workbench:
         return self._ends[key]
 
     @cached_property
-    def greatest_speed(self) -> float:
+    def max_head_speed(self) -> float:
         """Fastest head of the undisturbed swing, m/s, with a ball and without one."""
         hold = Instant("hold", 0)
-        return max(self._healthy(hold, without_ball=no).head_speed for no in (False, True))
+        return max(self._healthy(hold, without_ball=no).loads.peak_head_speed for no in (False, True))
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """Limits beyond which an end is unsafe."""
+        return SafetyLimits(
+            frame_radius=self.envelope.frame_radius,
+            access_pressure=1.05 * self.configuration.lifecycle.vented_pressure,
+        )
 
     def _watched(self, instant: Instant, breakage: Breakage | None, *, without_ball: bool = False) -> _End:
         """Run from `instant` until everything rests."""
         bench = self.base(instant)
-        bench.plant = own_records(bench.plant)
+        bench.stepper.plant = own_records(bench.stepper.plant)
+        bench.begin_tally()
         state = bench.plant_state
-        state["stop_energy"] = state["stop_work"] = state["stop_depth"] = 0.0
-        state["peak_pressure"] = state["pressure"]
-        state["lowest_clearance"], state["peak_head_speed"] = np.inf, 0.0
         no_ball = without_ball or (breakage is not None and breakage.event == "no ball")
         if no_ball:
             state["ball_present"] = False
         if breakage is not None:
-            bench.break_with((breakage.fault,), watchdog=self.configuration.driver.watchdog)
-        watch = _Watch(bench, self.period)
+            bench.stepper.break_with((breakage.fault,), watchdog=self.configuration.driver.watchdog)
+        watch = _Watch(bench)
         ask_at = round(_ASK_AFTER / self.period)
         event_at = round(EVENT_AFTER / self.period)
         event = breakage.event if breakage is not None else ""
@@ -246,7 +252,7 @@ class Workbench:
         going_on = {"standing": ARM, "homing": ARM, "hold": SWING}.get(instant.phase, 0)
         longest = _LONGEST + (_LONGEST_SEARCH if instant.phase == "homing" else 0.0)
         watch.until_rest(round(longest / self.period), going_on, instant.phase)
-        return watch.end(self)
+        return watch.end()
 
 
 @dataclass
@@ -254,7 +260,9 @@ class _End:
     """What came of a run, before it is judged."""
 
     cycles: Cycles
-    state: np.ndarray
+    angle: NDArray[np.float64]
+    """Joint angles at the end, rad."""
+    loads: Loads
     control: np.ndarray
     rest_tick: int
     vented_tick: int
@@ -264,8 +272,7 @@ class _End:
     refusals: tuple[str, ...]
     device_passive: int
     """Tick at which the device went passive by itself; -1: it did not."""
-    nearest_frame: float
-    head_speed: float
+    frame_distance: float
     contact: NDArray[np.float64] | None
     """x, y, theta (m, m, rad) and their speeds at the ball."""
 
@@ -273,9 +280,8 @@ class _End:
 class _Watch:
     """Runs a bench chunk by chunk and keeps what a verdict needs."""
 
-    def __init__(self, bench: Lockstep, period: float) -> None:
-        self.bench, self.period = bench, period
-        self.parts: list[Cycles] = []
+    def __init__(self, bench: LockstepEngine) -> None:
+        self.bench, self.period = bench, bench.period
         self.ticks = self.rest_tick = 0
         self.vented_tick = -1
         self.access_pressure = float("nan")
@@ -285,7 +291,7 @@ class _Watch:
 
     @property
     def state(self) -> State:
-        return State(int(self.bench.state.control["state"][0]))
+        return State(int(self.bench.control["state"][0]))
 
     def advance(self, ticks: int, request: int = 0) -> None:
         cycles = self.bench.advance(ticks, request)
@@ -302,10 +308,9 @@ class _Watch:
             self.refusals.append(
                 f"{Request(request).name.lower()} refused: {REFUSAL_TEXT[Refusal(int(cycles['refusal'][0]))]}"
             )
-        faults = self.bench.faults
+        faults = self.bench.stepper.faults
         if faults is not None and self.device_passive < 0 and faults.device["passive"][0]:
             self.device_passive = self.ticks + max(0, ticks - 1)
-        self.parts.append(cycles)
         self.ticks += ticks
 
     def until_rest(self, longest: int, going_on: int, phase: str) -> None:
@@ -313,7 +318,7 @@ class _Watch:
         latched_at, asked, done_at = -1, False, -1
         while self.ticks < longest:
             request = 0
-            control = self.bench.state.control[0]
+            control = self.bench.control[0]
             if self.state in _LATCHED:
                 if latched_at < 0:
                     latched_at = self.ticks
@@ -332,7 +337,8 @@ class _Watch:
             idle = self.state in (State.ACCESS, State.READY, State.SAFE) or (
                 self.state is State.ARMED and control["phase"] == Phase.HOLD and not request
             )
-            silent = self.device_passive >= 0 and not self.bench.faults.device["loop_up"][0]  # type: ignore[union-attr]
+            faults = self.bench.stepper.faults
+            silent = faults is not None and self.device_passive >= 0 and not faults.device["loop_up"][0]
             if still and (idle or silent):
                 if done_at < 0:
                     done_at = self.ticks
@@ -341,19 +347,25 @@ class _Watch:
             else:
                 done_at = -1
 
-    def end(self, workbench: Workbench) -> _End:
-        cycles = np.concatenate([part.view(np.uint8) for part in self.parts]).view(CYCLE)
-        s = self.bench.plant_state
-        struck = bool(s["struck"][0])
+    def end(self) -> _End:
+        cycles, state = self.bench.record(), self.bench.plant_state
         return _End(
-            cycles, s.copy(), self.bench.state.control.copy(), self.rest_tick, self.vented_tick,
-            self.access_pressure, self.armed_again, tuple(dict.fromkeys(self.refusals)), self.device_passive,
-            _nearest_frame(self.bench.plant, cycles), float(s["peak_head_speed"][0]),
-            s["impact_head"][0].copy() if struck else None,
-        )  # fmt: skip
+            cycles=cycles,
+            angle=state["angle"][0].copy(),
+            loads=self.bench.loads(),
+            control=self.bench.control.copy(),
+            rest_tick=self.rest_tick,
+            vented_tick=self.vented_tick,
+            access_pressure=self.access_pressure,
+            armed_again=self.armed_again,
+            refusals=tuple(dict.fromkeys(self.refusals)),
+            device_passive=self.device_passive,
+            frame_distance=_frame_distance(self.bench.stepper.plant, cycles),
+            contact=state["impact_head"][0].copy() if state["struck"][0] else None,
+        )
 
 
-def _nearest_frame(plant: Plant, cycles: Cycles) -> float:
+def _frame_distance(plant: Plant, cycles: Cycles) -> float:
     """Return the club's smallest distance to the shoulder axis (m)."""
     r, angle = plant.robot[0], cycles["plant_angle"]
     a1, a12 = angle[:, 0], angle[:, 0] + angle[:, 1]
@@ -369,13 +381,7 @@ def _first(mask: NDArray[np.bool_]) -> int:
 
 
 def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healthy: _End) -> CaseOutcome:
-    cycles, state, control = end.cycles, end.state[0], end.control[0]
-    actuators = w.configuration.plant.actuators
-    energies = state["stop_energy"] / np.array([[a.stop.energy] for a in actuators])
-    depths = state["stop_depth"] / np.array([[a.stop.travel] for a in actuators])
-    pressures = state["peak_pressure"].reshape(3, 2) / np.array([[a.pressure_rating] for a in actuators])
-    joint, side = np.unravel_index(int(np.argmax(energies)), energies.shape)
-    stop = f"{JOINTS[int(joint)]} {('lower', 'upper')[int(side)]} stop"
+    cycles, loads, control = end.cycles, end.loads, end.control[0]
     pressed = _pressed(w, cycles)
     fastest_at_stop = float(cycles["plant_head_speed"][pressed].max(initial=0.0))
     ran = cycles["tick"] > 0
@@ -390,8 +396,8 @@ def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healt
     if end.device_passive >= 0 and reacted < 0:
         reaction, reacted = "PASSIVE (valve node)", end.device_passive
     change = _change(end, healthy) if not detected_by else ""
-    head_share = end.head_speed / w.greatest_speed
-    reasons = _dangers(w, end, float(energies.max()), stop, float(pressures.max()), head_share)
+    head_share = loads.peak_head_speed / w.max_head_speed
+    reasons = dangers(_run_end(end, head_share), w.limits)
     if reasons and not detected_by:
         reasons.append("the record says healthy")
     if reasons:
@@ -405,13 +411,29 @@ def _judged(w: Workbench, breakage: Breakage, instant: Instant, end: _End, healt
     final = State(int(control["state"]))
     told = CAUSE_TEXT[cause] if cause else "; ".join(end.refusals) or "nothing"
     return CaseOutcome(
-        breakage.name, breakage.fault.signal, breakage.fault.kind, instant.phase, instant.name, verdict,
-        tuple(reasons), detected_by, tripped, reaction, reacted, round(float(energies.max()), 4), stop,
-        round(float(pressures.max()), 4), round(float(depths.max()), 4), round(fastest_at_stop, 2),
-        round(float(state["lowest_clearance"]), 4), round(head_share, 4),
-        end.rest_tick if end.rest_tick < len(cycles) - 1 else -1, told,
-        f"{final.name}, trip {cause.name}" + (f", reaction {reaction}" if reaction else ""), change,
-    )  # fmt: skip
+        breakage=breakage.name,
+        signal=breakage.fault.signal,
+        kind=breakage.fault.kind,
+        phase=instant.phase,
+        instant=instant.name,
+        verdict=verdict,
+        reasons=tuple(reasons),
+        detected_by=detected_by,
+        detection_ticks=tripped,
+        reaction=reaction,
+        reaction_ticks=reacted,
+        stop_share=round(loads.stop_share, 4),
+        stop=loads.stop,
+        pressure_share=round(loads.pressure_share, 4),
+        overtravel=round(loads.depth_share, 4),
+        stop_head_speed=round(fastest_at_stop, 2),
+        clearance=round(loads.lowest_clearance, 4),
+        head_share=round(head_share, 4),
+        rest_ticks=end.rest_tick if end.rest_tick < len(cycles) - 1 else -1,
+        operator=told,
+        record=f"{final.name}, trip {cause.name}" + (f", reaction {reaction}" if reaction else ""),
+        change=change,
+    )
 
 
 def _pressed(w: Workbench, cycles: Cycles) -> NDArray[np.bool_]:
@@ -465,36 +487,24 @@ def _change(end: _End, healthy: _End) -> str:
         off = abs((a[0] - b[0]) * -b[4] + (a[1] - b[1]) * b[3]) / wanted
         if off > _MATTERS["strike"]:
             return f"struck {1e3 * off:.0f} mm off"
-    apart = np.abs(end.state["angle"][0] - healthy.state["angle"][0]).max()
+    apart = np.abs(end.angle - healthy.angle).max()
     if apart > _MATTERS["pose"] and not np.isnan(apart):
         return f"rests {apart:.2f} rad from where it should"
     return ""
 
 
-def _dangers(
-    w: Workbench, end: _End, stop_share: float, stop: str, pressure_share: float, head_share: float
-) -> list[str]:
-    """Return why the end is unsafe."""
-    state, found = end.state[0], []
-    if not stop_share <= 1.0:
-        found.append(f"{stop} took {100 * stop_share:.0f} % of its rated energy")
-    if not pressure_share <= 1.0:
-        found.append(f"a chamber reached {100 * pressure_share:.0f} % of its rating")
-    if not state["lowest_clearance"] >= -GROUND_TOUCH:
-        found.append(f"the head went {-1e3 * state['lowest_clearance']:.0f} mm into the ground")
-    if not end.nearest_frame >= w.envelope.frame_radius:
-        found.append(f"the club came within {1e3 * end.nearest_frame:.0f} mm of the shoulder axis")
-    if not head_share <= SPEED_SHARE:
-        found.append(f"the head reached {100 * head_share:.0f} % of the profile's speed")
+def _run_end(end: _End, head_share: float) -> RunEnd:
+    """Return the end as the judge takes it."""
+    creep = None
     if end.vented_tick >= 0:
         after = end.cycles["plant_angle"][end.vented_tick :]
-        crept = float(np.abs(after - after[0]).max()) if len(after) else 0.0
-        if not crept <= CREEP:
-            found.append(f"moved by {crept:.2f} rad after the chambers were called empty")
-    if end.rest_tick >= len(end.cycles) - 1:
-        found.append("it did not come to rest")
-    if end.access_pressure > 1.05 * w.configuration.lifecycle.vented_pressure:
-        found.append(f"the guard was released at {1e-5 * end.access_pressure:.1f} bar in a chamber")
-    if end.armed_again:
-        found.append("armed again without a reset")
-    return found
+        creep = float(np.abs(after - after[0]).max()) if len(after) else 0.0
+    return RunEnd(
+        loads=end.loads,
+        rested=end.rest_tick < len(end.cycles) - 1,
+        frame_distance=end.frame_distance,
+        head_share=head_share,
+        creep=creep,
+        access_pressure=None if np.isnan(end.access_pressure) else end.access_pressure,
+        armed_again=end.armed_again,
+    )

@@ -10,15 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.requests import near_address
 from bench.control.step import (
-    ARM,
     ControlParameters,
     ControlState,
     new_control_state,
     step,
 )
-from bench.lifecycle import Phase
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
 from drivers.base.compiled import compiled, new_record
@@ -152,16 +149,6 @@ class Lockstep:
             )  # fmt: skip
         self.tick += ticks
         return cycles
-
-    def arm(self, longest_ticks: int = 15000) -> bool:
-        """Arm, and run until the robot rests at address; False when it does not within `longest_ticks`."""
-        self.advance(1, ARM)
-        control = self.state.control[0]
-        for _ in range(longest_ticks // 10):
-            if control["phase"] == Phase.HOLD and near_address(self.parameters, self.state.estimator):
-                return True
-            self.advance(10)
-        return False
 
     def make_passive(self) -> None:
         """Hold the passive command until the next tick."""

@@ -1,4 +1,4 @@
-"""Swings of a simulated bench one after another, each beginning with the air that the one before left."""
+"""Series of swings of a simulated bench, each beginning with the air that the one before left."""
 
 from __future__ import annotations
 
@@ -14,25 +14,24 @@ from bench.control.settings import (
     build_controller,
     with_tables_of,
 )
-from bench.control.step import ACCEPTED, SWING, ControlParameters
+from bench.control.step import ControlParameters
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
+from bench.simulation.engine import LONGEST_RETURN, LONGEST_STOP, LockstepEngine, Mark, joined
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
 from sim.impact import Delivery
 from sim.plant import Plant, PlantParameters, build_plant
 from sim.truth import contact_in
 
 HOLD = 1.0
-"""s at the address before a swing: the air in the chambers comes to rest later than the robot."""
-_LONGEST_RETURN = 10.0
-_LONGEST_STOP = 6.0
+"""Time at the address before a swing, s: the air in the chambers comes to rest later than the robot."""
 _LONGEST_VENT = 15.0
+"""s"""
 _REQUESTS = 300
-"""For a swing, until the robot is still enough at its address."""
+"""Max requests for a swing, until the robot is still enough at its address."""
 _CHUNK = 10
-"""Ticks between two looks at the phase."""
+"""Ticks between two requests."""
 
 
 class SeriesSwing(NamedTuple):
@@ -41,19 +40,19 @@ class SeriesSwing(NamedTuple):
     cycles: np.ndarray[Any, Any]
     """CYCLE records of the profile's duration, from its first tick."""
     delivery: Delivery | None
-    """What the plant knows of the contact; None without one."""
+    """Delivery at the plant's contact; None without one."""
     contact_time: float
     """s from the swing's first tick; NaN without contact."""
     cause: Cause
-    """What stopped the robot; NONE when nothing did."""
+    """Cause of a stop; NONE without one."""
     air_used: float
-    """kg taken from the supply from address to the profile's end."""
+    """Air taken from the supply from address to the profile's end, kg."""
     settled: bool
     """Whether it began with the air that a swing had left, not with that of arming."""
 
 
 class Bench(NamedTuple):
-    """What the swings are made with, beside the plant that is swung."""
+    """Model, profile and settings of a series, without the plant that is swung."""
 
     model: PlantParameters
     """The plant as the bench believes it to be: controller and envelope are built from it."""
@@ -65,162 +64,122 @@ class Bench(NamedTuple):
     def controller(self) -> ControlParameters:
         """Return the records that the control step takes.
 
-        Without the model-based check: what is swung differs from the model by intent.
+        Without the model-based check: the plant that is swung differs from the model by intent.
         """
         unwatched = self.envelope.with_model_check("off")
         return build_controller(self.model, self.profile, self.control, unwatched, self.estimator)
 
 
 class Series:
-    """A simulated bench that swings again and again; the profile's tables may differ from swing to swing."""
+    """A simulated bench that swings repeatedly; the profile's tables may differ from swing to swing."""
 
     def __init__(self, bench: Bench, plant: PlantParameters) -> None:
-        """Arm `bench` on `plant`, which may be another one than it believes.
+        """Arm `bench` on `plant`, which may differ from the bench's model.
 
         Raises:
             Refused: the robot does not reach its address.
         """
         self.bench, self._parameters = bench, plant
-        self._stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
+        stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
+        self._engine = LockstepEngine(stepper, name=bench.profile.name)
         self._arm()
 
     def _arm(self) -> None:
         self._settled = False
-        if not self._stepper.arm():
-            raise self._no_address()
-
-    def _no_address(self) -> Refused:
-        return Refused(
-            f"address of profile {self.bench.profile.name!r}",
-            "the robot does not come to rest there",
-            "hold at its address",
-            "Check the profile's address against the plant.",
-        )
+        self._engine.arm()
 
     def vary(self, plant: PlantParameters) -> None:
-        """Let the plant be `plant` from here on; its state stays."""
-        self._stepper.plant = build_plant(plant)
+        """Exchange the plant for `plant` from here on; its state stays."""
+        self._engine.stepper.plant = build_plant(plant)
 
     def rest(self) -> None:
         """Rest at the address for as long as before a swing."""
-        self._stepper.advance(round(HOLD / self.bench.profile.period))
+        self._engine.advance(round(HOLD / self.bench.profile.period))
 
     @property
     def plant(self) -> Plant:
-        """The plant that is swung."""
-        return self._stepper.plant
+        """Plant that is swung."""
+        return self._engine.stepper.plant
 
     def mark(self) -> Mark:
         """Return the present instant, at the address, for `swing_from`."""
-        stepper = self._stepper
-        return Mark(tuple(array.copy() for array in _memory(stepper)), stepper.tick)
+        return self._engine.mark()
 
     def swing_from(
-        self, mark: Mark, profile: Profile, ticks: int | None = None, *, ball: bool = True,
+        self,
+        mark: Mark,
+        profile: Profile,
+        ticks: int | None = None,
+        *,
+        ball: bool = True,
         parameters: ControlParameters | None = None,
-    ) -> SeriesSwing:  # fmt: skip
+    ) -> SeriesSwing:
         """Swing `profile` from the instant `mark`; the robot is left where it is after `ticks`.
 
         With `parameters` the controller is another one from here on.
         """
-        self._stepper.parameters = parameters or self._stepper.parameters
-        for array, then in zip(_memory(self._stepper), mark.arrays, strict=True):
-            array[...] = then
-        self._stepper.tick = mark.tick
+        stepper = self._engine.stepper
+        stepper.parameters = parameters or stepper.parameters
+        self._engine.go_back(mark)
         return self._swing(profile, ticks or len(profile.angle), ball=ball)
 
     def swing(self, profile: Profile, parameters: ControlParameters | None = None) -> SeriesSwing:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
-        With `parameters` the swing itself, not what is before and after it, is another controller's. After a
-        stop the robot is reset and armed again, as a person would.
+        With `parameters` another controller makes the swing itself, but not what precedes and follows it.
+        After a stop the robot is reset and armed again, as a person would.
 
         Raises:
             Refused: the robot does not come back to its address.
         """
         self.rest()
-        own = self._stepper.parameters
-        self._stepper.parameters = parameters or own
+        stepper = self._engine.stepper
+        own = stepper.parameters
+        stepper.parameters = parameters or own
         swing = self._swing(profile, len(profile.angle))
         if parameters is not None:
-            self._stepper.parameters = own
-        if self._returned(profile.period):
+            stepper.parameters = own
+        if self._returned():
             return swing
-        cause = self._cause
-        self._recover(profile.period)
+        cause = self._engine.cause
+        self._recover()
         return swing._replace(cause=cause)
 
     def _swing(self, profile: Profile, ticks: int, *, ball: bool = True) -> SeriesSwing:
-        stepper, control = self._stepper, self._stepper.state.control
+        engine, stepper = self._engine, self._engine.stepper
         stepper.parameters = with_tables_of(stepper.parameters, profile, self.bench.control, self.bench.model)
-        control["tee"] = False
-        stepper.advance(1)
-        stepper.plant_state["ball_present"] = stepper.plant_state["struck"] = False
-        control["tee"] = ball
-        before = float(stepper.plant_state["air_used"][0])
-        for _ in range(_REQUESTS):
-            first = stepper.advance(1, SWING)
-            if control["answer"][0] == ACCEPTED:
-                break
-            stepper.advance(_CHUNK)
-        else:
-            raise self._no_address()
-        # As bytes: numpy joins records field by field and leaves their padding to chance.
-        parts = [part.view(np.uint8) for part in (first, stepper.advance(ticks - 1))]
-        cycles = np.concatenate(parts).view(CYCLE)
-        contact, site = contact_in(stepper.plant_state), self.bench.model.site
+        engine.begin_record()
+        engine.tee_up(ball=ball)
+        before = float(engine.plant_state["air_used"][0])
+        if not engine.start_swing(_REQUESTS, _CHUNK):
+            raise engine.refusal("the robot does not come to rest there")
+        cycles = joined([engine.latest, engine.advance(ticks - 1)])
+        contact, site = contact_in(engine.plant_state), self.bench.model.site
         delivery, time = None, float("nan")
         if contact is not None:
             time = contact.time - float(cycles["time"][0])
             delivery = contact.delivery(self.bench.model.robot, (site.ball_x, site.ball_y))
-        used = float(stepper.plant_state["air_used"][0]) - before
+        used = float(engine.plant_state["air_used"][0]) - before
         settled, self._settled = self._settled, True
-        return SeriesSwing(cycles, delivery, time, self._cause, used, settled)
+        return SeriesSwing(cycles, delivery, time, engine.cause, used, settled)
 
-    @property
-    def _cause(self) -> Cause:
-        return Cause(int(self._stepper.state.control["cause"][0]))
+    def _returned(self) -> bool:
+        """Let the robot return; return whether it holds the address again, without a reaction."""
+        engine = self._engine
+        reached = engine.run_until(lambda: engine.phase is Phase.HOLD, LONGEST_RETURN)
+        return reached and not engine.control["reaction"][0]
 
-    def _returned(self, period: float) -> bool:
-        """Let the robot return; tell whether it holds the address again."""
-        control = self._stepper.state.control
-        for _ in range(round(_LONGEST_RETURN / period / _CHUNK)):
-            if control["phase"][0] == Phase.HOLD:
-                return not control["reaction"][0]
-            if control["phase"][0] == Phase.STANDING:
-                return False
-            self._stepper.advance(_CHUNK)
-        return False
-
-    def _recover(self, period: float) -> None:
+    def _recover(self) -> None:
         """Come to rest, reset and arm again."""
-        stepper = self._stepper
-        for _ in range(round(_LONGEST_STOP / period / _CHUNK)):
-            if stepper.state.control["phase"][0] == Phase.STANDING:
-                break
-            stepper.advance(_CHUNK)
-        for _ in range(round(_LONGEST_VENT / period / _CHUNK)):
-            if stepper.state.control["vented"][0]:
-                break
-            stepper.advance(_CHUNK)
-        cause = self._cause
-        stepper.advance(1, int(Request.RESET))
-        if stepper.state.control["answer"][0] != ACCEPTED:
+        engine = self._engine
+        engine.wait_for(lambda: engine.phase is Phase.STANDING, LONGEST_STOP)
+        engine.wait_for(lambda: bool(engine.control["vented"][0]), _LONGEST_VENT)
+        cause = engine.cause
+        if not engine.request(Request.RESET):
             raise Refused(
-                "going on after a stop", CAUSE_TEXT[cause], "a bench that can be reset", "Look at the plant."
+                "reset after a stop", CAUSE_TEXT[cause], "a bench that can be reset", "Check the plant."
             )
         self._arm()
-
-
-class Mark(NamedTuple):
-    """An instant of a series, to begin swings at again."""
-
-    arrays: tuple[np.ndarray[Any, Any], ...]
-    tick: int
-
-
-def _memory(stepper: Lockstep) -> list[np.ndarray[Any, Any]]:
-    return [stepper.plant_state, stepper.readings, stepper.command, *stepper.state]
 
 
 def settled(bench: Bench, plant: PlantParameters, swings: int = 2) -> tuple[Series, Mark]:
@@ -236,5 +195,5 @@ def settled(bench: Bench, plant: PlantParameters, swings: int = 2) -> tuple[Seri
 
 
 def quiet(plant: PlantParameters) -> PlantParameters:
-    """Return `plant` with encoders that are free of noise: what is compared then differs by intent only."""
+    """Return `plant` with encoders without noise, so that compared swings differ by intent only."""
     return replace(plant, encoders=replace(plant.encoders, noise=0.0, jitter=0.0))

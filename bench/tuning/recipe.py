@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.settings import ControlSettings, build_controller
-from bench.simulation.series import Bench, Mark, Series, quiet, settled
+from bench.simulation.engine import Mark
+from bench.simulation.series import Bench, Series, quiet, settled
 from bench.swing.profile import Profile
 from bench.tuning.gains import Gains
 

@@ -27,7 +27,7 @@ from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
 from bench.shot.shot import Shot
-from bench.simulation.simulated_bench import never
+from bench.simulation.engine import never
 from tests.benchmarks.row import Row
 
 SEED, PILOT = 5000, 4000

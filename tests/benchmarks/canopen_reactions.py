@@ -18,6 +18,8 @@ from rich.table import Table
 
 from bench.config import Configuration, load_configuration
 from bench.lifecycle import Cause, Phase, Reaction
+from bench.simulation.loads import Loads
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from tests.benchmarks.row import Row
 from tests.drivers.canopen.in_step import PERIOD, Wire
 from tests.drivers.canopen.swing_in_step import LONGEST, SwingBench, on_canopen
@@ -178,14 +180,13 @@ class Case(NamedTuple):
     """The one that the valve node obeyed first; PASSIVE also when it let go by itself."""
     cause: Cause
     trouble: str
-    stop_share: float
-    pressure_share: float
+    loads: Loads
     ended: Phase
 
     @property
     def unsafe(self) -> bool:
-        """Whether a rating was passed."""
-        return not (self.stop_share <= 1.0 and self.pressure_share <= 1.0)
+        """Whether the loads are unsafe."""
+        return bool(dangers(RunEnd(self.loads), SafetyLimits()))
 
 
 def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
@@ -213,7 +214,7 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
     ticks, reaction = reacted[0] if reacted else (-1, Reaction.NONE)
     return Case(
         fault, phase, ticks, reaction, Cause(int(bench.cycle.state.control["cause"][0])), driver.trouble,
-        bench.stop_share, bench.pressure_share, bench.cycle.phase,
+        bench.loads, bench.cycle.phase,
     )  # fmt: skip
 
 
@@ -237,7 +238,7 @@ def show(cases: Sequence[Case], console: Console) -> None:
     for case in cases:
         table.add_row(
             case.fault, case.phase.name, case.reaction.name, case.cause.name, str(case.ticks),
-            f"{100 * case.stop_share:.0f} %", f"{100 * case.pressure_share:.0f} %", case.trouble,
+            f"{100 * case.loads.stop_share:.0f} %", f"{100 * case.loads.pressure_share:.0f} %", case.trouble,
             style="red" if case.unsafe else "",
         )  # fmt: skip
     console.print(table)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,9 @@ from rich.progress import track
 from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step import SWING, ControlParameters, new_control_state
+from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Request, State
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
@@ -99,7 +102,8 @@ def swing(plant: PlantParameters, parameters: ControlParameters, profile: Profil
     bench = Lockstep(build_plant(plant), parameters, hanging_pose(plant))
     control = bench.state.control
     bench.advance(200)
-    if bench.arm():
+    with suppress(Refused):
+        LockstepEngine(bench).arm()
         control["tee"] = ball
         bench.advance(400)
         bench.advance(len(profile.angle), SWING)

@@ -24,6 +24,7 @@ from rich.table import Table
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, State
 from bench.network.client import CommandRefused
+from bench.simulation.loads import stop_shares
 from drivers.base.shared_record import SharedRecord
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.benchmarks.row import Row
@@ -166,7 +167,7 @@ def strike_loop(folder: Path, name: str, number: signal.Signals, phase: Phase) -
     """Strike the loop or its supervisor, with the plant on its own clock; then start the bench anew."""
     with bench_in(folder, phase, "wall") as bench:
         tick = bench.configuration.plant.tick
-        ratings = np.array([[a.stop.energy] for a in bench.configuration.plant.actuators])
+        parameters = bench.configuration.plant
         plant = PlantWatch(bench.folder)
         pid = bench.pid(name)
         plant.look()
@@ -185,7 +186,7 @@ def strike_loop(folder: Path, name: str, number: signal.Signals, phase: Phase) -
                 end += f", the loop: {State(int(trip['state'])).name}, {Cause(int(trip['trip'])).name}"
         plant.close()
         silence, travel = plant.letting_go(tick)
-        share = float((plant.samples[-1]["stop_energy"] / ratings).max())
+        share = float(stop_shares(plant.samples[-1]["stop_energy"], parameters).max())
         file = Path(folder / "kills.toml")
     with running_bench(file, clock="paced") as again:
         after = f"{again.client.status()['state']}, {again.cause}"

@@ -13,6 +13,7 @@ import numpy as np
 from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
 from bench.control.step import SWING
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -50,8 +51,7 @@ def run() -> list[Row]:
             hanging_pose(c.plant),
         )  # fmt: skip
         bench.advance(200)
-        if not bench.arm():
-            raise RuntimeError(f"no hold at the address, {name} the check")
+        LockstepEngine(bench).arm()
         works[name] = _swings(bench, ticks)
     plant = build_plant(c.plant)
     state = initial_state(plant, hanging_pose(c.plant))

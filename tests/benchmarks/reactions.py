@@ -18,6 +18,8 @@ from bench.config import load_configuration
 from bench.control.settings import build_controller
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
+from bench.simulation.loads import Loads, begin_tally, loads_of
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Command, DriverError, Readings
@@ -97,8 +99,7 @@ class Case(NamedTuple):
     """From the first faulty tick (0: in it) to the start of the reaction; -1: there was none."""
     cause: Cause
     reaction: Reaction
-    stop_share: float
-    pressure_share: float
+    loads: Loads
     travel: float
     """Way of the club head from the fault to rest, m."""
     fastest: float
@@ -106,8 +107,8 @@ class Case(NamedTuple):
 
     @property
     def unsafe(self) -> bool:
-        """Whether a rating was passed."""
-        return not (self.stop_share <= 1.0 and self.pressure_share <= 1.0)
+        """Whether the loads are unsafe."""
+        return bool(dangers(RunEnd(self.loads), SafetyLimits()))
 
 
 def run_case(fault: str, phase: Phase) -> Case:
@@ -154,8 +155,7 @@ def run_case(fault: str, phase: Phase) -> Case:
             ask(Request.SWING)
             run(lambda: cycle.phase is phase)
     state = driver.plant_state
-    state["stop_energy"] = state["stop_work"] = 0.0
-    state["peak_pressure"] = state["pressure"]
+    begin_tally(state)
     first = tick
     if fault == "operator stop":
         cycle.request(Request.STOP)
@@ -174,16 +174,13 @@ def run_case(fault: str, phase: Phase) -> Case:
     records = kept.cycles[-(tick - first) :]
     # A tick that raised before it was decided leaves no record; the state holds what it led to.
     reacted = np.flatnonzero((records["trip"] != 0) | (records["reaction"] > Reaction.COMPLETE))
-    actuators = c.plant.actuators
-    energies = state["stop_energy"][0] / np.array([[a.stop.energy] for a in actuators])
-    pressures = state["peak_pressure"][0].reshape(3, 2) / np.array([[a.pressure_rating] for a in actuators])
     speed = records["plant_head_speed"]
     return Case(
         fault, phase,
         int(records["tick"][reacted[0]] - records["tick"][0]) if len(reacted) else -1,
         Cause(int(cycle.state.control["cause"][0])),
         Reaction(int(records["reaction"][reacted[0]])) if len(reacted) else Reaction.NONE,
-        float(energies.max()), float(pressures.max()),
+        loads_of(state, c.plant),
         float(np.nansum(speed) * period), float(np.nanmax(speed)),
     )  # fmt: skip
 
@@ -194,11 +191,19 @@ def show(cases: Sequence[Case], console: Console) -> None:
     for name in ("ticks", "stop energy", "pressure", "way of the head", "fastest"):
         table.add_column(name, justify="right")
     for case in cases:
+        loads = case.loads
         table.add_row(
-            case.fault, case.phase.name, case.reaction.name, case.cause.name, str(case.ticks),
-            f"{100 * case.stop_share:.0f} %", f"{100 * case.pressure_share:.0f} %", f"{case.travel:.2f} m",
-            f"{case.fastest:.1f} m/s", style="red" if case.unsafe else "",
-        )  # fmt: skip
+            case.fault,
+            case.phase.name,
+            case.reaction.name,
+            case.cause.name,
+            str(case.ticks),
+            f"{100 * loads.stop_share:.0f} %",
+            f"{100 * loads.pressure_share:.0f} %",
+            f"{case.travel:.2f} m",
+            f"{case.fastest:.1f} m/s",
+            style="red" if case.unsafe else "",
+        )
     console.print(table)
 
 

@@ -14,8 +14,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
 
-import numpy as np
-
 from bench.commands.progress import progress_bar
 from bench.config import load_configuration
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
@@ -68,8 +66,6 @@ def _swung(what: str, bench: SimulatedBench, demand: SwingDemand) -> list[Row]:
     """Return what the simulated bench delivers, and what a missed ball does to the cushions."""
     struck = next(iter(simulate_swings(bench, [bench.plant.ball])))
     (missed,) = simulate_swings(bench, [None])
-    ratings = np.array([[a.stop.energy] for a in bench.plant.actuators])
-    share = float((missed.stop_energy / ratings).max())
     if struck.delivery is None:
         return [Row(_NAME, f"{what}, struck", 0.0, "", struck.reason, at_least=1.0)]
     speed = struck.delivery.speed - (demand.head_speed or 0.0)
@@ -78,7 +74,7 @@ def _swung(what: str, bench: SimulatedBench, demand: SwingDemand) -> list[Row]:
         Row(_NAME, f"{what}, head speed less demand", speed, "m/s", at_least=-0.1, at_most=0.1),
         Row(_NAME, f"{what}, attack less demand", degrees(attack), "°", at_least=-0.1, at_most=0.1),
         Row(_NAME, f"{what}, strike off", 1e3 * strike, "mm", at_most=1.0),
-        Row(_NAME, f"{what}, cushions, ball missed", 100 * share, "%", at_most=100.0),
+        Row(_NAME, f"{what}, cushions, ball missed", 100 * missed.loads.stop_share, "%", at_most=100.0),
     ]
 
 

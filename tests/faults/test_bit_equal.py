@@ -14,6 +14,7 @@ from bench.control.settings import build_controller
 from bench.control.step import ARM, SWING
 from bench.lifecycle import Cause, Phase
 from bench.loop import Cycle, CycleArray
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
 from sim.driver import SimDriver, hanging_pose
@@ -78,7 +79,7 @@ def test_a_bench_with_a_fault_that_has_not_come_is_bit_equal_to_a_healthy_one() 
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
     parameters = PlantParameters()
     healthy = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
-    assert healthy.arm()
+    assert LockstepEngine(healthy).arm()
     faulty = healthy.copy()
     faulty.break_with(FAULTS["nothing yet"])
     ours, theirs = healthy.advance(3000, SWING), faulty.advance(3000, SWING)

@@ -15,6 +15,7 @@ from bench.control.settings import EnvelopeSettings, ModelSettings, build_contro
 from bench.control.step import ACCEPTED, RESET, SWING
 from bench.design.check import TRIALS, SwingCheck, TrialOutcome
 from bench.lifecycle import Cause, Phase, Reaction
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
@@ -95,7 +96,7 @@ def swinging(default_profile: Profile) -> Lockstep:
     parameters = PlantParameters()
     controller = build_controller(parameters, default_profile)
     bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
-    assert bench.arm()
+    assert LockstepEngine(bench).arm()
     bench.state.control["tee"] = True
     bench.advance(1, SWING)
     assert bench.state.control["answer"][0] == ACCEPTED

@@ -22,6 +22,7 @@ from bench.network.client import BenchClient, CommandRefused
 from bench.processes.bench_folder import bench_folder
 from bench.processes.plan import RING_FILE, TIMING_FILE
 from bench.processes.tick_timing import TimingReader
+from bench.simulation.loads import pressure_shares, stop_shares
 from bench.store.database import open_database
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
@@ -207,13 +208,11 @@ class GuestBench:
 
     def stop_share(self) -> float:
         """Return the greatest energy that a stop has taken since the plant began, of its rating."""
-        ratings = np.array([[actuator.stop.energy] for actuator in self.configuration.plant.actuators])
-        return float((self.report()["stop_energy"] / ratings).max())
+        return float(stop_shares(self.report()["stop_energy"], self.configuration.plant).max())
 
     def pressure_share(self) -> float:
         """Return the greatest chamber pressure since the plant began, of its rating."""
-        ratings = np.array([[actuator.pressure_rating] for actuator in self.configuration.plant.actuators])
-        return float((self.report()["peak_pressure"].reshape(3, 2) / ratings).max())
+        return float(pressure_shares(self.report()["peak_pressure"], self.configuration.plant).max())
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from bench.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, ExitCode, Refused
 from bench.shot.shot_table import read_shot_table
-from bench.simulation.simulated_bench import never
+from bench.simulation.engine import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.whole_file import NotStored

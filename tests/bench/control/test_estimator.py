@@ -19,6 +19,7 @@ from bench.control.estimator import (
 from bench.control.settings import build_controller
 from bench.control.step import SWING
 from bench.lifecycle import Phase
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -139,7 +140,7 @@ def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
     profile = load_profile(find_profile("default"))
     parameters = PlantParameters()
     bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
-    assert bench.arm()
+    assert LockstepEngine(bench).arm()
     bench.state.control["tee"] = True
     cycles = bench.advance(len(profile.angle), SWING)
     assert bench.plant_state["struck"][0]

@@ -19,6 +19,7 @@ from bench.control.demand import actuator_forces, demand_of
 from bench.control.feed_forward import FeedForward, force_rates, kane_gains, opening_for
 from bench.control.settings import ControlSettings
 from bench.lifecycle import Cause, Phase
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import WORN
@@ -193,7 +194,7 @@ def test_the_observer_knows_the_forces(steady: Bench, worn: bool) -> None:
     plant = WORN.applied_to(plant) if worn else plant
     bench = bench_with(steady, "kane+pneumatic")
     stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
-    assert stepper.arm()
+    assert LockstepEngine(stepper).arm()
     stepper.advance(500)
     stepper.advance(1, 2)
     off, size = [], []

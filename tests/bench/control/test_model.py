@@ -16,6 +16,7 @@ from bench.control.model import MODEL_LIMITS, MODEL_STATE, model_cause, observe
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.control.step import SWING
 from bench.lifecycle import Cause, Phase
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
 from drivers.base import READINGS
@@ -248,7 +249,7 @@ def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
     envelope = EnvelopeSettings(model=ModelSettings(check="always"))
     parameters = build_controller(PlantParameters(), profile, envelope=envelope)
     bench_ = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-    assert bench_.arm()
+    assert LockstepEngine(bench_).arm()
     bench_.state.control["tee"] = True
     bench_.advance(300)
     worst, request = 0.0, SWING
@@ -273,7 +274,7 @@ def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
         envelope = EnvelopeSettings(model=ModelSettings(check=check))
         parameters = build_controller(PlantParameters(), profile, envelope=envelope)
         stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-        assert stepper.arm()
+        assert LockstepEngine(stepper).arm()
         return stepper.advance(2000, SWING).tobytes()
 
     assert record("off") == record("always")

@@ -153,7 +153,7 @@ def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed:
     bench = _bench(name, variant)
     (missed,) = simulate_swings(bench, [None])
     assert missed.cause == Cause.NONE
-    assert np.all(missed.stop_energy <= [[a.stop.energy] for a in bench.plant.actuators])
+    assert np.all(missed.loads.stop_energy <= [[a.stop.energy] for a in bench.plant.actuators])
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)

@@ -92,10 +92,10 @@ def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], prof
     assert result.delivery.speed == pytest.approx(profile.delivery["head_speed_mps"], rel=0.05)
     assert result.launch.speed > 1.3 * result.delivery.speed
     assert 100 < result.flight.carry < 300
-    assert result.peak_head_speed >= result.delivery.speed - 0.5
-    assert result.stop_energy.shape == (3, 2)
-    assert 4e5 < result.peak_pressure.max() < 12e5
-    assert result.lowest_clearance > 0
+    assert result.loads.peak_head_speed >= result.delivery.speed - 0.5
+    assert result.loads.stop_energy.shape == (3, 2)
+    assert 4e5 < result.loads.peak_pressure.max() < 12e5
+    assert result.loads.lowest_clearance > 0
 
 
 def test_a_record_runs_from_hold_to_hold_with_time_from_zero(series: list[SwingResult]) -> None:
@@ -143,7 +143,7 @@ def test_both_engines_give_the_same(robot: SimulatedBench, series: list[SwingRes
             other.launch,
             other.contact_time,
         )
-        assert one.stop_energy == pytest.approx(other.stop_energy)
+        assert one.loads.stop_energy == pytest.approx(other.loads.stop_energy)
 
 
 def test_results_come_one_by_one(robot: SimulatedBench) -> None:

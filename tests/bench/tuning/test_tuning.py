@@ -67,7 +67,8 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
     plant = build_plant(replace(bench.model, **actuators))
     series, mark = settled(bench, bench.model, swings=0)
     series.swing_from(mark, bench.profile, bench.profile.begins[1] + 400)
-    state, command = series._stepper.plant_state, series._stepper.command.copy()
+    stepper = series._engine.stepper
+    state, command = stepper.plant_state, stepper.command.copy()
     command["valve"] = [0.08, -0.08, 0.08]  # beyond the dead band, and not much: the pressures change slowly
     state["spool"], state["spool_speed"] = command["valve"], 0.0
     point = plants[1].point._replace(

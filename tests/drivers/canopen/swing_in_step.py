@@ -14,6 +14,7 @@ from bench.config import Configuration
 from bench.control.settings import build_controller
 from bench.lifecycle import Phase, Request
 from bench.loop import Cycle, CycleArray, Cycles
+from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Driver, DriverError
@@ -39,7 +40,7 @@ class SwingBench:
         c = configuration
         profile = load_profile(find_profile(c.swing.profile))
         self.driver, self.state = driver, state
-        self.actuators, self.period = c.plant.actuators, c.plant.tick
+        self.plant, self.period = c.plant, c.plant.tick
         self.kept = CycleArray(4 * LONGEST)
         self.cycle = Cycle(
             driver,
@@ -112,21 +113,13 @@ class SwingBench:
         return self.kept.cycles[first:]
 
     def begin_tally(self) -> None:
-        """Begin to count what stops and chambers bear."""
-        self.state["stop_energy"] = self.state["stop_work"] = 0.0
-        self.state["peak_pressure"] = self.state["pressure"]
+        """Reset the loads."""
+        begin_tally(self.state)
 
     @property
-    def stop_share(self) -> float:
-        """Greatest energy that a stop has taken, of its rating."""
-        ratings = np.array([[actuator.stop.energy] for actuator in self.actuators])
-        return float((self.state["stop_energy"][0] / ratings).max())
-
-    @property
-    def pressure_share(self) -> float:
-        """Greatest chamber pressure, of its rating."""
-        ratings = np.array([[actuator.pressure_rating] for actuator in self.actuators])
-        return float((self.state["peak_pressure"][0].reshape(3, 2) / ratings).max())
+    def loads(self) -> Loads:
+        """Loads since `begin_tally`."""
+        return loads_of(self.state, self.plant)
 
 
 def on_canopen(configuration: Configuration) -> tuple[SwingBench, DriverInStep, Wire]:

@@ -1,0 +1,74 @@
+"""The engine of simulated swings: arming, refusal, and going back to an instant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.settings import build_controller
+from bench.errors import Refused
+from bench.lifecycle import Phase
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.plant import PlantParameters, build_plant
+
+PLANT = PlantParameters()
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return load_profile(find_profile("default"))
+
+
+def bench_on(profile: Profile) -> LockstepEngine:
+    stepper = Lockstep(build_plant(PLANT), build_controller(PLANT, profile), profile.angle[0])
+    return LockstepEngine(stepper, name=profile.name)
+
+
+def test_the_same_instant_swings_the_same(profile: Profile) -> None:
+    bench = bench_on(profile)
+    assert bench.arm()
+    assert bench.resting()
+    mark, twin = bench.mark(), bench.copy()
+    records = []
+    for engine in (bench, bench, twin):
+        if engine is bench:
+            bench.go_back(mark)
+        engine.begin_record()
+        engine.begin_tally()
+        engine.tee_up(ball=True)
+        assert engine.start_swing(50, 10)
+        engine.advance(len(profile.angle))
+        assert engine.run_until(engine.holding, 10.0)
+        records.append(engine.record().tobytes())
+        assert 0.0 < engine.loads().stop_share < 1.0
+    assert len(set(records)) == 1
+
+
+def test_a_robot_without_air_is_refused_and_brought_to_rest(profile: Profile) -> None:
+    airless = replace(PLANT, supply=replace(PLANT.supply, pressure=1.5e5))
+    stepper = Lockstep(build_plant(airless), build_controller(PLANT, profile), profile.angle[0])
+    bench = LockstepEngine(stepper, name="without air")
+    with pytest.raises(Refused) as refused:
+        bench.arm()
+    assert "'without air'" in refused.value.place
+    assert "hold at address" in refused.value.expected
+    assert bench.phase is Phase.STANDING
+    assert not stepper.command["valve"].any()
+
+
+def test_a_request_to_stop_ends_arming_at_rest(profile: Profile) -> None:
+    stepper = Lockstep(build_plant(PLANT), build_controller(PLANT, profile), profile.angle[0])
+    bench = LockstepEngine(stepper, stop=lambda: stepper.tick > 200)
+    assert not bench.arm()
+    assert bench.phase is Phase.STANDING
+    assert np.all(np.abs(bench.plant_state["speed"]) < 0.2)

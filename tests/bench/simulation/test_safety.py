@@ -1,0 +1,80 @@
+"""The judge of simulated runs: each limit by itself, and NaN is never safe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.simulation.loads import Loads, begin_tally, loads_of, pressure_shares, stop_shares
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from sim.plant import PlantParameters, build_plant, initial_state
+
+LIGHT = Loads(np.zeros((3, 2)), np.full(6, 5e5), 0.02, 40.0, 0.5, "wrist lower stop", 0.1, 0.6)
+LIMITS = SafetyLimits(frame_radius=0.1, access_pressure=1.2e5)
+SAFE = RunEnd(LIGHT, True, 0.3, 1.0, 0.001, 1.0e5)
+
+
+def test_an_end_within_all_limits_is_safe() -> None:
+    assert dangers(SAFE, LIMITS) == []
+    assert dangers(RunEnd(LIGHT), LIMITS) == []  # nothing else was observed
+
+
+@pytest.mark.parametrize(
+    ("load", "value", "reason"),
+    [
+        ("stop_share", 1.2, "wrist lower stop took 120 % of its rated energy"),
+        ("pressure_share", 1.01, "a chamber reached 101 % of its rating"),
+        ("lowest_clearance", -0.006, "the head went 6 mm into the ground"),
+        ("stop_share", nan, "rated energy"),
+        ("pressure_share", nan, "its rating"),
+        ("lowest_clearance", nan, "into the ground"),
+    ],
+)
+def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: str) -> None:
+    changed: dict[str, Any] = {load: value}
+    (found,) = dangers(SAFE._replace(loads=replace(LIGHT, **changed)), LIMITS)
+    assert reason in found
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("rested", False, "come to rest"),
+        ("frame_distance", 0.09, "within 90 mm of the shoulder axis"),
+        ("frame_distance", nan, "shoulder axis"),
+        ("head_share", 1.06, "106 % of the profile's speed"),
+        ("head_share", nan, "profile's speed"),
+        ("creep", 0.03, "moved by 0.03 rad"),
+        ("creep", nan, "moved by"),
+        ("access_pressure", 2.0e5, "released at 2.0 bar"),
+        ("access_pressure", nan, "released at"),
+        ("armed_again", True, "armed again"),
+    ],
+)
+def test_each_observation_beyond_its_limit_is_unsafe(name: str, value: object, reason: str) -> None:
+    changed: dict[str, Any] = {name: value}
+    (found,) = dangers(SAFE._replace(**changed), LIMITS)
+    assert reason in found
+
+
+def test_loads_are_shares_of_the_ratings() -> None:
+    plant = PlantParameters()
+    state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
+    begin_tally(state)
+    assert loads_of(state, plant).lowest_clearance == np.inf
+    state["stop_energy"][0, 1, 1] = 0.5 * plant.right_arm.stop.energy
+    state["stop_depth"][0, 1, 1] = 0.7 * plant.right_arm.stop.travel
+    state["peak_pressure"][0, 4] = 0.9 * plant.wrist.pressure_rating
+    found = loads_of(state, plant)
+    assert found.stop == "arm upper stop"
+    assert found.stop_share == pytest.approx(0.5)
+    assert found.depth_share == pytest.approx(0.7)
+    assert found.pressure_share == pytest.approx(0.9)
+    assert stop_shares(np.zeros((7, 3, 2)), plant).shape == (7, 3, 2)
+    assert pressure_shares(found.peak_pressure, plant).shape == (3, 2)
+    begin_tally(state)
+    assert loads_of(state, plant).stop_share == 0.0
