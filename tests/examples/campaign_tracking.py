@@ -1,7 +1,7 @@
 """Print how closely the joints of a campaign's swings followed their reference, shot by shot.
 
-    golfbench campaign run two-balls --sim                                  # writes data/campaigns/ID/swings
-    python tests/examples/campaign_tracking.py data/campaigns/ID
+golfbench campaign run two-balls --sim                                  # writes data/campaigns/ID/swings
+python tests/examples/campaign_tracking.py data/campaigns/ID
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ def downswing_errors(record: Path) -> np.ndarray:
     """Return the root-mean-square following error of each joint in the downswing, (3,) in rad."""
     cycles, _ = read_swing(record)
     downswing = cycles[np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))]
-    error: np.ndarray = downswing["angle"] - downswing["reference_angle"]
-    return np.sqrt(np.mean(error**2, axis=0))
+    error = downswing["angle"] - downswing["reference_angle"]
+    return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
 def main(campaign: Path) -> None:
@@ -38,6 +38,6 @@ def main(campaign: Path) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:  # noqa: PLR2004
+    if len(sys.argv) != 2:
         raise SystemExit(__doc__)
     main(Path(sys.argv[1]))

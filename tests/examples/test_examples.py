@@ -1,0 +1,86 @@
+"""The examples run as a reader runs them, and the README shows what the commands print."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numba
+import pytest
+
+from drivers.base import PASSIVE, Command, Driver
+from drivers.registry import GROUP, BrokenDriver, choose_driver, find_drivers
+from tests.running_bench import running_bench, write_configuration
+
+EXAMPLES = Path(__file__).parent
+README = EXAMPLES.parents[1] / "README.md"
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+
+def _python(*arguments: str) -> str:
+    """Run Python with `arguments` beside the test and return what it printed."""
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=240
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of the README's campaign, and what the command printed."""
+    folder = tmp_path_factory.mktemp("campaign")
+    configuration = folder / "bench.toml"
+    configuration.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{folder}"\n')
+    printed = _python("-m", "bench", "--config", str(configuration), "campaign", "run", "two-balls", "--sim")
+    (campaign,) = (folder / "campaigns").iterdir()
+    return campaign, printed
+
+
+def test_the_readme_shows_what_the_campaign_prints(campaign: tuple[Path, str]) -> None:
+    shown = README.read_text().partition("two-balls --sim\n")[2].partition("```")[0]
+    assert " ".join(shown.split()) in " ".join(campaign[1].split())
+
+
+def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
+    rows = _python(str(EXAMPLES / "campaign_tracking.py"), str(campaign[0])).splitlines()
+    assert rows[1].split() == ["record", "shoulder", "arm", "wrist"]
+    assert len(rows) == 2 + len(list(campaign[0].glob("swings/*.parquet"))) + 2
+    assert all(0.0 < float(value) < 500.0 for row in rows[2:] for value in row.split()[1:])
+
+
+@pytest.mark.timeout(300)
+def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "example")
+    with running_bench(file) as bench:
+        printed = _python(str(EXAMPLES / "one_swing.py"), str(file))
+        (record,) = bench.records
+    figures = dict(row.split(maxsplit=2)[::2] for row in printed.splitlines()[1:3])
+    assert printed.splitlines()[0].split() == ["record", str(record)]
+    assert 40.0 < float(figures["club"].split()[0]) < 46.0
+    assert 55.0 < float(figures["ball"].split()[0]) < 67.0
+
+
+def test_the_driver_plug_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = EXAMPLES / "driver_plugin"
+    monkeypatch.syspath_prepend(folder)
+    project = (folder / "pyproject.toml").read_text()
+    assert 'half_stroke = "half_stroke_driver:HalfStrokeDriver"' in project
+    drivers = find_drivers([EntryPoint("half_stroke", "half_stroke_driver:HalfStrokeDriver", GROUP)])
+    assert not isinstance(drivers["half_stroke"], BrokenDriver)
+    driver = choose_driver("half_stroke", drivers)()
+    assert isinstance(driver, Driver)
+    driver.open()
+    asked = Command(valve=(1.0, -1.0, 0.2), supply_enable=True, exhaust_closed=True)
+    assert driver.write(asked) == asked._replace(valve=(0.5, -0.5, 0.2))
+    assert driver.write(asked._replace(valve=(float("nan"), 0.0, 0.0))) == PASSIVE
+    first, second = driver.read(0.0), driver.read(0.1)
+    assert first.encoder_valid == second.encoder_valid == (True, True, True)
+    driver.make_passive()
+    driver.close()
+    driver.make_passive()

@@ -1,0 +1,173 @@
+"""The documents stay true: links, paths, commands, exit codes, and the drawing of floors."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from enum import Enum
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import pytest
+import typer
+
+from bench.cli import EXIT_CODES, app
+from bench.errors import ExitCode
+
+ROOT = Path(__file__).resolve().parents[1]
+SKIPPED = {".venv", "data", "node_modules"}
+DOCUMENTS = sorted(
+    path for path in ROOT.rglob("*.md") if not any(part in SKIPPED for part in path.relative_to(ROOT).parts)
+)
+TOP = "bench|sim|drivers|tests|systemd|\\.github|\\.ci"
+PATH_IN_TEXT = re.compile(rf"`((?:{TOP})/[\w./-]*(?:\.\w+|/))`")
+"""A path from the top of the project in backticks: it ends with an extension or a slash."""
+LINK = re.compile(r"\]\((?!https?:|#|mailto:)([^)#\s]+)")
+COMMAND = re.compile(r"(?:^|`)[ \t]*(?:\$ )?(?:sudo )?(?:\S*/)?golfbench ((?:[a-z]|--)[^`\n]*)", re.MULTILINE)
+PLACEHOLDERS = ("…", "...", "|", "\\|")
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def _paths(text: str) -> list[str]:
+    """Return the paths that `text` names from the top of the project; NAME and ID are placeholders."""
+    return [path for path in PATH_IN_TEXT.findall(text) if not re.search(r"\b(NAME|ID)\b", path)]
+
+
+def _section(document: str, title: str) -> str:
+    """Return the section of `document` whose title begins with `title`."""
+    return (ROOT / document).read_text().partition(f"## {title}")[2].partition("\n## ")[0]
+
+
+def _commands(text: str) -> list[str]:
+    """Return what follows `golfbench` in each command line in `text`, without comment."""
+    return [found[1].split("   ", 1)[0].split(" #", 1)[0].rstrip("&` ") for found in COMMAND.finditer(text)]
+
+
+def _choices(annotation: Any) -> set[str]:
+    """Return the values that an option of this annotation takes; empty if it takes any."""
+    if get_origin(annotation) is Literal:
+        return {str(value) for value in get_args(annotation)}
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return {str(member.value) for member in annotation}
+    return {choice for part in get_args(annotation) for choice in _choices(part)}
+
+
+def _parse(command: Any, context: Any, arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return options by name and what is left of `arguments`; assert that the options exist."""
+    try:
+        options, leftover, _ = command.make_parser(context).parse_args(list(arguments))
+    except Exception as error:
+        raise AssertionError(f"{context.command_path}: {error}") from None
+    return options, leftover
+
+
+def _check_parses(command: Any, line: str) -> None:
+    """Assert that `line`, what follows `golfbench`, names a command and options that exist."""
+    words = [word.strip("[]") for word in shlex.split(line)]
+    arguments = [word for word in words if word and word not in PLACEHOLDERS]
+    context = command.context_class(command, info_name="golfbench")
+    while hasattr(command, "commands"):
+        _, arguments = _parse(command, context, arguments)
+        if not arguments:
+            return  # the name of a group in a sentence
+        name, *arguments = arguments
+        assert name in command.commands, f"{context.command_path} has no command {name}"
+        command = command.commands[name]
+        context = command.context_class(command, info_name=name, parent=context)
+    options, leftover = _parse(command, context, arguments)
+    assert not leftover, f"unexpected {leftover}"
+    for parameter in command.params:
+        choices = _choices(parameter.type_descriptor.annotation)
+        given = options.get(parameter.name)
+        if choices and isinstance(given, str):
+            assert set(given.split("|")) <= choices, f"--{parameter.name} takes {sorted(choices)}"
+
+
+def _floors(text: str) -> dict[str, list[set[str]]]:
+    """Return the floors of each root package in the drawing of bench/README.md, from the top."""
+    block = re.search(r"## Floors.*?```\n(.*?)```", text, re.DOTALL)
+    assert block is not None
+    floors: dict[str, list[set[str]]] = {}
+    root = ""
+    for line in block[1].splitlines():
+        root = line[:9].strip() or root
+        rooms = re.split(r"\s{2,}", line[9:].strip())[0]
+        floors.setdefault(root, []).append(set(rooms.split(" · ")))
+    return floors
+
+
+def test_the_readme_is_one_page() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_links_and_paths_exist(path: Path) -> None:
+    text = path.read_text()
+    missing = [target for target in LINK.findall(text) if not (path.parent / target).exists()]
+    missing += [named for named in _paths(text) if not (ROOT / named).exists()]
+    assert not missing
+
+
+@pytest.fixture(scope="module")
+def golfbench() -> Any:
+    """The command line."""
+    return typer.main.get_command(app)
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
+def test_commands_parse(path: Path, golfbench: Any) -> None:
+    wrong = []
+    for line in _commands(path.read_text()):
+        try:
+            _check_parses(golfbench, line)
+        except AssertionError as error:
+            wrong.append(f"golfbench {line}: {error}")
+    assert not wrong
+
+
+@pytest.mark.parametrize(
+    "line", ["swing nowhere", "run --tmie paced", "run --time never", "status more", "demo --seed"]
+)
+def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
+    assert _commands(f"```\n$ golfbench {line}   # comment\n```") == [line]
+    with pytest.raises(AssertionError):
+        _check_parses(golfbench, line)
+
+
+def test_documented_exit_codes_are_those_of_the_code() -> None:
+    table = (
+        (ROOT / "bench/commands/README.md").read_text().partition("## Exit codes")[2].partition("\n## ")[0]
+    )
+    documented = {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
+    assert documented == set(ExitCode)
+    assert {int(code) for code in re.findall(r"^ *(\d+)  ", EXIT_CODES, re.MULTILINE)} == documented
+    code = "".join(path.read_text() for path in (ROOT / "bench").rglob("*.py"))
+    assert [member.name for member in ExitCode if f"ExitCode.{member.name}" not in code] == []
+
+
+def test_the_drawing_of_floors_is_the_contracts() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contracts = {
+        contract["containers"][0]: [set(floor.split(" | ")) for floor in contract["layers"]]
+        for contract in project["tool"]["importlinter"]["contracts"]
+        if contract.get("exhaustive")
+    }
+    assert _floors((ROOT / "bench/README.md").read_text()) == contracts
+
+
+def test_twenty_changes_name_their_files() -> None:
+    table = _section("bench/README.md", "Where do I change")
+    rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
+    assert len(rows) == 20
+    assert [row for row in rows if not PATH_IN_TEXT.search(row)] == []
+
+
+def test_the_changelog_begins_with_this_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    first = re.search(r"^## (\S+)", (ROOT / ".github/CHANGELOG.md").read_text(), re.MULTILINE)
+    assert first is not None
+    assert first[1] == project["version"]
