@@ -139,9 +139,7 @@ def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
 
 
 def test_documented_exit_codes_are_those_of_the_code() -> None:
-    table = (
-        (ROOT / "bench/commands/README.md").read_text().partition("## Exit codes")[2].partition("\n## ")[0]
-    )
+    table = _section("bench/commands/README.md", "Exit codes")
     documented = {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
     assert documented == set(ExitCode)
     assert {int(code) for code in re.findall(r"^ *(\d+)  ", EXIT_CODES, re.MULTILINE)} == documented
