@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.config import load_configuration
 from bench.network.client import BenchClient
-from bench.network.live_swing import HOLD, ShotNews, tee_up
+from bench.network.live_swing import ShotNews, tee_up
 from bench.shot.recorded_shot import read_shot
 from bench.shot.shot import Shot
 
@@ -28,9 +28,8 @@ def swing_once(configuration: Path | None) -> Shot:
             bench.home()
         bench.wait_for("READY")
         bench.arm()
-        bench.wait_for("ARMED", phase="HOLD")
+        bench.wait_until_armed()
         tee_up(bench, lambda: time.sleep(0.05))
-        time.sleep(HOLD)  # the air in the chambers settles later than the robot
         with bench.shots() as next_message:
             begun = bench.status()["tick"]
             bench.swing()
