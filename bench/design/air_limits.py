@@ -89,18 +89,31 @@ def _extreme_pressures(
     """Return the lowest and highest pressure (n,) Pa a chamber of `volume` (n,) m3 can have."""
     low, high = np.full(len(volume), supply.atmosphere), np.full(len(volume), supply.pressure)
     _fill_and_empty(
-        np.maximum(volume, 0.2 * actuator.dead_volume), period,
-        actuator.valve.conductance + actuator.cross_leakage, actuator.valve.critical_ratio,
-        supply.pressure, supply.atmosphere, supply.polytropic_exponent, low, high,
-    )  # fmt: skip
+        np.maximum(volume, 0.2 * actuator.dead_volume),
+        period,
+        actuator.valve.conductance + actuator.cross_leakage,
+        actuator.valve.critical_ratio,
+        supply.pressure,
+        supply.atmosphere,
+        supply.polytropic_exponent,
+        low,
+        high,
+    )
     return low, np.minimum(high, actuator.pressure_rating)
 
 
 @compiled
 def _fill_and_empty(
-    volume: Any, period: float, conductance: float, ratio: float, supply: float, atmosphere: float,
-    exponent: float, low: Any, high: Any,
-) -> None:  # fmt: skip
+    volume: Any,
+    period: float,
+    conductance: float,
+    ratio: float,
+    supply: float,
+    atmosphere: float,
+    exponent: float,
+    low: Any,
+    high: Any,
+) -> None:
     """Write pressures of a chamber that only loses (`low`) and only takes (`high`) air, from the first on."""
     step = period / _SUBSTEPS
     for k in range(1, len(volume)):

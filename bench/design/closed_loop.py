@@ -37,9 +37,19 @@ class LoopFailed(RuntimeError):
 
 @compiled
 def run_with_openings(
-    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
-    readings: Any, command: Any, first_tick: int, valve: Any, acceleration: Any, cycles: Any,
-) -> None:  # fmt: skip
+    robot: Any,
+    plant: Any,
+    impact: Any,
+    plant_state: Any,
+    state: ControlState,
+    parameters: ControlParameters,
+    readings: Any,
+    command: Any,
+    first_tick: int,
+    valve: Any,
+    acceleration: Any,
+    cycles: Any,
+) -> None:
     """Let the control step listen while `valve` (n, 3) is applied; write CYCLE records (n,).
 
     `acceleration` (n, 3) gets the estimator's, rad/s2.
@@ -88,9 +98,17 @@ class Rehearsal:
         bench, cycles = self.bench, new_record(CYCLE, len(valve))
         acceleration = np.zeros((len(valve), 3))
         run_with_openings(
-            *bench.plant.records, bench.plant_state, bench.state, bench.parameters, bench.readings,
-            bench.command, bench.tick, np.ascontiguousarray(valve), acceleration, cycles,
-        )  # fmt: skip
+            *bench.plant.records,
+            bench.plant_state,
+            bench.state,
+            bench.parameters,
+            bench.readings,
+            bench.command,
+            bench.tick,
+            np.ascontiguousarray(valve),
+            acceleration,
+            cycles,
+        )
         bench.tick += len(valve)
         self._require_running()
         return cycles, acceleration

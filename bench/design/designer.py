@@ -207,9 +207,20 @@ def _sketch(demand: SwingDemand, period: float, address: Array, top: Array, gain
     velocity = np.vstack([velocity, np.zeros((hold, 3))])
     begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
     return Profile(
-        "sketch", "", "", "", period, begins, angle, velocity, velocity * gain, SPACING,
-        np.zeros((len(angle) // SPACING + 1, 6)), (0.25, -1.560), n * period,
-    )  # fmt: skip
+        "sketch",
+        "",
+        "",
+        "",
+        period,
+        begins,
+        angle,
+        velocity,
+        velocity * gain,
+        SPACING,
+        np.zeros((len(angle) // SPACING + 1, 6)),
+        (0.25, -1.560),
+        n * period,
+    )
 
 
 def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
@@ -445,10 +456,15 @@ class Highest(NamedTuple):
 
 
 def highest_speed(
-    parameters: PlantParameters, demand: SwingDemand, control: ControlSettings, envelope: EnvelopeSettings,
-    estimator: EstimatorSettings, *, start: Profile | None = None,
+    parameters: PlantParameters,
+    demand: SwingDemand,
+    control: ControlSettings,
+    envelope: EnvelopeSettings,
+    estimator: EstimatorSettings,
+    *,
+    start: Profile | None = None,
     progress: Progress = lambda what, part: None,
-) -> Highest:  # fmt: skip
+) -> Highest:
     """Return the fastest downswing within `demand` that the plant follows within its cushions.
 
     The fastest plan is a beginning only: with cushions that must hold when the ball is missed, faster ones
@@ -594,9 +610,14 @@ def design_swing(
 
 
 def _into_the_loop(
-    bench: SimulatedBench, demand: SwingDemand, begun: _Start, downswing: Downswing, name: str, golfer: str,
+    bench: SimulatedBench,
+    demand: SwingDemand,
+    begun: _Start,
+    downswing: Downswing,
+    name: str,
+    golfer: str,
     progress: Progress,
-) -> tuple[Profile, Downswing]:  # fmt: skip
+) -> tuple[Profile, Downswing]:
     """Return the profile whose swing in closed loop delivers what `downswing` was to, and its downswing.
 
     What the loop adds to the openings is aimed off, until the head passes the ball as wanted.
@@ -632,12 +653,17 @@ def _into_the_loop(
 
 
 def _bench(
-    parameters: PlantParameters, control: ControlSettings | None, envelope: EnvelopeSettings | None,
+    parameters: PlantParameters,
+    control: ControlSettings | None,
+    envelope: EnvelopeSettings | None,
     estimator: EstimatorSettings | None,
-) -> SimulatedBench:  # fmt: skip
+) -> SimulatedBench:
     """Return the bench that the design is rehearsed on, still with an empty profile."""
     nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
     return SimulatedBench(
-        nothing, parameters, control or ControlSettings(), envelope or EnvelopeSettings(),
+        nothing,
+        parameters,
+        control or ControlSettings(),
+        envelope or EnvelopeSettings(),
         estimator or EstimatorSettings(),
-    )  # fmt: skip
+    )

@@ -31,9 +31,12 @@ Expression = Any
 BAR = 1e5
 STATES, CONTROLS = 16, 3
 _KINDS = (
-    ("joint ranges",) * 3 + ("joint speeds",) * 3 + ("chamber pressure",) * 6
-    + ("supply",) + ("shoulder valve", "right arm's valve", "wrist's valve")
-)  # fmt: skip
+    ("joint ranges",) * 3
+    + ("joint speeds",) * 3
+    + ("chamber pressure",) * 6
+    + ("supply",)
+    + ("shoulder valve", "right arm's valve", "wrist's valve")
+)
 _FREE = 1e-6
 """Price of a m/s below which nothing holds the speed back."""
 _LIMITS = ("rod speed", "rod range", "cushion of the right arm", "cushion of the wrist", "shoulder braking")
@@ -119,9 +122,14 @@ def _kinetics(plant: PlantParameters, q: Expression, u: Expression) -> tuple[Exp
 
 
 def _air(
-    plant: PlantParameters, i: int, pressures: Expression, supply: Expression, opening: Expression,
-    position: Expression, speed: Expression,
-) -> tuple[Expression, Expression, Expression]:  # fmt: skip
+    plant: PlantParameters,
+    i: int,
+    pressures: Expression,
+    supply: Expression,
+    opening: Expression,
+    position: Expression,
+    speed: Expression,
+) -> tuple[Expression, Expression, Expression]:
     """Return actuator i's force, its pressure rates (bar/s) and what it takes from the supply (W / 1e5)."""
     ca = load_casadi()
     actuator, atmosphere = plant.actuators[i], plant.supply.atmosphere / BAR
@@ -295,9 +303,14 @@ class DownswingPlan(NamedTuple):
 
 
 def solve_downswing(
-    plant: PlantParameters, problem: DownswingProblem, guess_time: float, guess: Array, intervals: int = 50,
-    watch: Any = None, iterations: int = 600,
-) -> DownswingPlan:  # fmt: skip
+    plant: PlantParameters,
+    problem: DownswingProblem,
+    guess_time: float,
+    guess: Array,
+    intervals: int = 50,
+    watch: Any = None,
+    iterations: int = 600,
+) -> DownswingPlan:
     """Solve `problem` from `guess` (intervals + 1, 16)."""
     ca = load_casadi()
     equations = build_equations(plant)
@@ -408,17 +421,28 @@ def solve_downswing(
     require("cushion of the wrist", carried[1], -1.0, p.cushions[1])
     program: dict[str, Any] = {"x": ca.vertcat(*z), "f": cost, "g": ca.vertcat(*g)}
     options: dict[str, Any] = {
-        "ipopt": {"print_level": 0, "max_iter": iterations, "tol": 1e-5, "acceptable_tol": 1e-4, "sb": "yes",
-                  "acceptable_iter": 8, "mu_strategy": "monotone", "linear_solver": "mumps"},
+        "ipopt": {
+            "print_level": 0,
+            "max_iter": iterations,
+            "tol": 1e-5,
+            "acceptable_tol": 1e-4,
+            "sb": "yes",
+            "acceptable_iter": 8,
+            "mu_strategy": "monotone",
+            "linear_solver": "mumps",
+        },
         "print_time": False,
         "error_on_fail": False,
         "expand": True,
-    }  # fmt: skip
+    }
     solver = ca.nlpsol("downswing", "ipopt", program, options)
     found = solver(
-        x0=np.concatenate(z0), lbx=np.concatenate(lower), ubx=np.concatenate(upper),
-        lbg=np.concatenate(g_lower), ubg=np.concatenate(g_upper),
-    )  # fmt: skip
+        x0=np.concatenate(z0),
+        lbx=np.concatenate(lower),
+        ubx=np.concatenate(upper),
+        lbg=np.concatenate(g_lower),
+        ubg=np.concatenate(g_upper),
+    )
     stats = solver.stats()
     values = ca.Function("values", [program["x"]], [duration, ca.horzcat(*states), along, carried])(
         found["x"]
@@ -477,12 +501,16 @@ def _state_bounds(plant: PlantParameters, p: DownswingProblem) -> tuple[Array, A
     atmosphere = plant.supply.atmosphere / BAR
     low = np.array(
         [p.shoulder[0], pi + 0.05, p.wrist[0], -p.shoulder_back, -60.0, -p.speed_limits[2]]
-        + [0.9 * atmosphere] * 6 + [2.0] + [-p.opening] * 3
-    )  # fmt: skip
+        + [0.9 * atmosphere] * 6
+        + [2.0]
+        + [-p.opening] * 3
+    )
     high = np.array(
         [p.shoulder[1], 1.6 * pi, p.wrist[1], p.speed_limits[0], 60.0, p.speed_limits[2]]
-        + [p.pressure / BAR] * 6 + [1.05 * plant.supply.pressure / BAR] + [p.opening] * 3
-    )  # fmt: skip
+        + [p.pressure / BAR] * 6
+        + [1.05 * plant.supply.pressure / BAR]
+        + [p.opening] * 3
+    )
     return low, high
 
 

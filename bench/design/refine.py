@@ -53,9 +53,14 @@ def arrival_errors(arrival: Arrival, wanted: Array) -> Array:
 
 
 def refine(
-    shooter: Shooter, plan: Array, wanted: Array, opening: float, *, rounds: int = 30,
+    shooter: Shooter,
+    plan: Array,
+    wanted: Array,
+    opening: float,
+    *,
+    rounds: int = 30,
     watch: Callable[[int, float], None] = lambda count, worst: None,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return openings (n, 3), one row a tick, with which the plant arrives as `wanted` (`arrival_errors`).
 
     `plan` (n, 3) are the planned openings, `opening` the greatest one.
@@ -77,9 +82,13 @@ def refine(
 
 
 def _corrected(
-    shooter: Shooter, plan: Array, wanted: Array, opening: float, rounds: int,
+    shooter: Shooter,
+    plan: Array,
+    wanted: Array,
+    opening: float,
+    rounds: int,
     watch: Callable[[int, float], None],
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Return openings, by least squares around `plan`, and what is left of the errors in UNITS."""
     period, ticks = shooter.plant.parameters.tick, len(plan)
     shape = (int(np.ceil(ticks * period / KNOT)), 3)
@@ -110,7 +119,14 @@ def _corrected(
                 raise StopIteration
 
         found = least_squares(
-            residuals, np.zeros(shape[0] * 3), jac=slopes, bounds=(-0.5, 0.5), max_nfev=rounds, callback=note,
-            xtol=1e-8, ftol=1e-6, x_scale=0.05,
-        )  # fmt: skip
+            residuals,
+            np.zeros(shape[0] * 3),
+            jac=slopes,
+            bounds=(-0.5, 0.5),
+            max_nfev=rounds,
+            callback=note,
+            xtol=1e-8,
+            ftol=1e-6,
+            x_scale=0.05,
+        )
     return openings(found.x), errors(found.x)

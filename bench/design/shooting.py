@@ -95,9 +95,18 @@ def swing_down(robot: Any, plant: Any, impact: Any, states: Any, command: Any, v
 
 @compiled
 def follow_plan(
-    robot: Any, plant: Any, impact: Any, state: Any, command: Any, valve: Any, angle: Any, speed: Any,
-    proportional: Any, derivative: Any, highest: float,
-) -> None:  # fmt: skip
+    robot: Any,
+    plant: Any,
+    impact: Any,
+    state: Any,
+    command: Any,
+    valve: Any,
+    angle: Any,
+    speed: Any,
+    proportional: Any,
+    derivative: Any,
+    highest: float,
+) -> None:
     """Play openings `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
 
     `valve` is changed to what was played, at most `highest`.

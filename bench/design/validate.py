@@ -351,5 +351,12 @@ def _air(plan: MachineSwing) -> Check:
 
 
 _CHECKS: tuple[Callable[[MachineSwing], Check], ...] = (
-    _machine, _tables, _range, _speed, _clearance, _lever, _valves, _ball,
-)  # fmt: skip
+    _machine,
+    _tables,
+    _range,
+    _speed,
+    _clearance,
+    _lever,
+    _valves,
+    _ball,
+)

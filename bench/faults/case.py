@@ -327,8 +327,12 @@ class _Watch:
                     request = Request.ACCESS
             elif going_on == ARM and not asked and self.state is not State.HOMING:
                 asked, request = True, ARM
-            elif (going_on and control["phase"] == Phase.HOLD and control["state"] == State.ARMED
-                  and control["swings"] == (0 if going_on == ARM or phase == "hold" else 1)):  # fmt: skip
+            elif (
+                going_on
+                and control["phase"] == Phase.HOLD
+                and control["state"] == State.ARMED
+                and control["swings"] == (0 if going_on == ARM or phase == "hold" else 1)
+            ):
                 request = SWING
             self.advance(_CHUNK, request)
             if latched_at >= 0 and self.state in (State.ARMED, State.SWINGING, State.HOMING):

@@ -146,7 +146,7 @@ CATALOGUE: tuple[Breakage, ...] = (
     _broken("launch monitor", "scale", 1.1),
     _broken("launch monitor", "delayed", 20.0),
     _broken("launch monitor", "intermittent", 0.3),
-)  # fmt: skip
+)
 """All rows."""
 
 MOVING: frozenset[str] = frozenset(

@@ -14,9 +14,17 @@ SCHEMA_VERSION = 1
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
 """In rising order of badness."""
 PHASES = (
-    "standing", "homing", "hold", "backswing", "top", "downswing", "committed", "impact", "follow-through",
+    "standing",
+    "homing",
+    "hold",
+    "backswing",
+    "top",
+    "downswing",
+    "committed",
+    "impact",
+    "follow-through",
     "return",
-)  # fmt: skip
+)
 
 PROMISED_TICKS = {"encoder off": 5, "switch off": 1, "link off": 5, "loop stall": 1}
 """Ticks to the reaction that are promised."""
@@ -38,21 +46,23 @@ def summarise(
             [s for s in skipped if s.breakage == name],
         )
         first: Any = (own or left_out)[0]
-        rows.append({
-            "breakage": name,
-            "signal": first.signal,
-            "kind": first.kind,
-            "meaning": MEANINGS[sort_of(first.signal)][first.kind],
-            "verdicts": dict(Counter(o.verdict for o in own)),
-            "phases": {phase: _phase(phase, own, left_out) for phase in PHASES},
-            "detected_by": _usual([o.detected_by for o in own]),
-            "reactions": _usual([o.reaction for o in own]),
-            "detection_ticks": sorted(o.detection_ticks for o in own if o.detection_ticks >= 0),
-            "worst_stop": max((o.stop_share for o in own), default=0.0),
-            "worst_pressure": max((o.pressure_share for o in own), default=0.0),
-            "reasons": _reasons(own),
-            "rules": sorted({s.rule for s in left_out}),
-        })  # fmt: skip
+        rows.append(
+            {
+                "breakage": name,
+                "signal": first.signal,
+                "kind": first.kind,
+                "meaning": MEANINGS[sort_of(first.signal)][first.kind],
+                "verdicts": dict(Counter(o.verdict for o in own)),
+                "phases": {phase: _phase(phase, own, left_out) for phase in PHASES},
+                "detected_by": _usual([o.detected_by for o in own]),
+                "reactions": _usual([o.reaction for o in own]),
+                "detection_ticks": sorted(o.detection_ticks for o in own if o.detection_ticks >= 0),
+                "worst_stop": max((o.stop_share for o in own), default=0.0),
+                "worst_pressure": max((o.pressure_share for o in own), default=0.0),
+                "reasons": _reasons(own),
+                "rules": sorted({s.rule for s in left_out}),
+            }
+        )
     return {
         "schema_version": SCHEMA_VERSION,
         "profile": profile,
@@ -96,11 +106,13 @@ def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float
             groups.setdefault(f"{sort_of(outcome.signal)} {outcome.kind}", []).append(ticks)
     return {
         name: {
-            "cases": len(ticks), "least": min(ticks), "median": sorted(ticks)[len(ticks) // 2],
+            "cases": len(ticks),
+            "least": min(ticks),
+            "median": sorted(ticks)[len(ticks) // 2],
             "greatest": max(ticks),
         }
         for name, ticks in sorted(groups.items())
-    }  # fmt: skip
+    }
 
 
 def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -> list[dict[str, Any]]:
@@ -110,18 +122,20 @@ def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -
     rows = []
     for key in dict.fromkeys((sort_of(o.signal), o.kind) for o, _ in pairs):
         own = [(a, b) for a, b in pairs if (sort_of(a.signal), a.kind) == key]
-        rows.append({
-            "what": " ".join(key),
-            "cases": len(own),
-            "detected_off": sum(bool(b.detected_by) for _, b in own),
-            "detected_on": sum(bool(a.detected_by) for a, _ in own),
-            "undetected_off": sum(b.verdict == "undetected" for _, b in own),
-            "undetected_on": sum(a.verdict == "undetected" for a, _ in own),
-            "unsafe_off": sum(b.verdict == "unsafe" for _, b in own),
-            "unsafe_on": sum(a.verdict == "unsafe" for a, _ in own),
-            "median_ticks_off": _median([b.detection_ticks for _, b in own if b.detected_by]),
-            "median_ticks_on": _median([a.detection_ticks for a, _ in own if a.detected_by]),
-        })  # fmt: skip
+        rows.append(
+            {
+                "what": " ".join(key),
+                "cases": len(own),
+                "detected_off": sum(bool(b.detected_by) for _, b in own),
+                "detected_on": sum(bool(a.detected_by) for a, _ in own),
+                "undetected_off": sum(b.verdict == "undetected" for _, b in own),
+                "undetected_on": sum(a.verdict == "undetected" for a, _ in own),
+                "unsafe_off": sum(b.verdict == "unsafe" for _, b in own),
+                "unsafe_on": sum(a.verdict == "unsafe" for a, _ in own),
+                "median_ticks_off": _median([b.detection_ticks for _, b in own if b.detected_by]),
+                "median_ticks_on": _median([a.detection_ticks for a, _ in own if a.detected_by]),
+            }
+        )
     return rows
 
 

@@ -79,9 +79,11 @@ def require_identified(beyond: Array) -> None:
     """
     if np.abs(beyond).max() > _MOST_LEFT_OVER:
         raise BenchError(
-            "--identified", f"a robot that delivers {np.abs(beyond).max():.0f} tolerances beside the records",
-            f"at most {_MOST_LEFT_OVER:g}", "Identify it again, from swings of this robot.",
-        )  # fmt: skip
+            "--identified",
+            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances beside the records",
+            f"at most {_MOST_LEFT_OVER:g}",
+            "Identify it again, from swings of this robot.",
+        )
 
 
 def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:

@@ -175,9 +175,13 @@ def _no_address(name: str) -> Compared:
 
 
 def _compared(
-    controller: Controller, bench: Bench, plant: PlantParameters, envelope: EnvelopeSettings,
-    planned: Figures, swings: int,
-) -> Compared:  # fmt: skip
+    controller: Controller,
+    bench: Bench,
+    plant: PlantParameters,
+    envelope: EnvelopeSettings,
+    planned: Figures,
+    swings: int,
+) -> Compared:
     # Held by the bench's own gains; the observer of the pressures has to know what was before the swing.
     holding = replace(bench.control, feed_forward=controller.control.feed_forward)
     series = Series(bench._replace(control=holding), plant)

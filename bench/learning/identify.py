@@ -27,11 +27,20 @@ Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
 
 NAMES = (
-    "friction of the shoulder", "friction of the right arm", "friction of the wrist",
-    "flow of the shoulder's valve", "flow of the right arm's valve", "flow of the wrist's valve",
-    "dead volume of the shoulder", "dead volume of the right arm", "dead volume of the wrist",
-    "supply pressure", "vane area", "club inertia", "encoder latency",
-)  # fmt: skip
+    "friction of the shoulder",
+    "friction of the right arm",
+    "friction of the wrist",
+    "flow of the shoulder's valve",
+    "flow of the right arm's valve",
+    "flow of the wrist's valve",
+    "dead volume of the shoulder",
+    "dead volume of the right arm",
+    "dead volume of the wrist",
+    "supply pressure",
+    "vane area",
+    "club inertia",
+    "encoder latency",
+)
 """What is asked for: factors on the nominal values, the last one ms beside the nominal latency."""
 SURE = 0.05
 """Standard error up to which a parameter counts as identified."""
@@ -82,9 +91,14 @@ def variation_of(values: Array, bench: Bench) -> Variation:
     f = values.tolist()
     mass = bench.model.robot.club.head_mass * (head_factor(f[11], bench) - 1.0)
     return Variation(
-        (f[0], f[1], f[2]), (f[3], f[4], f[5]), (f[6], f[7], f[8]), supply=f[9], vane=f[10], head_mass=mass,
+        (f[0], f[1], f[2]),
+        (f[3], f[4], f[5]),
+        (f[6], f[7], f[8]),
+        supply=f[9],
+        vane=f[10],
+        head_mass=mass,
         latency=1e-3 * f[12],
-    )  # fmt: skip
+    )
 
 
 def head_factor(inertia: float, bench: Bench) -> float:
@@ -138,10 +152,17 @@ def identify(
 
     def searched(start: Array) -> Any:
         return least_squares(
-            residual, start, jac="3-point", bounds=(1.0 - _BOUND, 1.0 + _MOST),
-            diff_step=np.full(len(free), _STEP), max_nfev=_ITERATIONS, ftol=1e-4, xtol=1e-3,
-            loss="soft_l1", f_scale=5.0 * weight,
-        )  # fmt: skip
+            residual,
+            start,
+            jac="3-point",
+            bounds=(1.0 - _BOUND, 1.0 + _MOST),
+            diff_step=np.full(len(free), _STEP),
+            max_nfev=_ITERATIONS,
+            ftol=1e-4,
+            xtol=1e-3,
+            loss="soft_l1",
+            f_scale=5.0 * weight,
+        )
 
     found = searched(start)
     if np.linalg.norm(found.fun[: -len(free)]) > _POOR:

@@ -82,9 +82,13 @@ def delivery_from_encoders(
     motion = (pose(contact + step) - pose(contact - step)) / (2 * step)
     try:
         return delivery_from_plane(
-            tuple(pose(contact)), tuple(motion), (site.ball_x, site.ball_y), robot.club, robot.lie,
+            tuple(pose(contact)),
+            tuple(motion),
+            (site.ball_x, site.ball_y),
+            robot.club,
+            robot.lie,
             "encoders+model",
-        )  # fmt: skip
+        )
     except ValueError:
         return None
 

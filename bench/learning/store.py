@@ -125,11 +125,18 @@ def keep(database: Engine, entry: Learned) -> int:
     )
     c = entry.conditions
     values = {
-        "bench": entry.bench, "profile": entry.profile, "date": entry.date, "simulated": entry.simulated,
-        "source": entry.source, "digest": c.digest, "club": c.club, "supply_pressure": c.supply_pressure,
-        "temperature": c.temperature, "within": entry.within,
+        "bench": entry.bench,
+        "profile": entry.profile,
+        "date": entry.date,
+        "simulated": entry.simulated,
+        "source": entry.source,
+        "digest": c.digest,
+        "club": c.club,
+        "supply_pressure": c.supply_pressure,
+        "temperature": c.temperature,
+        "within": entry.within,
         "content": {"weights": list(entry.weights), **entry.content},
-    }  # fmt: skip
+    }
     with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
         version = int(connection.scalar(newest) or 0) + 1
         connection.execute(insert(LearnedSwingRow).values(**values, version=version))
@@ -153,14 +160,24 @@ def _entry(row: Any) -> Learned:
     weights = content.pop("weights", None)
     if not isinstance(weights, list) or not all(isinstance(value, float | int) for value in weights):
         raise BenchError(
-            f"learned swing {row.profile}, version {row.version}", "no weights", "a list of numbers",
+            f"learned swing {row.profile}, version {row.version}",
+            "no weights",
+            "a list of numbers",
             "Learn it anew.",
-        )  # fmt: skip
+        )
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(
-        row.bench, row.profile, row.date, row.simulated, row.source, conditions, row.within,
-        tuple(map(float, weights)), content, row.version,
-    )  # fmt: skip
+        row.bench,
+        row.profile,
+        row.date,
+        row.simulated,
+        row.source,
+        conditions,
+        row.within,
+        tuple(map(float, weights)),
+        content,
+        row.version,
+    )
 
 
 def newest_that_holds(

@@ -40,9 +40,18 @@ from sim.truth import note_truth
 
 @compiled
 def run(
-    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
-    readings: Any, command: Any, requests: Any, first_tick: int, cycles: Any,
-) -> None:  # fmt: skip
+    robot: Any,
+    plant: Any,
+    impact: Any,
+    plant_state: Any,
+    state: ControlState,
+    parameters: ControlParameters,
+    readings: Any,
+    command: Any,
+    requests: Any,
+    first_tick: int,
+    cycles: Any,
+) -> None:
     """Run len(requests) ticks; `requests` (n,) u1 are put to the step, `cycles` (n,) CYCLE are written."""
     period = plant[0].tick
     for k in range(len(requests)):
@@ -57,9 +66,19 @@ def run(
 
 @compiled
 def run_faulty(
-    robot: Any, plant: Any, impact: Any, plant_state: Any, state: ControlState, parameters: ControlParameters,
-    readings: Any, command: Any, requests: Any, first_tick: int, cycles: Any, faults: Faults,
-) -> None:  # fmt: skip
+    robot: Any,
+    plant: Any,
+    impact: Any,
+    plant_state: Any,
+    state: ControlState,
+    parameters: ControlParameters,
+    readings: Any,
+    command: Any,
+    requests: Any,
+    first_tick: int,
+    cycles: Any,
+    faults: Faults,
+) -> None:
     """Run ticks as `run` does, with `faults` between plant and step; `robot` and `plant` may break, too.
 
     A tick that the loop does not run leaves a record of zeros but for the plant's truth.
@@ -139,14 +158,29 @@ class Lockstep:
         cycles = new_record(CYCLE, ticks)
         if self.faults is None:
             run(
-                *self.plant.records, self.plant_state, self.state, self.parameters, self.readings,
-                self.command, requests, self.tick, cycles,
-            )  # fmt: skip
+                *self.plant.records,
+                self.plant_state,
+                self.state,
+                self.parameters,
+                self.readings,
+                self.command,
+                requests,
+                self.tick,
+                cycles,
+            )
         else:
             run_faulty(
-                *self.plant.records, self.plant_state, self.state, self.parameters, self.readings,
-                self.command, requests, self.tick, cycles, self.faults,
-            )  # fmt: skip
+                *self.plant.records,
+                self.plant_state,
+                self.state,
+                self.parameters,
+                self.readings,
+                self.command,
+                requests,
+                self.tick,
+                cycles,
+                self.faults,
+            )
         self.tick += ticks
         return cycles
 

@@ -38,31 +38,80 @@ from sim.plant import PlantParameters
 
 TOLERANCE = 1e-9
 
-INPUTS = frozenset({
-    "tick", "time", "request", "request_number", "lease_held", "support_ready", "supervisor_alive",
-    "device_operational", "encoder_count", "encoder_valid", "encoder_age", "encoder_time", "encoder_indexed",
-    "emergency_stop_clear", "guard_closed", "guard_locked", "ball_present", "local_reset", "supply_pressure",
-    "chamber_pressure",
-})  # fmt: skip
+INPUTS = frozenset(
+    {
+        "tick",
+        "time",
+        "request",
+        "request_number",
+        "lease_held",
+        "support_ready",
+        "supervisor_alive",
+        "device_operational",
+        "encoder_count",
+        "encoder_valid",
+        "encoder_age",
+        "encoder_time",
+        "encoder_indexed",
+        "emergency_stop_clear",
+        "guard_closed",
+        "guard_locked",
+        "ball_present",
+        "local_reset",
+        "supply_pressure",
+        "chamber_pressure",
+    }
+)
 """What the record tells the cycle."""
 
-DECIDED = frozenset({
-    "measured_step", "state", "answer", "refusal", "homed", "vented", "phase", "reaction", "trip", "angle",
-    "velocity", "angle_variance", "reference_angle", "reference_velocity", "proportional", "integral",
-    "derivative", "feedforward", "desired_valve", "applied_valve", "supply_enable", "exhaust_closed",
-    "guard_lock", "beacon", "tee", "head_position", "head_orientation",
-})  # fmt: skip
+DECIDED = frozenset(
+    {
+        "measured_step",
+        "state",
+        "answer",
+        "refusal",
+        "homed",
+        "vented",
+        "phase",
+        "reaction",
+        "trip",
+        "angle",
+        "velocity",
+        "angle_variance",
+        "reference_angle",
+        "reference_velocity",
+        "proportional",
+        "integral",
+        "derivative",
+        "feedforward",
+        "desired_valve",
+        "applied_valve",
+        "supply_enable",
+        "exhaust_closed",
+        "guard_lock",
+        "beacon",
+        "tee",
+        "head_position",
+        "head_orientation",
+    }
+)
 """What the cycle is asked for."""
 
-MEASURED = frozenset({
-    "wake_latency", "work_time", "plant_angle", "plant_velocity", "plant_pressure", "plant_effort",
-    "plant_head_position", "plant_head_speed",
-})  # fmt: skip
+MEASURED = frozenset(
+    {
+        "wake_latency",
+        "work_time",
+        "plant_angle",
+        "plant_velocity",
+        "plant_pressure",
+        "plant_effort",
+        "plant_head_position",
+        "plant_head_speed",
+    }
+)
 """The machine's time and the plant's truth: no concern of the controller."""
 
-APPLIED = frozenset({
-    "applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee",
-})  # fmt: skip
+APPLIED = frozenset({"applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"})
 """Of DECIDED those that a device which has gone passive decides itself."""
 
 

@@ -117,9 +117,11 @@ def operating_points(bench: Bench) -> list[Point]:
     swing = series.swing(profile)
     if swing.cause:
         raise BenchError(
-            f"a swing of {profile.name}", f"stopped: {CAUSE_TEXT[swing.cause]}", "a whole swing on the model",
+            f"a swing of {profile.name}",
+            f"stopped: {CAUSE_TEXT[swing.cause]}",
+            "a whole swing on the model",
             "Take a profile of this configuration.",
-        )  # fmt: skip
+        )
     points = []
     for name, tick in instants.items():
         cycle = swing.cycles[tick]

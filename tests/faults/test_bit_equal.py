@@ -64,9 +64,12 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
     driver = SimDriver(parameters, start, faults=FAULTS[name])
     driver.open()
     cycle = Cycle(
-        driver, build_controller(parameters, profile), lambda _: None, name="sim",
+        driver,
+        build_controller(parameters, profile),
+        lambda _: None,
+        name="sim",
         note_truth=driver.note_truth,
-    )  # fmt: skip
+    )
     python = Follower(cycle, driver, FreeClock(parameters.tick))
     for request, ticks in ((0, 10), (ARM, SWING_AT), (SWING, 1500)):
         ours, theirs = lockstep.advance(ticks, request), python.advance(ticks, request)

@@ -54,11 +54,12 @@ def stopped(bench: BenchProcess) -> tuple[Cause, Reaction]:
 
 def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_path: Path) -> None:
     file = write_configuration(
-        tmp_path, "phase",
+        tmp_path,
+        "phase",
         '[faults.cable]\nsignal = "wrist encoder"\nkind = "off"\nphase = "backswing"\nduration = 0.5\n'
         '[faults.sticking]\nsignal = "shoulder valve"\nkind = "stuck"\nvalue = 1.0\n'
         'phase = "follow_through"\nduration = 1.0\n',
-    )  # fmt: skip
+    )
     with running_bench(file, clock="paced") as bench:
         assert stopped(bench) == (Cause.WRIST_ENCODER, Reaction.BLIND_BRAKE)
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
@@ -79,21 +80,23 @@ def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) ->
 
 def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
     file = write_configuration(
-        tmp_path, "nodes",
+        tmp_path,
+        "nodes",
         f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
         f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
-    )  # fmt: skip
+    )
     with played_nodes(file), running_bench(file, clock="wall") as bench:
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
 
 
 def test_a_node_without_readings_lets_nobody_reset(tmp_path: Path) -> None:
     file = write_configuration(
-        tmp_path, "cable",
+        tmp_path,
+        "cable",
         f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
         f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n'
         '[faults.cable]\nsignal = "wrist encoder"\nkind = "off"\n',
-    )  # fmt: skip
+    )
     with played_nodes(file), running_bench(file, clock="wall") as bench, bench.client.lease("test"):
         record = bench.wait_until(lambda record: not record["encoder_valid"].all())
         assert record["encoder_valid"].tolist() == [1, 1, 0]

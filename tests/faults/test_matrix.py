@@ -133,11 +133,29 @@ def test_the_same_case_ends_the_same(workbench: Workbench, profile: Profile) -> 
 def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) -> CaseOutcome:
     reasons = ("wrist lower stop took 200 % of its rated energy",) if verdict == "unsafe" else ()
     made = CaseOutcome(
-        breakage.name, breakage.fault.signal, breakage.fault.kind, at.phase, at.name, verdict, reasons,
-        "GUARD" if verdict == "safe" else "", 1, "BRAKE", 1, 0.5, "wrist lower stop", 0.7, 0.1, 3.0, 0.02,
+        breakage.name,
+        breakage.fault.signal,
+        breakage.fault.kind,
+        at.phase,
+        at.name,
+        verdict,
+        reasons,
+        "GUARD" if verdict == "safe" else "",
+        1,
+        "BRAKE",
+        1,
+        0.5,
+        "wrist lower stop",
+        0.7,
+        0.1,
+        3.0,
+        0.02,
         1.0,
-        500, "told", "FAULT", "",
-    )  # fmt: skip
+        500,
+        "told",
+        "FAULT",
+        "",
+    )
     return replace(made, **changes)  # type: ignore[arg-type]
 
 

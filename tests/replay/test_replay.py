@@ -175,10 +175,13 @@ FAULTS: dict[str, dict[str, Any]] = {
 
 
 def record_of(
-    failing: range = NOTHING, invalid: range = NOTHING, passive: range = NOTHING,
-    told: dict[int, tuple[str, bool]] | None = None, missed: dict[int, int] | None = None,
+    failing: range = NOTHING,
+    invalid: range = NOTHING,
+    passive: range = NOTHING,
+    told: dict[int, tuple[str, bool]] | None = None,
+    missed: dict[int, int] | None = None,
     requests: dict[int, Request] | None = None,
-) -> Record:  # fmt: skip
+) -> Record:
     """Return 7000 ticks of the cycle around a faulty driver, from arming on, at a loop's odd clock."""
     bench = reference_bench()
     driver = Faulty(bench, failing, invalid, passive)
@@ -336,8 +339,10 @@ def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -
         replay_cycles(swing[0], metadata, "swing")
     places = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
     assert [place.split(": ")[-1] for place in places] == [
-        "plant.robot.l12", "control.still_time", "envelope.glue",
-    ]  # fmt: skip
+        "plant.robot.l12",
+        "control.still_time",
+        "envelope.glue",
+    ]
 
 
 def test_a_snapshot_of_another_time_is_told(swing: Record) -> None:

@@ -49,9 +49,16 @@ def test_a_possible_swing_passes_every_check(
     checks = check_profile(slow_swing, plant, envelope)
     assert [str(fault) for check in checks for fault in check.faults] == []
     assert [check.name for check in checks] == [
-        "made for", "tables agree", "end stops", "joint speeds", "clearance", "wrist lever |sin beta|",
-        "valve openings", "ball", "air",
-    ]  # fmt: skip
+        "made for",
+        "tables agree",
+        "end stops",
+        "joint speeds",
+        "clearance",
+        "wrist lever |sin beta|",
+        "valve openings",
+        "ball",
+        "air",
+    ]
     require_possible(slow_swing, plant, envelope)
 
 
@@ -103,9 +110,14 @@ def _site(**changes: Any) -> Any:
     ],
 )
 def test_each_reason_is_named(
-    change: Any, place: str, found: str, expected: str,
-    slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings,
-) -> None:  # fmt: skip
+    change: Any,
+    place: str,
+    found: str,
+    expected: str,
+    slow_swing: Profile,
+    plant: PlantParameters,
+    envelope: EnvelopeSettings,
+) -> None:
     profile, machine = change(slow_swing, plant)
     faults = profile_faults(profile, machine, envelope, "slow.toml")
     texts = [str(fault) for fault in faults]

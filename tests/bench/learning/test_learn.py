@@ -87,8 +87,10 @@ def test_other_sources_replace_what_they_tell(lecture: LearningProblem) -> None:
     monitor = figures_from("launch-monitor", swing.cycles, PLANT, lecture.response.free, club_speed=42.0)
     assert monitor.speed == 42.0
     assert (monitor.strike, monitor.lean, monitor.attack) == (
-        encoders.strike, encoders.lean, encoders.attack,
-    )  # fmt: skip
+        encoders.strike,
+        encoders.lean,
+        encoders.attack,
+    )
 
 
 def test_a_mark_is_projected_on_the_line_of_the_swing_plane(lecture: LearningProblem) -> None:

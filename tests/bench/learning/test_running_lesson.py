@@ -30,8 +30,12 @@ def lesson(file: Path, source: str, marks: str = "") -> tuple[list[dict[str, Any
     arguments = ["learn", "default", "--source", source, "--swings", "1", "--json"]
     ended = subprocess.run(
         [sys.executable, "-m", "bench", "--config", str(file), *arguments],
-        input=marks, capture_output=True, check=False, text=True, timeout=300,
-    )  # fmt: skip
+        input=marks,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=300,
+    )
     assert ended.returncode in (ExitCode.OK, ExitCode.REFUSED), ended.stderr
     told = json.loads(ended.stdout)
     assert told["source"] == source
