@@ -2,7 +2,7 @@
 
 `EDGES` says how the bench gets from state to state, `STOPPING` what is done about a cause: at 40 m/s the
 robot carries about 230 J and the air decides what happens, so what is safe depends on the phase and on what
-can still be trusted. The compiled control step reads both (`accepted_table`, `reaction_table`).
+can still be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
 """
 
 from __future__ import annotations
@@ -277,6 +277,7 @@ EDGES = (
     Edge(_S.ESTOP, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
     Edge(_S.FAULT, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
     Edge(_S.FAULT, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
+    Edge(_S.READY, "index missing", _S.SAFE, "no reading trusted since the start"),
     Edge(_S.SAFE, "home", _S.HOMING, f"{_CLEAR}, {_STILL}", "the only motion allowed until homed"),
     Edge(_S.READY, "home", _S.HOMING, f"{_CLEAR}, {_STILL}"),
     Edge(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
@@ -302,7 +303,7 @@ EDGES = (
     *(Edge(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
     Edge(_S.FAULT, "emergency stop", _S.ESTOP),
 )
-"""How the bench gets from state to state; there is no other way. Requests are named as in `Request`."""
+"""All transitions between states; the control step takes no other. Requests are named as in `Request`."""
 
 ACCEPTED_IN: dict[Request, frozenset[State]] = {
     Request.NONE: frozenset(),
@@ -321,6 +322,14 @@ ACCEPTED_IN: dict[Request, frozenset[State]] = {
 
 NEEDS_LEASE = frozenset(Request) - {Request.NONE, Request.STOP, Request.EMERGENCY_STOP, Request.DISARM}
 """Requests that only the holder of the lease may make; what ends motion never needs one."""
+
+
+def transition_table() -> NDArray[np.uint8]:
+    """Return EDGES as an array [source, target] of 0 and 1 for compiled code; any state may stay."""
+    table = np.eye(len(State), dtype=np.uint8)
+    for edge in EDGES:
+        table[edge.source, edge.target] = 1
+    return table
 
 
 def accepted_table() -> NDArray[np.uint8]:

@@ -9,16 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from bench.clock import Clock
-from bench.control.step import (
-    STOP,
-    ControlParameters,
-    ControlState,
-    decide_tick,
-    estimate_tick,
-    limit_tick,
-    new_control_state,
-)
-from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.control.records import ControlParameters, ControlState, new_control_state
+from bench.control.step import decide_tick, estimate_tick, limit_tick
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import (
     ABSENT,
@@ -76,7 +69,7 @@ class Cycle:
                 self.record[field.name] = ABSENT
 
     def request(self, request: int) -> None:
-        """Put one of the requests of `bench.control.step` to the next tick."""
+        """Put a `Request` to the next tick."""
         self.state.control["request"] = request
 
     @property
@@ -238,7 +231,7 @@ def bring_to_rest(stepper: Stepper, longest: int) -> list[Cycles]:
 
     Takes at most `longest` ticks: what does not rest by then is left to the passive command.
     """
-    records = [stepper.advance(1, STOP)]
+    records = [stepper.advance(1, Request.STOP)]
     left = longest - 1
     while left > 0 and stepper.state.control["phase"][0] != Phase.STANDING:
         records.append(stepper.advance(min(left, _BETWEEN_LOOKS)))

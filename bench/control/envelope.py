@@ -49,24 +49,6 @@ tick while moving (s); supply (Pa); ground line, depth of the sole below the fac
 and inside the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the
 wrist."""
 
-_EMERGENCY_STOP = int(Cause.EMERGENCY_STOP)
-_GUARD = int(Cause.GUARD)
-_NOT_FINITE = int(Cause.NOT_FINITE)
-_ENCODER = int(Cause.SHOULDER_ENCODER)
-_TICK_GAP = int(Cause.TICK_GAP)
-_SUPPLY = int(Cause.SUPPLY_PRESSURE)
-_RANGE = int(Cause.SHOULDER_RANGE)
-_SPEED = int(Cause.SHOULDER_SPEED)
-_GROUND = int(Cause.GROUND)
-_FRAME = int(Cause.FRAME)
-_FOLLOWING = int(Cause.SHOULDER_FOLLOWING)
-_STOP_DISTANCE = int(Cause.SHOULDER_STOP_DISTANCE)
-_LEVER = int(Cause.WRIST_LEVER)
-
-_DOWNSWING = int(Phase.DOWNSWING)
-_IMPACT = int(Phase.IMPACT)
-_RETURN = int(Phase.RETURN)
-
 
 @compiled
 def joint_coordinates(robot: Any, angle: Any, velocity: Any, i: int) -> tuple[float, float]:
@@ -84,9 +66,9 @@ def interlock_cause(readings: Any) -> int:
     """Return the interlock that forbids motion now, or 0."""
     r = readings[0]
     if not r.emergency_stop_clear:
-        return _EMERGENCY_STOP
+        return Cause.EMERGENCY_STOP
     if not (r.guard_closed and r.guard_locked):
-        return _GUARD
+        return Cause.GUARD
     return 0
 
 
@@ -96,9 +78,9 @@ def readings_cause(parameters: Any, estimator: Any) -> int:
     p, e = parameters[0], estimator[0]
     for i in range(3):
         if e.started[i] == 0 or not e.without_sample[i] < p.lost_time:
-            return _ENCODER + i
+            return Cause.SHOULDER_ENCODER + i
         if not np.isfinite(e.angle[i] + e.velocity[i] + e.acceleration[i]):
-            return _NOT_FINITE
+            return Cause.NOT_FINITE
     return 0
 
 
@@ -114,25 +96,25 @@ def motion_cause(
     p, e = parameters[0], estimator[0]
     angle, velocity = e.angle, e.velocity
     if not 0.0 <= measured_step <= p.greatest_gap:
-        return _TICK_GAP
+        return Cause.TICK_GAP
     # Past the no-return instant stopping sooner than planned helps neither a sagging supply nor a short way.
-    stoppable = phase <= _DOWNSWING or phase == _RETURN
+    stoppable = phase <= Phase.DOWNSWING or phase == Phase.RETURN
     supply = readings[0].supply_pressure
     if stoppable and ((not charging and supply < p.least_supply) or supply > p.greatest_supply):
-        return _SUPPLY
+        return Cause.SUPPLY_PRESSURE
     for i in range(3):
         position, speed = joint_coordinates(robot, angle, velocity, i)
         if not (p.lower[i] <= position <= p.upper[i]):
-            return _RANGE + i
+            return Cause.SHOULDER_RANGE + i
         if not abs(speed) <= p.greatest_speed[i]:
-            return _SPEED + i
+            return Cause.SHOULDER_SPEED + i
         if stoppable:
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
             if not speed * speed <= p.stop_speed[i] * p.stop_speed[i] + 2.0 * p.stop_deceleration[i] * way:
-                return _STOP_DISTANCE + i
+                return Cause.SHOULDER_STOP_DISTANCE + i
         # The jump of the impact is in nobody's reference.
-        if phase != _IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
-            return _FOLLOWING + i
+        if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
+            return Cause.SHOULDER_FOLLOWING + i
     return _clearance_cause(p, robot, angle)
 
 
@@ -148,14 +130,14 @@ def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
     head_x, head_y = wrist_x + r.l3t * along_x, wrist_y + r.l3t * along_y
     needed = p.ball_clearance if abs(head_x - p.ball_x) <= p.ball_window else p.clearance
     if not head_y - p.sole_depth - p.ground >= needed:
-        return _GROUND
+        return Cause.GROUND
     # Nearest point of the club to the shoulder axis.
     nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)
     x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
     if not x * x + y * y >= p.frame_radius * p.frame_radius:
-        return _FRAME
+        return Cause.FRAME
     if not abs(sin(angle[2] - 1.5 * np.pi)) >= p.least_lever:
-        return _LEVER
+        return Cause.WRIST_LEVER
     return 0
 
 

@@ -22,9 +22,6 @@ from drivers.base.compiled import compiled
 RAMP = 0.3
 """s from rest to the search's speed."""
 
-_TICK_GAP, _FAILED, _FOLLOWING = (
-    int(Cause.TICK_GAP), int(Cause.HOMING_FAILED), int(Cause.SHOULDER_FOLLOWING),
-)  # fmt: skip
 _FASTER = 12.0
 """Times the search's speed that are too fast; a joint that breaks loose from dry friction jerks."""
 
@@ -81,14 +78,14 @@ def search_cause(
     A joint that does not follow its reference is told by its own cause: it, or its valve, may be stuck.
     """
     if not 0.0 <= s.measured_step <= greatest_gap:
-        return _TICK_GAP
+        return Cause.TICK_GAP
     if not time - s.home_begin <= p.home_longest:
-        return _FAILED
+        return Cause.HOMING_FAILED
     for i in range(3):
         if not abs(s.reference[i] - angle[i]) <= following[i]:
-            return _FOLLOWING + i
+            return Cause.SHOULDER_FOLLOWING + i
         if not abs(velocity[i]) <= _FASTER * p.home_speed[i]:
-            return _FAILED
+            return Cause.HOMING_FAILED
         if not abs(angle[i] - s.home_from[i]) <= p.home_travel[i]:
-            return _FAILED
+            return Cause.HOMING_FAILED
     return 0

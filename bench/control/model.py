@@ -87,10 +87,6 @@ _BLOW = 0.030
 """s for which a joint that ran into its cushion shakes all of them."""
 _FAST = 0.5
 """rad/s from which on running into it is a blow."""
-_AIR, _VELOCITY = int(Cause.SHOULDER_AIR), int(Cause.SHOULDER_VELOCITY)
-_JUMP, _EFFORT = int(Cause.SHOULDER_JUMP), int(Cause.SHOULDER_EFFORT)
-_FOLLOW_THROUGH = int(Phase.FOLLOW_THROUGH)
-_FLOW, _SENSOR = int(Cause.SHOULDER_FLOW), int(Cause.SHOULDER_SENSOR)
 
 
 @compiled
@@ -194,19 +190,23 @@ def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, ph
     p, e = limits[0], estimator[0]
     if not p.check or m.settled < _SETTLING:
         return 0
-    loosest = _FOLLOW_THROUGH if m.blow > 0.0 else phase
+    loosest = Phase.FOLLOW_THROUGH.value if m.blow > 0.0 else phase
     for i in range(3):
         if abs(e.innovation[i]) > max(p.jump[phase, i], p.jump[loosest, i]):
-            return _JUMP + i
+            return Cause.SHOULDER_JUMP + i
         a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
         if max(a, b) > p.air[phase, i]:
             # A spool moves air in both chambers, a sensor shows what is not there in one.
-            return _AIR + i if min(a, b) > _BOTH * p.air[phase, i] else _SENSOR + i
+            return (
+                Cause.SHOULDER_AIR + i if min(a, b) > _BOTH * p.air[phase, i] else Cause.SHOULDER_SENSOR + i
+            )
         if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[phase, i], p.velocity[loosest, i]):
-            return _VELOCITY + i
+            return Cause.SHOULDER_VELOCITY + i
         if abs(m.effort[i]) > p.effort[phase, i]:
-            return _EFFORT + i
+            return Cause.SHOULDER_EFFORT + i
         a, b = abs(m.flow[2 * i]), abs(m.flow[2 * i + 1])
         if max(a, b) > p.flow[phase, i]:
-            return _FLOW + i if min(a, b) > _BOTH * p.flow[phase, i] else _SENSOR + i
+            return (
+                Cause.SHOULDER_FLOW + i if min(a, b) > _BOTH * p.flow[phase, i] else Cause.SHOULDER_SENSOR + i
+            )
     return 0

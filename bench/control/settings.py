@@ -16,7 +16,7 @@ from bench.control.estimator import design_estimator
 from bench.control.feed_forward import CODES, FeedForward, kane_gains
 from bench.control.model import MODEL_LIMITS
 from bench.control.pid import design_pid
-from bench.control.step import CONTROL_PARAMETERS, PROFILE, ControlParameters
+from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
     EMERGENCIES,
     NEEDS_LEASE,
@@ -25,6 +25,7 @@ from bench.lifecycle import (
     Request,
     accepted_table,
     reaction_table,
+    transition_table,
 )
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
@@ -447,6 +448,7 @@ def _control_record(
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
     record["reactions"], record["accepted"] = reaction_table(), accepted_table()
+    record["transitions"] = transition_table()
     record["needs_lease"] = [request in NEEDS_LEASE for request in Request]
     record["emergencies"] = [cause in EMERGENCIES for cause in Cause]
     record["read_only"] = read_only

@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.control.step import STOP, SWING
 from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
@@ -52,8 +51,8 @@ _SILENT = (Fault("bench silent", "loop", "off"),)
 TRIALS = (
     FaultTrial("none"),
     FaultTrial("no ball", ball=False),
-    FaultTrial("operator stop", request=STOP),
-    FaultTrial("operator stop, no ball", request=STOP, ball=False),
+    FaultTrial("operator stop", request=Request.STOP),
+    FaultTrial("operator stop, no ball", request=Request.STOP, ball=False),
     FaultTrial("emergency stop", _ESTOP),
     FaultTrial("emergency stop, no ball", _ESTOP, ball=False),
     FaultTrial("encoders lost", _LOST),
@@ -116,7 +115,7 @@ class SwingCheck:
         bench.control["tee"] = ball
         for tick in range(0, len(self.profile.angle), spacing):
             yield tick, bench
-            bench.advance(min(spacing, len(self.profile.angle) - tick), SWING if tick == 0 else 0)
+            bench.advance(min(spacing, len(self.profile.angle) - tick), Request.SWING if tick == 0 else 0)
             if bench.cause:
                 raise Refused(
                     f"checking profile {self.profile.name!r}",
@@ -149,7 +148,7 @@ class SwingCheck:
         bench.begin_tally()
         if trial.faults:
             bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: it lets go at once
-        request = SWING if tick == 0 and not trial.request else trial.request
+        request = Request.SWING if tick == 0 and not trial.request else trial.request
         rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
         rested = rest < (self.watched - 1) * self.plant.parameters.tick
         loads = bench.loads()

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import ControlSettings
-from bench.control.step import ControlParameters, ControlState, step
+from bench.control.step import step
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.simulation.simulated_bench import SimulatedBench, begin_swing

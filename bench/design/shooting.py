@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.braking import brake_opening
 from bench.control.settings import ControlSettings, PidSettings
-from bench.control.step import brake_opening
 from bench.simulation.loads import begin_tally
 from drivers.base import PASSIVE, pack_command
 from drivers.base.compiled import compiled, new_record
@@ -34,7 +34,7 @@ _BELOW = -0.9
 """Height of the head (m) below which passing the ball's place counts."""
 
 BRAKE_LAW = np.dtype([("gain", "f8", (3,)), ("damping", "f8", (3,)), ("fade", "f8", (3,))], align=True)
-"""The braking law of the controller (`bench.control.step`)."""
+"""The braking law of the controller (`bench.control.braking`)."""
 
 
 class Arrival(NamedTuple):

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import Configuration
+from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import SIMULATED, build_controller
-from bench.control.step import ARM, STOP, SWING, ControlParameters, new_control_state
 from bench.errors import Refused
 from bench.faults.catalogue import EVENT_AFTER, Breakage
 from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, Refusal, Request, State
@@ -192,7 +192,7 @@ class Workbench:
                 bench.control["tee"] = True
                 bench.advance(400)
                 if instant.phase != "hold":
-                    bench.advance(instant.tick, SWING)
+                    bench.advance(instant.tick, Request.SWING)
         if bench.cause:
             raise Refused(
                 f"fault matrix of profile {self.profile.name!r}",
@@ -248,8 +248,10 @@ class Workbench:
             state["guard_closed"] = False
         elif event == "emergency stop":
             state["emergency_stop_clear"] = False
-        watch.advance(ask_at - event_at, STOP if event == "stop" else 0)
-        going_on = {"standing": ARM, "homing": ARM, "hold": SWING}.get(instant.phase, 0)
+        watch.advance(ask_at - event_at, Request.STOP if event == "stop" else 0)
+        going_on = {"standing": Request.ARM, "homing": Request.ARM, "hold": Request.SWING}.get(
+            instant.phase, 0
+        )
         longest = _LONGEST + (_LONGEST_SEARCH if instant.phase == "homing" else 0.0)
         watch.until_rest(round(longest / self.period), going_on, instant.phase)
         return watch.end()
@@ -322,18 +324,18 @@ class _Watch:
             if self.state in _LATCHED:
                 if latched_at < 0:
                     latched_at = self.ticks
-                    request = ARM  # nothing arms before a reset
+                    request = Request.ARM  # nothing arms before a reset
                 else:
                     request = Request.ACCESS
-            elif going_on == ARM and not asked and self.state is not State.HOMING:
-                asked, request = True, ARM
+            elif going_on == Request.ARM and not asked and self.state is not State.HOMING:
+                asked, request = True, Request.ARM
             elif (
                 going_on
                 and control["phase"] == Phase.HOLD
                 and control["state"] == State.ARMED
-                and control["swings"] == (0 if going_on == ARM or phase == "hold" else 1)
+                and control["swings"] == (0 if going_on == Request.ARM or phase == "hold" else 1)
             ):
-                request = SWING
+                request = Request.SWING
             self.advance(_CHUNK, request)
             if latched_at >= 0 and self.state in (State.ARMED, State.SWINGING, State.HOMING):
                 self.armed_again = True

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.records import ControlParameters
 from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
-from bench.control.step import ControlParameters
 from bench.errors import BenchError, Refused
 from bench.learning.figures import UNKNOWN, Figures, figures_of
 from bench.learning.learn import LearningProblem, learn, on_series, prepare

@@ -12,10 +12,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
-from bench.control.step import ACCEPTED, ARM, SWING, ControlParameters, ControlState
 from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Request
 from bench.loop import Cycles, bring_to_rest
 from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.simulation.lockstep import Lockstep
@@ -105,7 +105,7 @@ class SwingEngine(Generic[AnyStepper]):
     def request(self, request: int) -> bool:
         """Run one tick with `request`; return whether it was accepted."""
         self.advance(1, request)
-        return bool(self.control["answer"][0] == ACCEPTED)
+        return bool(self.control["answer"][0] == Answer.ACCEPTED)
 
     def wait_for(self, reached: Callable[[], bool], longest: float) -> bool:
         """Run until `reached`, a request to stop or `longest` (s); return whether it was `reached`."""
@@ -164,7 +164,7 @@ class SwingEngine(Generic[AnyStepper]):
         Raises:
             Refused: the robot does not reach its address.
         """
-        accepted = self.request(ARM)
+        accepted = self.request(Request.ARM)
         if accepted and self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
             return True
         if self.stop():
@@ -202,7 +202,7 @@ class SwingEngine(Generic[AnyStepper]):
                 self.advance(wait)
             if self.stop() or not self.holding():
                 return False
-            if self.request(SWING):
+            if self.request(Request.SWING):
                 return True
         return False
 

@@ -10,12 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.step import (
-    ControlParameters,
-    ControlState,
-    new_control_state,
-    step,
-)
+from bench.control.records import ControlParameters, ControlState, new_control_state
+from bench.control.step import step
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
 from drivers.base.compiled import compiled, new_record

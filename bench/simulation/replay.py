@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -25,7 +26,6 @@ from bench.control.settings import (
     LifecycleSettings,
     build_controller,
 )
-from bench.control.step import ControlParameters, ControlState
 from bench.errors import BenchError
 from bench.from_toml import Builder, Tree, as_tree, laid_over
 from bench.loop import Cycle, CycleArray, Cycles

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.control.records import ControlParameters
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -14,7 +15,6 @@ from bench.control.settings import (
     build_controller,
     with_tables_of,
 )
-from bench.control.step import ControlParameters
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.simulation.engine import LONGEST_RETURN, LONGEST_STOP, LockstepEngine, Mark, joined

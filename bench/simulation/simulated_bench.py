@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.clock import FreeClock
+from bench.control.records import ControlParameters
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
@@ -21,8 +22,7 @@ from bench.control.settings import (
     HomingSettings,
     build_controller,
 )
-from bench.control.step import DISARM, ControlParameters
-from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.lifecycle import CAUSE_TEXT, Cause, Request
 from bench.loop import Cycle, Cycles, Loop
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import Shot, ShotStatus
@@ -181,7 +181,7 @@ def simulate_swings(
             yield result
             if result.cause is not Cause.NONE or result.interrupted:
                 return
-        powered.engine.advance(1, DISARM)
+        powered.engine.advance(1, Request.DISARM)
     finally:
         powered.close()
 

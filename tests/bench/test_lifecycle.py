@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.control.envelope import PHASES
-from bench.control.step import CONTROL_PARAMETERS
+from bench.control.records import CONTROL_PARAMETERS
 from bench.lifecycle import (
     ACCEPTED_IN,
     CAUSE_TEXT,
@@ -31,6 +31,7 @@ from bench.lifecycle import (
     State,
     accepted_table,
     reaction_table,
+    transition_table,
 )
 
 SLOW = {Phase.HOMING, Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.RETURN}
@@ -153,6 +154,7 @@ FAULT: reset > SAFE, reset > READY, access > ACCESS, emergency stop > ESTOP
 SAFE: home > HOMING, access > ACCESS, emergency stop > ESTOP, fault > FAULT
 HOMING: homed > READY, disarm > SAFE, emergency stop > ESTOP, fault > FAULT, stop > FAULT
 READY: home > HOMING, arm > ARMED, access > ACCESS, emergency stop > ESTOP, fault > FAULT
+READY: index missing > SAFE
 ARMED: swing > SWINGING, disarm > READY, disarm > RECOVERING, emergency stop > ESTOP, fault > FAULT
 ARMED: stop > FAULT
 SWINGING: swing over > RECOVERING, emergency stop > ESTOP, fault > FAULT, stop > FAULT
@@ -183,6 +185,14 @@ def test_the_bench_gets_from_state_to_state_in_these_ways_only() -> None:
     assert sorted(found) == sorted(ways)
 
 
+def test_the_matrix_of_transitions_has_the_edges_and_staying_only() -> None:
+    table = transition_table()
+    assert table.shape == CONTROL_PARAMETERS["transitions"].shape
+    ways = {(edge.source, edge.target) for edge in EDGES} | {(state, state) for state in State}
+    for source, target in np.ndindex(table.shape):
+        assert bool(table[source, target]) is ((State(source), State(target)) in ways)
+
+
 def test_requests_are_accepted_in_these_states_only() -> None:
     expected = {request: set(State) for request in (Request.STOP, Request.EMERGENCY_STOP)}
     expected[Request.NONE] = set()
@@ -204,7 +214,7 @@ def test_only_these_causes_latch_the_emergency_stop() -> None:
 
 
 def test_the_tables_for_compiled_code_are_bytes() -> None:
-    assert accepted_table().dtype == reaction_table().dtype == np.uint8
+    assert {table().dtype for table in (accepted_table, reaction_table, transition_table)} == {np.dtype("u1")}
 
 
 @pytest.mark.parametrize("kind", [State, Request, Answer, Refusal])

@@ -9,6 +9,7 @@ import pytest
 
 import bench.loop
 from bench.clock import FreeClock, PacedClock
+from bench.control.records import ControlParameters
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -16,8 +17,7 @@ from bench.control.settings import (
     PidSettings,
     build_controller,
 )
-from bench.control.step import ACCEPTED, ARM, REFUSED, RESET, SWING, ControlParameters
-from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Request, State
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
@@ -108,7 +108,7 @@ def loop(driver: Faulty, parameters: ControlParameters) -> Loop:
 def holding(loop: Loop) -> Loop:
     """Arm the mock and wait for the address."""
     loop.advance(5)
-    loop.advance(1, ARM)
+    loop.advance(1, Request.ARM)
     for _ in range(60):
         loop.advance(100)
         if loop.cycle.phase is Phase.HOLD:
@@ -125,7 +125,7 @@ def phase(loop: Loop) -> int:
 
 
 def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: Faulty) -> None:
-    swing = holding.advance(1200, SWING)
+    swing = holding.advance(1200, Request.SWING)
     assert {Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.RETURN} <= set(swing["phase"])
     assert control(holding)["cause"] == Cause.NONE
     assert np.all(np.abs(swing["applied_valve"]) <= 1)
@@ -141,13 +141,13 @@ def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: 
 
 def test_the_record_holds_what_the_driver_applied(holding: Loop, driver: Faulty) -> None:
     driver.strongest = 0.01
-    cycles = holding.advance(200, SWING)
+    cycles = holding.advance(200, Request.SWING)
     assert np.abs(cycles["desired_valve"]).max() > 0.02
     assert np.abs(cycles["applied_valve"]).max() == 0.01
 
 
 def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: Faulty) -> None:
-    holding.advance(150, SWING)
+    holding.advance(150, Request.SWING)
     assert phase(holding) == Phase.BACKSWING
     driver.fail_read = DriverError("bus off")
     failed = holding.advance(1)[0]
@@ -168,18 +168,18 @@ def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: F
 def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty) -> None:
     loop.advance(5)
     driver.fail_read = DriverError("bus off")
-    loop.advance(1, ARM)
-    assert control(loop)["answer"] == REFUSED
+    loop.advance(1, Request.ARM)
+    assert control(loop)["answer"] == Answer.REFUSED
     assert (control(loop)["cause"], control(loop)["state"]) == (
         Cause.EXCEPTION,
         State.ESTOP,
     )  # nothing said the circuit is closed
     driver.fail_read = None
-    loop.advance(1, ARM)
-    assert control(loop)["answer"] == REFUSED
-    loop.advance(1, RESET)
-    loop.advance(1, ARM)
-    assert control(loop)["answer"] == ACCEPTED
+    loop.advance(1, Request.ARM)
+    assert control(loop)["answer"] == Answer.REFUSED
+    loop.advance(1, Request.RESET)
+    loop.advance(1, Request.ARM)
+    assert control(loop)["answer"] == Answer.ACCEPTED
 
 
 def test_readings_that_fail_do_not_hide_why_the_robot_stands(holding: Loop, driver: Faulty) -> None:
@@ -205,7 +205,7 @@ def test_readings_of_the_wrong_make_are_lost_readings(holding: Loop, driver: Fau
 def test_a_command_that_cannot_be_sent_makes_passive_in_that_tick(
     holding: Loop, driver: Faulty, error: Exception
 ) -> None:
-    holding.advance(150, SWING)
+    holding.advance(150, Request.SWING)
     kept = CycleArray(1)
     holding.cycle.publish = kept
     driver.fail_write = error
@@ -226,13 +226,13 @@ def test_after_an_exception_nothing_arms_without_a_reset(holding: Loop, driver: 
     with pytest.raises(DriverError):
         holding.advance(1)
     driver.fail_write = None
-    holding.advance(1, ARM)
-    assert control(holding)["answer"] == REFUSED
+    holding.advance(1, Request.ARM)
+    assert control(holding)["answer"] == Answer.REFUSED
     assert driver.applied == PASSIVE
-    holding.advance(1, RESET)
-    assert (control(holding)["answer"], control(holding)["cause"]) == (ACCEPTED, Cause.NONE)
-    holding.advance(1, ARM)
-    assert control(holding)["answer"] == ACCEPTED
+    holding.advance(1, Request.RESET)
+    assert (control(holding)["answer"], control(holding)["cause"]) == (Answer.ACCEPTED, Cause.NONE)
+    holding.advance(1, Request.ARM)
+    assert control(holding)["answer"] == Answer.ACCEPTED
 
 
 def test_the_first_cause_is_kept(holding: Loop, driver: Faulty) -> None:
@@ -276,7 +276,7 @@ def test_a_publisher_that_fails_lets_the_swing_complete(holding: Loop) -> None:
         raise OSError(28, "no space left")
 
     holding.cycle.publish = full
-    holding.cycle.request(SWING)
+    holding.cycle.request(Request.SWING)
     for _ in range(1500):
         holding.cycle.run_tick(holding.clock.wait())
     assert len(calls) == 1
@@ -296,7 +296,7 @@ def test_records_in_memory_are_copies_and_bounded() -> None:
 
 
 def test_a_stop_that_takes_too_long_is_left_to_the_passive_command(holding: Loop, driver: Faulty) -> None:
-    holding.advance(150, SWING)
+    holding.advance(150, Request.SWING)
     records = bring_to_rest(holding, 15)
     assert sum(map(len, records)) == 15
     assert phase(holding) != Phase.STANDING

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from bench.control.feed_forward import CODES
+from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import ControlSettings, build_controller
-from bench.control.step import ControlParameters, ControlState, step
+from bench.control.step import step
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.simulated_bench import SimulatedBench, begin_swing
 from bench.swing.library import find_profile

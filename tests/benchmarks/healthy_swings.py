@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.progress import track
 
 from bench.config import load_configuration, shipped_configuration
+from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
-from bench.control.step import SWING, ControlParameters, new_control_state
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Request, State
 from bench.simulation.engine import LockstepEngine
@@ -106,7 +106,7 @@ def swing(plant: PlantParameters, parameters: ControlParameters, profile: Profil
         LockstepEngine(bench).arm()
         control["tee"] = ball
         bench.advance(400)
-        bench.advance(len(profile.angle), SWING)
+        bench.advance(len(profile.angle), Request.SWING)
         for _ in range(_LONGEST_RETURN // _CHUNK):
             if control["cause"][0] or control["phase"][0] == Phase.HOLD:
                 break

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 import bench.swing
 from bench.clock import FreeClock
 from bench.control.settings import build_controller
-from bench.control.step import ARM, SWING
-from bench.lifecycle import Phase
+from bench.lifecycle import Phase, Request
 from bench.loop import Cycle, Loop
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
@@ -47,7 +46,7 @@ def _swing(stepper: Stepper, ticks: int) -> NDArray[np.void]:
     stepper.advance(1)
     stepper.state.control["tee"] = True
     stepper.advance(1)
-    return stepper.advance(ticks, SWING)
+    return stepper.advance(ticks, Request.SWING)
 
 
 def _swings(stepper: Stepper, ticks: int) -> Work:
@@ -73,7 +72,7 @@ def run() -> list[Row]:
     python = Loop(cycle, FreeClock(parameters.tick))
     for stepper in (compiled, python):
         stepper.advance(10)
-        stepper.advance(1, ARM)
+        stepper.advance(1, Request.ARM)
         _until_hold(stepper, 100)
 
     # One swing to learn its length, then one whose records are compared.

@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.config import load_configuration, shipped_configuration
 from bench.control.settings import build_controller
-from bench.control.step import SWING
+from bench.lifecycle import Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
@@ -75,6 +75,6 @@ def _swings(bench: Lockstep, ticks: int) -> Work:
 
     def work(n: int) -> None:
         for _ in range(n):
-            bench.copy().advance(ticks, SWING)
+            bench.copy().advance(ticks, Request.SWING)
 
     return work

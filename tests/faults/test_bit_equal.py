@@ -11,8 +11,7 @@ import pytest
 import bench.swing
 from bench.clock import FreeClock
 from bench.control.settings import build_controller
-from bench.control.step import ARM, SWING
-from bench.lifecycle import Cause, Phase
+from bench.lifecycle import Cause, Phase, Request
 from bench.loop import Cycle, CycleArray
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
@@ -71,7 +70,7 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
         note_truth=driver.note_truth,
     )
     python = Follower(cycle, driver, FreeClock(parameters.tick))
-    for request, ticks in ((0, 10), (ARM, SWING_AT), (SWING, 1500)):
+    for request, ticks in ((0, 10), (Request.ARM, SWING_AT), (Request.SWING, 1500)):
         ours, theirs = lockstep.advance(ticks, request), python.advance(ticks, request)
         assert ours.tobytes() == theirs.tobytes()
     cause = Cause(int(lockstep.state.control["cause"][0]))
@@ -85,6 +84,6 @@ def test_a_bench_with_a_fault_that_has_not_come_is_bit_equal_to_a_healthy_one() 
     assert LockstepEngine(healthy).arm()
     faulty = healthy.copy()
     faulty.break_with(FAULTS["nothing yet"])
-    ours, theirs = healthy.advance(3000, SWING), faulty.advance(3000, SWING)
+    ours, theirs = healthy.advance(3000, Request.SWING), faulty.advance(3000, Request.SWING)
     assert ours.tobytes() == theirs.tobytes()
     assert Phase(int(healthy.state.control["phase"][0])) is Phase.RETURN

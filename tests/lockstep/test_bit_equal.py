@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from bench.control.feed_forward import FeedForward
 from bench.control.settings import ControlSettings
-from bench.control.step import ARM, DISARM, RESET, STOP, SWING
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.swing.profile import Profile
 from sim.plant import Encoders, PlantParameters
 
@@ -33,7 +32,7 @@ NOISY = Encoders(jitter=5e-6, noise=2e-6)
 def armed(pair: Pair) -> None:
     """Take both benches to their address."""
     pair.advance(10)
-    pair.advance(1, ARM)
+    pair.advance(1, Request.ARM)
     for _ in range(100):
         pair.advance(100)
         if pair.driver.applied.supply_enable and pair.python.cycle.phase is Phase.HOLD:
@@ -45,7 +44,7 @@ def swung(pair: Pair, until: float) -> None:
     """Begin a swing at a ball and stop `until` s after its begin."""
     pair.tee(True)
     pair.advance(300)
-    pair.advance(1, SWING)
+    pair.advance(1, Request.SWING)
     pair.advance(round(until * 1000))
 
 
@@ -73,7 +72,7 @@ def test_arming_a_whole_swing_and_disarming(
     assert pair.python.cycle.phase is Phase.HOLD
     assert pair.python.state.control["cause"][0] == Cause.NONE
     pair.tee(False)
-    pair.advance(1, DISARM)
+    pair.advance(1, Request.DISARM)
     assert not pair.advance(500)["supply_enable"].any()
 
 
@@ -94,7 +93,7 @@ def test_other_ticks_and_substeps(make_pair: MakePair, default_profile: Profile)
     parameters = replace(PlantParameters(), tick=0.0005, substeps=3, encoders=NOISY)
     pair = make_pair(parameters, default_profile)
     pair.advance(10)
-    pair.advance(3000, ARM)
+    pair.advance(3000, Request.ARM)
     assert pair.python.state.control["phase"][0] == Phase.RETURN
 
 
@@ -116,7 +115,7 @@ def test_stops_in_a_swing(
         case "lost encoders":
             pair.set("encoder_valid", 0)
         case "operator":
-            pair.advance(1, STOP)
+            pair.advance(1, Request.STOP)
     cycles = finished(pair)
     assert pair.python.state.control["cause"][0] != Cause.NONE
     assert cycles["reaction"].max() >= Reaction.COMPLETE
@@ -124,7 +123,7 @@ def test_stops_in_a_swing(
     for field in ("emergency_stop_clear", "guard_closed", "encoder_valid"):
         pair.set(field, 1)
     pair.advance(20)
-    pair.advance(20, RESET)
+    pair.advance(20, Request.RESET)
     assert pair.python.state.control["cause"][0] == Cause.NONE
 
 
@@ -194,6 +193,6 @@ def test_any_faults_and_requests(
 def test_the_first_ticks_without_compilation_too(make_pair: MakePair, default_profile: Profile) -> None:
     pair = make_pair(PlantParameters(), default_profile)
     pair.advance(5)
-    cycles = pair.advance(15, ARM)
+    cycles = pair.advance(15, Request.ARM)
     assert cycles["supply_enable"].all()
     assert np.isfinite(cycles["plant_angle"]).all()

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 import pytest
 
+from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
-from bench.control.step import ARM, new_control_state
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
@@ -97,7 +97,7 @@ def test_one_joint_after_the_other(make_bench: MakeBench) -> None:
 
 def test_until_it_is_homed_nothing_else_moves(make_bench: MakeBench) -> None:
     bench = make_bench()
-    for request in (ARM, Request.SWING, Request.TEE):
+    for request in (Request.ARM, Request.SWING, Request.TEE):
         assert bench.advance(1, request)["answer"][0] == 2
     assert not bench.advance(500)["supply_enable"].any()
 

@@ -17,7 +17,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from bench.control.settings import build_controller
-from bench.control.step import ARM
+from bench.lifecycle import Request
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
@@ -32,7 +32,7 @@ parameters = PlantParameters()
 bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), address)
 bench.plant_state["speed"] = (0.8, -0.4, 1.5)
 bench.advance(3)
-sys.stdout.buffer.write(bench.advance(60, ARM).tobytes())
+sys.stdout.buffer.write(bench.advance(60, Request.ARM).tobytes())
 """
 
 

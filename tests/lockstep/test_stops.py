@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
-from bench.control.step import ACCEPTED, RESET, SWING
 from bench.design.check import TRIALS, SwingCheck, TrialOutcome
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
@@ -98,8 +97,8 @@ def swinging(default_profile: Profile) -> Lockstep:
     bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
     assert LockstepEngine(bench).arm()
     bench.state.control["tee"] = True
-    bench.advance(1, SWING)
-    assert bench.state.control["answer"][0] == ACCEPTED
+    bench.advance(1, Request.SWING)
+    assert bench.state.control["answer"][0] == Answer.ACCEPTED
     return bench
 
 
@@ -134,6 +133,6 @@ def test_the_record_tells_an_emergency_stop(
     assert cycles["supply_enable"][: last + 1].all()
     bench.plant_state["emergency_stop_clear"] = True
     assert not bench.advance(500)["supply_enable"].any()
-    bench.advance(1, RESET)
-    assert bench.state.control["answer"][0] == ACCEPTED
+    bench.advance(1, Request.RESET)
+    assert bench.state.control["answer"][0] == Answer.ACCEPTED
     assert not bench.advance(500)["supply_enable"].any()

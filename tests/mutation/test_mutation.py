@@ -36,12 +36,12 @@ told = [
 print(json.dumps(told))
 """
 WATCHING = """
-    import bench.control.envelope, bench.control.step
+    import bench.control.envelope, bench.control.states
     from bench.control.settings import build_controller
     from bench.lifecycle import accepted_table
 
     def test_a_constant_in_an_importer():
-        assert bench.control.envelope._IMPACT == 7 and bench.control.step._HOLD == 2
+        assert bench.control.envelope.Phase.IMPACT == 7 and bench.control.states.Phase.HOLD == 2
 
     def test_a_function_in_an_importer():
         assert bench.control.settings.reaction_table().shape == (10, 6)

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from bench.cli import main
+from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
-from bench.control.step import ControlParameters
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray

@@ -24,8 +24,8 @@ from bench.calibration.values import (
     zero_counts,
 )
 from bench.config import Configuration, load_configuration
+from bench.control.records import ControlParameters
 from bench.control.settings import build_controller
-from bench.control.step import ControlParameters
 from bench.errors import BenchError
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile

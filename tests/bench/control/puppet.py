@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.records import new_control_state
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
@@ -17,8 +18,8 @@ from bench.control.settings import (
     ModelSettings,
     build_controller,
 )
-from bench.control.step import ACCEPTED, ARM, SWING, new_control_state, step
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.control.step import step
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Request, State
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
@@ -152,7 +153,7 @@ class Puppet:
     def hold(self) -> Puppet:
         """Go to address."""
         self.run(10)
-        assert self.tick(ARM) == ACCEPTED
+        assert self.tick(Request.ARM) == Answer.ACCEPTED
         self.run(400)
         assert (self.phase, self.reaction) == (Phase.HOLD, Reaction.NONE)
         return self
@@ -160,7 +161,7 @@ class Puppet:
     def swing(self, sample: int) -> Puppet:
         """Hold, then swing up to `sample`."""
         self.hold()
-        assert self.tick(SWING) == ACCEPTED
+        assert self.tick(Request.SWING) == Answer.ACCEPTED
         self.run(sample)
         assert self.control["swing_sample"] == sample
         return self
@@ -174,12 +175,12 @@ class Puppet:
             return self
         if phase is Phase.RETURN:
             self.run(10)
-            assert self.tick(ARM) == ACCEPTED
+            assert self.tick(Request.ARM) == Answer.ACCEPTED
             self.run(60)
         elif phase is Phase.HOMING:
             self.parameters.control["home_by_index"] = True
             self.give(state=State.SAFE, homed=False, encoder_indexed=0).run(10)
-            assert self.tick(Request.HOME) == ACCEPTED
+            assert self.tick(Request.HOME) == Answer.ACCEPTED
             self.run(60)
         else:
             self.hold()

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address, note_local_reset, refusal_of, take_request
-from bench.control.step import ControlParameters, ControlState
 from bench.lifecycle import NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
 from tests.bench.control.puppet import Puppet
 

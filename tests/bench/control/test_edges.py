@@ -128,6 +128,10 @@ def cases() -> list[Case]:
             {"another pose": turn_away, "index lost": give(encoder_indexed=(1, 0, 1))},
         ),
         Case(
+            edge(S.READY, "index missing", S.SAFE), lambda: reach(S.READY).give(seen=False),
+            give(encoder_indexed=0), 0, {"a reading trusted before": give(seen=True)},
+        ),
+        Case(
             edge(S.READY, "arm", S.ARMED), lambda: reach(S.READY), do(Request.ARM), 0,
             UNCLEAR | UNRECORDED | PASSIVE_DEVICE,
         ),

@@ -17,8 +17,7 @@ from bench.control.estimator import (
     estimate,
 )
 from bench.control.settings import build_controller
-from bench.control.step import SWING
-from bench.lifecycle import Phase
+from bench.lifecycle import Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
@@ -142,7 +141,7 @@ def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
     bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
     assert LockstepEngine(bench).arm()
     bench.state.control["tee"] = True
-    cycles = bench.advance(len(profile.angle), SWING)
+    cycles = bench.advance(len(profile.angle), Request.SWING)
     assert bench.plant_state["struck"][0]
     counts = cycles["encoder_count"]
     # Continuous angles from absolute counts, as the records hold them.

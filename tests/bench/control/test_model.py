@@ -14,8 +14,7 @@ import bench.swing
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import MODEL_LIMITS, MODEL_STATE, model_cause, observe
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
-from bench.control.step import SWING
-from bench.lifecycle import Cause, Phase
+from bench.lifecycle import Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile
@@ -252,7 +251,7 @@ def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
     assert LockstepEngine(bench_).arm()
     bench_.state.control["tee"] = True
     bench_.advance(300)
-    worst, request = 0.0, SWING
+    worst, request = 0.0, int(Request.SWING)
     for _ in range(len(profile.angle) // 5):
         bench_.advance(5, request)
         request = 0
@@ -275,7 +274,7 @@ def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
         parameters = build_controller(PlantParameters(), profile, envelope=envelope)
         stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
         assert LockstepEngine(stepper).arm()
-        return stepper.advance(2000, SWING).tobytes()
+        return stepper.advance(2000, Request.SWING).tobytes()
 
     assert record("off") == record("always")
 

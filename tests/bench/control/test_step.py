@@ -15,17 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 
-from bench.control.step import (
-    ACCEPTED,
-    ARM,
-    DISARM,
-    REFUSED,
-    RESET,
-    STOP,
-    SWING,
-    ControlState,
-    step,
-)
+from bench.control.records import ControlState
+from bench.control.step import step
 from bench.lifecycle import (
     DISOBEYED,
     DOUBTED,
@@ -34,6 +25,7 @@ from bench.lifecycle import (
     STOPPING,
     TRUSTED,
     WRIST_DISOBEYED,
+    Answer,
     Cause,
     Phase,
     Reaction,
@@ -82,13 +74,13 @@ def test_arming_needs_every_interlock(name: str) -> None:
     puppet = Puppet()
     puppet.run(10)
     puppet.readings[name] = False
-    assert puppet.tick(ARM) == REFUSED
+    assert puppet.tick(Request.ARM) == Answer.REFUSED
     assert puppet.is_without_energy()
     puppet.readings[name] = True
     puppet.run(5)
     assert puppet.phase is Phase.STANDING  # a refused request is forgotten
-    assert puppet.tick(ARM) == REFUSED  # and the interlock has latched
-    assert (puppet.tick(RESET), puppet.tick(ARM)) == (ACCEPTED, ACCEPTED)
+    assert puppet.tick(Request.ARM) == Answer.REFUSED  # and the interlock has latched
+    assert (puppet.tick(Request.RESET), puppet.tick(Request.ARM)) == (Answer.ACCEPTED, Answer.ACCEPTED)
 
 
 @pytest.mark.parametrize("joint", range(3))
@@ -96,10 +88,10 @@ def test_arming_needs_every_encoder(joint: int) -> None:
     puppet = Puppet()
     puppet.readings["encoder_valid"][0, joint] = 0
     puppet.run(10)
-    assert puppet.tick(ARM) == REFUSED
+    assert puppet.tick(Request.ARM) == Answer.REFUSED
     puppet.readings["encoder_valid"] = 1
     puppet.run(2)
-    assert puppet.tick(ARM) == ACCEPTED
+    assert puppet.tick(Request.ARM) == Answer.ACCEPTED
 
 
 def test_arming_holds_the_pose_it_finds() -> None:
@@ -107,7 +99,7 @@ def test_arming_holds_the_pose_it_finds() -> None:
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
     puppet.run(50)
     found = puppet.state.estimator["angle"][0].copy()
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     assert puppet.control["reference"] == pytest.approx(found, abs=1e-4)
     assert puppet.control["reference_velocity"] == pytest.approx(0.0)
     assert np.abs(puppet.state.pid["output"][0]).max() < 0.01
@@ -120,12 +112,12 @@ def test_arming_again_is_without_a_bump() -> None:
     puppet.shift(0, -0.012)
     puppet.run(500)
     assert np.abs(puppet.state.pid["integral"][0]).max() > 0.001
-    puppet.tick(DISARM)
+    puppet.tick(Request.DISARM)
     puppet.offset[:] = 0.0
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]  # it sank while it was vented
     puppet.run(50)
     puppet.parameters.control["precharge_opening"] = 0.0
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     openings = [puppet.record["valve"][0].copy()]
     for _ in range(15):  # charging: nothing moves yet
         puppet.tick()
@@ -136,7 +128,7 @@ def test_arming_again_is_without_a_bump() -> None:
 def test_charging_swings_the_spools_around_their_centre() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
     puppet.run(10)
-    openings = puppet.run(400, ARM)
+    openings = puppet.run(400, Request.ARM)
     assert np.abs(openings.mean(axis=0)).max() < 0.01
     assert np.abs(openings[1:]).min() > 0.14  # the slew limit's
     assert np.ptp(openings) < 0.52
@@ -146,14 +138,14 @@ def test_charging_is_watched_but_for_the_supply() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
     puppet.readings["supply_pressure"] = 1e5
     puppet.run(10)
-    puppet.run(200, ARM)
+    puppet.run(200, Request.ARM)
     assert puppet.reaction is Reaction.NONE
     puppet.run(250)
     assert (puppet.reaction, puppet.cause) == (Reaction.BRAKE, Cause.SUPPLY_PRESSURE)
 
     puppet = Puppet(control=replace(QUICK, precharge_time=0.6))
     puppet.run(10)
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     for _ in range(250):  # a valve stuck open drives the shoulder away
         puppet.offset[0] -= 0.002
         puppet.tick()
@@ -164,7 +156,7 @@ def test_the_way_to_address_is_smooth_and_no_faster_than_allowed() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.3, 0.1, -0.4]
     puppet.run(10)
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     references = []
     for _ in range(900):
         puppet.tick()
@@ -178,7 +170,7 @@ def test_the_way_to_address_is_smooth_and_no_faster_than_allowed() -> None:
 def test_an_address_that_is_not_reached_ends_the_move() -> None:
     puppet = Puppet()
     puppet.run(10)
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     puppet.shift(0, 0.06)
     puppet.run(300)
     assert (puppet.phase, puppet.reaction) == (Phase.RETURN, Reaction.NONE)
@@ -191,17 +183,17 @@ def test_an_address_that_is_not_reached_ends_the_move() -> None:
 @each_phase
 def test_a_swing_begins_only_from_the_hold(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
-    assert puppet.tick(SWING) == (ACCEPTED if phase is Phase.HOLD else REFUSED)
+    assert puppet.tick(Request.SWING) == (Answer.ACCEPTED if phase is Phase.HOLD else Answer.REFUSED)
 
 
 @pytest.mark.parametrize("joint", range(3))
 def test_a_swing_begins_only_at_the_address(joint: int) -> None:
     puppet = Puppet().hold()
     tolerance = QUICK.address_tolerance[joint]
-    for miss, answer in ((1.1, REFUSED), (-1.1, REFUSED), (0.9, ACCEPTED)):
+    for miss, answer in ((1.1, Answer.REFUSED), (-1.1, Answer.REFUSED), (0.9, Answer.ACCEPTED)):
         puppet.shift(joint, miss * tolerance)
         puppet.run(100)
-        assert puppet.tick(SWING) == answer
+        assert puppet.tick(Request.SWING) == answer
 
 
 def test_a_swing_begins_only_at_rest() -> None:
@@ -209,10 +201,10 @@ def test_a_swing_begins_only_at_rest() -> None:
     for _ in range(20):
         puppet.offset[2] += 0.0012  # 1.2 rad/s
         puppet.tick()
-    assert puppet.tick(SWING) == REFUSED
+    assert puppet.tick(Request.SWING) == Answer.REFUSED
     puppet.offset[2] = 0.0
     puppet.run(100)
-    assert puppet.tick(SWING) == ACCEPTED
+    assert puppet.tick(Request.SWING) == Answer.ACCEPTED
 
 
 def test_a_swing_begins_without_a_bump() -> None:
@@ -222,7 +214,7 @@ def test_a_swing_begins_without_a_bump() -> None:
         puppet.shift(joint, miss)
     before = puppet.run(300)[-1]
     assert np.abs(before).min() > 0.001
-    puppet.tick(SWING)
+    puppet.tick(Request.SWING)
     assert puppet.record["valve"][0] == pytest.approx(before, abs=2e-3)
 
 
@@ -230,7 +222,7 @@ def test_a_swing_begins_without_a_bump() -> None:
 def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
     quiet, slow = phase is Phase.HOLD, phase in {Phase.RETURN, Phase.HOMING}
-    assert puppet.tick(DISARM) == (ACCEPTED if quiet or slow else REFUSED)
+    assert puppet.tick(Request.DISARM) == (Answer.ACCEPTED if quiet or slow else Answer.REFUSED)
     if quiet:
         assert (puppet.phase, puppet.is_without_energy()) == (Phase.STANDING, True)
     if slow:
@@ -245,19 +237,19 @@ def test_disarming_does_not_cut_a_brake_short() -> None:
     puppet.readings["guard_closed"] = False
     puppet.tick()
     assert puppet.reaction is Reaction.BRAKE
-    assert puppet.tick(DISARM) == REFUSED
+    assert puppet.tick(Request.DISARM) == Answer.REFUSED
     assert puppet.reaction is Reaction.BRAKE
 
 
 @each_phase
 def test_a_stop_is_always_accepted(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
-    assert puppet.tick(STOP) == ACCEPTED
-    assert puppet.tick(STOP) == ACCEPTED
+    assert puppet.tick(Request.STOP) == Answer.ACCEPTED
+    assert puppet.tick(Request.STOP) == Answer.ACCEPTED
     assert puppet.cause is (Cause.NONE if phase is Phase.STANDING else Cause.OPERATOR_STOP)
     puppet.readings["encoder_valid"] = 0
     puppet.run(20)
-    assert puppet.tick(STOP) == ACCEPTED
+    assert puppet.tick(Request.STOP) == Answer.ACCEPTED
 
 
 @each_phase
@@ -265,10 +257,10 @@ def test_a_stop_is_always_accepted(phase: Phase) -> None:
 def test_every_request_is_answered_once(phase: Phase, request_: int) -> None:
     puppet = Puppet().enter(phase)
     answer = puppet.tick(request_)
-    assert answer in {ACCEPTED, REFUSED}
+    assert answer in {Answer.ACCEPTED, Answer.REFUSED}
     assert puppet.tick() == 0
     if request_ >= len(Request):
-        assert answer == REFUSED
+        assert answer == Answer.REFUSED
 
 
 # The profile ------------------------------------------------------------------------------------------
@@ -287,9 +279,9 @@ def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
     profile = curved()
     puppet = Puppet(profile, replace(QUICK, damping=(0.0, 0.0, 0.0)), tick)
     puppet.run(10)
-    puppet.tick(ARM)
+    puppet.tick(Request.ARM)
     puppet.run(round(0.5 / tick))
-    puppet.tick(SWING)
+    puppet.tick(Request.SWING)
     start = puppet.time
     table = np.arange(SAMPLES)
     while True:
@@ -343,7 +335,7 @@ def test_after_a_swing_the_robot_returns_and_holds() -> None:
     assert (puppet.phase, bool(puppet.control["swinging"])) == (Phase.RETURN, False)
     puppet.run(400)
     assert (puppet.phase, puppet.cause) == (Phase.HOLD, Cause.NONE)
-    assert puppet.tick(SWING) == ACCEPTED
+    assert puppet.tick(Request.SWING) == Answer.ACCEPTED
     assert puppet.control["swings"] == 2
 
 
@@ -479,24 +471,24 @@ def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
     PROVOKED[column][0](puppet)
     puppet.run(1500)
     assert puppet.phase is Phase.STANDING
-    assert puppet.tick(RESET) == REFUSED  # its cause still stands
+    assert puppet.tick(Request.RESET) == Answer.REFUSED  # its cause still stands
     for name in (*GOOD, "encoder_valid"):
         puppet.readings[name] = 1
     puppet.control["tee"] = True
     for _ in range(100):
         puppet.tick()
         assert puppet.is_without_energy()
-    for request in (ARM, SWING, DISARM):
-        assert puppet.tick(request) == REFUSED
-    assert puppet.tick(RESET) == ACCEPTED
+    for request in (Request.ARM, Request.SWING, Request.DISARM):
+        assert puppet.tick(request) == Answer.REFUSED
+    assert puppet.tick(Request.RESET) == Answer.ACCEPTED
     assert (puppet.cause, puppet.reaction) == (Cause.NONE, Reaction.NONE)
     for _ in range(100):
         puppet.tick()
         assert puppet.is_without_energy()
     if phase is Phase.HOMING:
-        assert (puppet.tick(ARM), puppet.bench) == (REFUSED, State.SAFE)
+        assert (puppet.tick(Request.ARM), puppet.bench) == (Answer.REFUSED, State.SAFE)
         return
-    assert puppet.tick(ARM) == ACCEPTED
+    assert puppet.tick(Request.ARM) == Answer.ACCEPTED
     assert not puppet.record["tee"][0]
     puppet.run(400)
     assert puppet.control["phase"] == Phase.HOLD
@@ -505,10 +497,10 @@ def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
 @moving_phase
 def test_a_stop_under_way_is_not_reset(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
-    puppet.tick(STOP)
+    puppet.tick(Request.STOP)
     before = puppet.reaction
-    assert puppet.tick(RESET) == REFUSED
-    assert puppet.tick(ARM) == REFUSED
+    assert puppet.tick(Request.RESET) == Answer.REFUSED
+    assert puppet.tick(Request.ARM) == Answer.REFUSED
     assert puppet.reaction is before
 
 
@@ -532,7 +524,7 @@ def test_the_first_cause_is_kept_and_only_severity_goes_up() -> None:
 
 def test_a_swing_that_completes_is_not_followed_by_a_return() -> None:
     puppet = Puppet().enter(Phase.FOLLOW_THROUGH)
-    puppet.tick(STOP)
+    puppet.tick(Request.STOP)
     assert puppet.reaction is Reaction.COMPLETE
     puppet.run(47)
     assert puppet.control["swinging"]
@@ -561,7 +553,7 @@ def test_a_brake_works_against_the_motion_until_it_rests() -> None:
     velocity = np.array([-1.0, 0.4, -1.5])
     for _ in range(40):
         puppet.angle = puppet.angle + velocity * 1e-3
-        puppet.tick(STOP if puppet.reaction is Reaction.NONE else 0)
+        puppet.tick(Request.STOP if puppet.reaction is Reaction.NONE else 0)
     assert puppet.reaction is Reaction.BRAKE
     assert (puppet.record["valve"][0] * velocity < 0).all()
     assert puppet.record["supply_enable"][0]
@@ -573,7 +565,7 @@ def test_a_brake_works_against_the_motion_until_it_rests() -> None:
 def test_a_brake_has_an_end_also_without_rest() -> None:
     puppet = Puppet(control=replace(QUICK, brake_time=0.3)).swing(250)
     puppet.follows = False
-    puppet.tick(STOP)
+    puppet.tick(Request.STOP)
     for k in range(305):
         assert (puppet.phase is Phase.STANDING) == (k >= 300)
         puppet.offset[2] = 0.02 * np.sin(0.2 * k)
@@ -587,7 +579,7 @@ def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
     if sample:
         puppet.swing(sample)
     else:
-        puppet.hold().tick(SWING)
+        puppet.hold().tick(Request.SWING)
     chance = np.random.default_rng(seed)
     puppet.state.estimator["without_sample"] = inf
     puppet.readings["encoder_valid"] = 0
@@ -726,7 +718,7 @@ def test_a_tick_leaves_no_memory_behind() -> None:
     tracemalloc.start()
     try:
         before, held = rtsys.get_allocation_stats(), tracemalloc.get_traced_memory()[0]
-        for request in (0, STOP, SWING, ARM, RESET) * 100:
+        for request in (0, Request.STOP, Request.SWING, Request.ARM, Request.RESET) * 100:
             puppet.state.control["request"] = request
             step(*given_)
         after, holding = rtsys.get_allocation_stats(), tracemalloc.get_traced_memory()[0]

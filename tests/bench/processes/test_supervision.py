@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.control.step import CONTROL_STATE
+from bench.control.records import CONTROL_STATE
 from bench.lifecycle import Request
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record

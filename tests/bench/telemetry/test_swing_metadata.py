@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.control.step import ControlState, new_control_state
+from bench.control.records import ControlState, new_control_state
 from bench.errors import BenchError
 from bench.lifecycle import Cause, State
 from bench.swing.library import find_profile

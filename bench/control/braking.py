@@ -1,0 +1,76 @@
+"""The openings of BRAKE, PASSIVE and BLIND_BRAKE, and when a stop is over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.control.states import stand
+from drivers.base.compiled import compiled
+
+
+@compiled
+def brake_opening(gain: float, damping: float, fade: float, velocity: float, acceleration: float) -> float:
+    """Return the opening that brakes a joint: air against the motion, eased off as it slows down.
+
+    The same law brakes the planned follow-through, with or without a ball, and every stop.
+    """
+    # Eased off towards rest, where the air's spring would make a stiff law swing for ever.
+    share = min(abs(velocity) / fade, 1.0)
+    return -share * (gain * velocity + damping * acceleration)
+
+
+@compiled
+def brake_openings(s: Any, p: Any, e: Any) -> None:
+    """Set the desired openings (3,) of the braking law."""
+    for i in range(3):
+        s.desired[i] = brake_opening(
+            p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
+        )
+
+
+@compiled
+def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -> None:
+    """End a stop once all joints have rested for long enough, or its time is up."""
+    p, still = parameters.control[0], trusted
+    for i in range(3):
+        still = still and abs(e.velocity[i]) <= p.still_speed[i]
+    if not still:
+        s.still_since = time
+    if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
+        stand(s, parameters, time)
+
+
+@compiled
+def brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+    """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
+    s, e = state.control[0], state.estimator[0]
+    brake_openings(s, parameters.control[0], e)
+    for i in range(3):
+        s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
+    _rest_or_wait(s, parameters, e, trusted, time)
+
+
+@compiled
+def wait_passive(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+    """Wait in PASSIVE until all joints rest: spools centred, supply shut, vents opening by their timer."""
+    s, e = state.control[0], state.estimator[0]
+    for i in range(3):
+        s.desired[i] = s.feed_forward[i] = s.reference_velocity[i] = 0.0
+        s.reference[i] = e.angle[i]
+    _rest_or_wait(s, parameters, e, trusted, time)
+
+
+@compiled
+def brake_blind(s: Any, parameters: Any, time: float) -> None:
+    """Set the desired openings of BLIND_BRAKE: the profile's pattern, by time alone."""
+    since = time - s.reaction_start
+    longest = 0.0
+    for i in range(3):
+        s.desired[i] = s.feed_forward[i] = 0.0
+        if s.blind_row >= 0:
+            duration = parameters.blind_brake[s.blind_row, 3 + i]
+            longest = max(longest, duration)
+            if since < duration:
+                s.desired[i] = parameters.blind_brake[s.blind_row, i]
+    if since >= longest + parameters.control[0].blind_settle:
+        stand(s, parameters, time)

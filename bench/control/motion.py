@@ -1,0 +1,96 @@
+"""The desired openings of a swing, a slow move, the search for an index and the hold at the address."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.control.braking import brake_openings
+from bench.control.feed_forward import KANE, NONE
+from bench.control.homing import search
+from bench.control.pid import control, reset_integral
+from bench.control.references import (
+    begin_move,
+    charging,
+    feed_model_forward,
+    follow_move,
+    follow_profile,
+    square_wave,
+)
+from bench.control.requests import near_address
+from bench.control.states import arrive, change_state
+from bench.lifecycle import Phase, Reaction, State
+from drivers.base.compiled import compiled
+
+
+@compiled
+def follow(state: Any, parameters: Any, time: float, measured_step: float) -> None:
+    """Move the swing, the slow move, the search or the hold on and compute the desired openings."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    if s.swinging:
+        _follow_swing(state, parameters, time)
+    elif s.phase == Phase.HOMING:
+        indexed = state.encoder[0].indexed
+        if search(s, p, e.angle, indexed, s.zero_shift, time, measured_step):
+            s.homed = True
+            _begin_braking(s, time)  # no cause: to rest, then READY
+    elif s.moving:
+        if not follow_move(parameters, s, time) and near_address(parameters, state.estimator):
+            arrive(s, parameters, time)
+    else:
+        for i in range(3):
+            # Near enough is left alone: with dry friction an integral would hunt for ever.
+            away = parameters.angle[0, i] - e.angle[i]
+            s.reference[i] = parameters.angle[0, i] if abs(away) > p.rest_band[i] else e.angle[i]
+            s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
+    if s.phase == Phase.FOLLOW_THROUGH:
+        brake_openings(s, p, e)
+    else:
+        _control_openings(state, parameters, time, measured_step)
+
+
+@compiled
+def _follow_swing(state: Any, parameters: Any, time: float) -> None:
+    """Move the swing on; after its end brake if a stop is under way, otherwise return to the address."""
+    s, e = state.control[0], state.estimator[0]
+    if follow_profile(parameters, s, time):
+        return
+    s.swinging = s.tee = False
+    if s.reaction == Reaction.COMPLETE:
+        _begin_braking(s, time)  # the planned braking is done; BRAKE holds until rest is proven
+    else:
+        reset_integral(state.pid)
+        begin_move(parameters, s, e.angle, time)
+        follow_move(parameters, s, time)
+        change_state(s, parameters, State.RECOVERING, time)
+
+
+@compiled
+def _begin_braking(s: Any, time: float) -> None:
+    s.reaction = Reaction.BRAKE
+    s.reaction_start = s.still_since = time
+
+
+@compiled
+def _control_openings(state: Any, parameters: Any, time: float, measured_step: float) -> None:
+    """Set the desired openings (3,): PID, feed-forward, damping, charging and dither."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    if s.swinging and p.feed_forward >= KANE:
+        feed_model_forward(state, parameters, time)
+    for i in range(3):
+        if p.feed_forward == NONE:
+            s.feed_forward[i] = 0.0
+        # The impact's jump is no motion to be damped.
+        if s.phase != Phase.IMPACT:
+            share = p.downswing_damping if s.phase in (Phase.DOWNSWING, Phase.COMMITTED) else 1.0
+            s.feed_forward[i] += share * p.damping[i] * (s.reference_acceleration[i] - e.acceleration[i])
+    terms = (s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward)
+    control(state.pid, parameters.pid, *terms, measured_step)
+    push = side = 0.0
+    if charging(s, time):
+        # A closed-centre spool fills one chamber while it empties the other. Swung around the centre it
+        # passes as much in as out of both, which ends at about three quarters of the supply in each.
+        push = p.precharge_opening * square_wave((time - s.move_start) / p.precharge_period)
+    elif s.phase in (Phase.BACKSWING, Phase.TOP) and time - s.swing_start >= p.dither_delay:
+        side = square_wave((time - s.swing_start) / p.dither_period)
+    for i in range(3):
+        s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]

@@ -1,0 +1,225 @@
+"""Records of the control step: its parameters, what it remembers, and the profile's tables."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.control.air import AIR_STATE
+from bench.control.encoder import ENCODER_STATE
+from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.model import MODEL_STATE
+from bench.control.pid import PID_STATE
+from bench.lifecycle import Cause, Phase, Request, State
+from drivers.base.compiled import new_record
+
+CONTROL_PARAMETERS = np.dtype(
+    [
+        ("damping", "f8", (3,)),
+        ("downswing_damping", "f8"),
+        ("dither", "f8", (3,)),
+        ("dither_period", "f8"),
+        ("dither_delay", "f8"),
+        ("move_gain", "f8", (3,)),
+        ("brake_gain", "f8", (3,)),
+        ("brake_damping", "f8", (3,)),
+        ("brake_fade", "f8", (3,)),
+        ("feed_forward", "u1"),
+        ("force_gain", "f8", (3,)),
+        ("rate_opening", "f8", (3,)),
+        ("speed_opening", "f8", (3,)),
+        ("still_speed", "f8", (3,)),
+        ("still_time", "f8"),
+        ("brake_time", "f8"),
+        ("blind_settle", "f8"),
+        ("precharge_time", "f8"),
+        ("precharge_opening", "f8"),
+        ("precharge_period", "f8"),
+        ("move_speed", "f8", (3,)),
+        ("move_timeout", "f8"),
+        ("address_tolerance", "f8", (3,)),
+        ("rest_band", "f8", (3,)),
+        ("strike_drop", "f8"),
+        ("reactions", "u1", (len(Phase), 6)),
+        ("accepted", "u1", (len(Request), len(State))),
+        ("transitions", "u1", (len(State), len(State))),
+        ("needs_lease", "u1", (len(Request),)),
+        ("emergencies", "u1", (len(Cause),)),
+        ("warning_time", "f8"),
+        ("armed_time", "f8"),
+        ("vented_pressure", "f8"),
+        ("vent_time", "f8"),
+        ("vented_still", "f8"),
+        ("vented_blind", "f8"),
+        ("local_reset", "?"),
+        ("local_reset_time", "f8"),
+        ("series", "?"),
+        ("read_only", "?"),
+        ("home_by_index", "?"),
+        ("home_pose", "f8", (3,)),
+        ("home_tolerance", "f8", (3,)),
+        ("home_time", "f8"),
+        ("home_order", "i8", (3,)),
+        ("home_direction", "f8", (3,)),
+        ("home_travel", "f8", (3,)),
+        ("home_speed", "f8", (3,)),
+        ("home_opening", "f8"),
+        ("home_longest", "f8"),
+    ],
+    align=True,
+)
+"""Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's
+spring has hardly any damping of its own, and position and velocity feedback cannot add it.
+`downswing_damping` is the share of it left in the downswing, `dither` swings the spools around what is wanted
+of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
+`rate_opening` and `speed_opening` are its `kane_gains`. `move_gain` is the
+opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+
+CONTROL_STATE = np.dtype(
+    [
+        ("tick", "i8"),
+        ("time", "f8"),
+        ("measured_step", "f8"),
+        ("started", "?"),
+        ("lost", "i4"),
+        ("distrusted", "?"),
+        ("seen", "?"),
+        ("request", "u1"),
+        ("request_number", "i8"),
+        ("lease_held", "?"),
+        ("support_ready", "?"),
+        ("supervisor_alive", "?"),
+        ("device_operational", "?"),
+        ("warm", "?"),
+        ("first_cause", "i4"),
+        ("asked", "u1"),
+        ("answered_number", "i8"),
+        ("answer", "u1"),
+        ("refusal", "u1"),
+        ("state", "u1"),
+        ("state_since", "f8"),
+        ("emergency", "?"),
+        ("homed", "?"),
+        ("home_good", "f8"),
+        ("home_begin", "f8"),
+        ("home_turn", "i8"),
+        ("home_since", "f8"),
+        ("home_from", "f8", (3,)),
+        ("zero_shift", "f8", (3,)),
+        ("vented", "?"),
+        ("vent_start", "f8"),
+        ("air", "?"),
+        ("air_from", "f8"),
+        ("securing", "?"),
+        ("disarming", "?"),
+        ("reset_was_low", "?"),
+        ("reset_pressed", "f8"),
+        ("tee", "?"),
+        ("phase", "u1"),
+        ("reaction", "u1"),
+        ("cause", "i4"),
+        ("latest_cause", "i4"),
+        ("swinging", "?"),
+        ("swing_start", "f8"),
+        ("swing_sample", "i8"),
+        ("moving", "?"),
+        ("move_start", "f8"),
+        ("move_time", "f8"),
+        ("move_from", "f8", (3,)),
+        ("reaction_start", "f8"),
+        ("blind_row", "i8"),
+        ("still_since", "f8"),
+        ("reference", "f8", (3,)),
+        ("reference_velocity", "f8", (3,)),
+        ("reference_acceleration", "f8", (3,)),
+        ("feed_forward", "f8", (3,)),
+        ("desired", "f8", (3,)),
+        ("applied", "f8", (3,)),
+        ("head", "f8", (6,)),
+        ("fastest_head", "f8"),
+        ("struck", "?"),
+        ("swings", "i8"),
+    ],
+    align=True,
+)
+"""From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
+`supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
+`tee`.
+`zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
+`lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
+did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
+ESTOP; `air` that the supply is on."""
+
+PROFILE = np.dtype(
+    [
+        ("samples", "i8"),
+        ("period", "f8"),
+        ("blind_spacing", "i8"),
+        ("blind_rows", "i8"),
+    ],
+    align=True,
+)
+
+
+class ControlState(NamedTuple):
+    """All that the step remembers, as records it changes in place."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+    model: Any
+    """Of the model-based check."""
+    air: Any
+    """Of the chamber-pressure observer; moved on only where the feed-forward takes it."""
+
+
+class ControlParameters(NamedTuple):
+    """All that the step is told beforehand: records and the profile's tables."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+    envelope: Any
+    model: Any
+    robot: Any
+    plant: Any
+    """The machine's data for the model-based check."""
+    profile: Any
+    angle: Any
+    """(n, 3) rad, reference at the profile's period."""
+    velocity: Any
+    valve: Any
+    phase: Any
+    """(n,) Phase of each sample."""
+    force: Any
+    """(n, 3) demanded of the actuators, N, shoulder N m; zeros where the feed-forward does not take it."""
+    force_rate: Any
+    """(n, 3) N/s, N m/s"""
+    blind_brake: Any
+    """(m, 6) openings and durations (s)."""
+
+
+def new_control_state(state: State = State.READY) -> ControlState:
+    """Return the state at power-up: standing, nothing read yet.
+
+    A simulation begins in READY, homed and with the lease; a bench begins in State.STARTING.
+    """
+    made = ControlState(
+        new_record(CONTROL_STATE),
+        new_record(ENCODER_STATE),
+        new_record(ESTIMATOR_STATE),
+        new_record(PID_STATE),
+        new_record(MODEL_STATE),
+        new_record(AIR_STATE),
+    )
+    control, begun = made.control, state != State.STARTING
+    control["state"], control["first_cause"] = state, Cause.POWER_UP
+    control["homed"] = begun and state != State.SAFE
+    for name in ("lease_held", "support_ready", "supervisor_alive"):
+        control[name] = begun
+    control["device_operational"] = True
+    control["reset_pressed"] = control["vent_start"] = control["still_since"] = -np.inf
+    return made

@@ -1,0 +1,112 @@
+"""What is watched while the robot stands: vents, homing by pose, interlocks and the latched states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.control.model import model_cause
+from bench.control.states import change_state, disarm, latch, resting_state
+from bench.lifecycle import Cause, State
+from drivers.base.compiled import compiled
+
+_SECURING_TIME = 2.0
+"""In which a guard that is to be locked must be seen locked, s."""
+
+
+@compiled
+def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
+    """Judge whether the chambers are empty; return True when they should be and are not.
+
+    A raised arm hangs on what little air is left and then sinks: before anybody goes near, it has to rest
+    for a while with empty chambers. Where the encoders cannot tell, for as long as sinking may take.
+    """
+    fitted = empty = True
+    blind = s.lost != 0 or s.distrusted
+    for i in range(6):
+        pressure = readings[0].chamber_pressure[i]
+        if not np.isfinite(pressure):
+            fitted = False
+        elif pressure > p.vented_pressure:
+            empty = False
+    still = empty
+    for i in range(3):
+        if not blind and abs(e.velocity[i]) > p.still_speed[i]:
+            still = False
+    if not still:
+        s.still_since = time
+    wait = p.vented_blind if blind else p.vented_still
+    rests = time - s.still_since >= wait or s.state == State.ACCESS
+    late = time - s.vent_start >= p.vent_time
+    s.vented = empty and rests and (fitted or late)
+    return late and not empty
+
+
+@compiled
+def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> None:
+    """Compare absolute encoders with the vented robot's pose; nothing moves."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    good = True
+    for i in range(3):
+        good = good and abs(e.angle[i] - p.home_pose[i]) <= p.home_tolerance[i]
+        good = good and readings[0].encoder_indexed[i] != 0
+    if not good:
+        s.home_good = time
+    if time - s.home_good >= p.home_time:
+        s.homed = True
+        change_state(s, parameters, State.READY, time)
+    elif time - s.state_since >= 2.0 * p.home_time:
+        latch(s, parameters, Cause.HOMING_FAILED, time)
+
+
+@compiled
+def watch_standing(
+    state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
+) -> None:
+    """Latch what must not be while the robot stands, and leave the states in which it stands."""
+    s, p = state.control[0], parameters.control[0]
+    pressed = _watch_vent(p, s, state.estimator[0], readings, time)
+    jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
+    for i in range(3):
+        if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
+            s.homed = False
+    if s.state == State.STARTING:
+        if s.warm:
+            latch(s, parameters, s.first_cause, time)
+        return
+    if interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP:
+        if s.state != State.ESTOP:
+            by_circuit = interlock == Cause.EMERGENCY_STOP
+            latch(s, parameters, Cause.EMERGENCY_STOP if by_circuit else Cause.NETWORK_STOP, time)
+        return
+    if s.state in (State.ESTOP, State.FAULT):
+        return
+    if not s.supervisor_alive or not s.device_operational:
+        latch(s, parameters, Cause.DEVICE_PASSIVE if s.supervisor_alive else Cause.SUPERVISOR, time)
+    elif s.state == State.ACCESS:
+        if not s.vented:
+            latch(s, parameters, Cause.NOT_VENTED, time)
+        elif s.securing and interlock == 0:
+            s.securing = False
+            change_state(s, parameters, resting_state(s), time)
+        elif s.securing and time - s.state_since >= _SECURING_TIME:
+            latch(s, parameters, Cause.GUARD, time)
+    elif interlock != 0:
+        latch(s, parameters, interlock, time)
+    elif asked != 0 and s.state == State.HOMING:
+        latch(s, parameters, asked, time)
+    elif s.lost != 0 and s.seen and s.state != State.SAFE:
+        latch(s, parameters, s.lost, time)
+    elif s.state == State.READY and jumped != 0:
+        s.homed, s.distrusted = False, True  # whatever turned there, it was not the joint
+        latch(s, parameters, jumped, time)
+    elif pressed:
+        latch(s, parameters, Cause.NOT_VENTED, time)
+    elif s.state == State.READY and not s.homed:
+        change_state(s, parameters, State.SAFE, time)
+    elif s.state == State.HOMING:
+        if not s.lease_held:
+            disarm(s, parameters, time)
+        else:
+            _watch_homing(state, parameters, readings, time)

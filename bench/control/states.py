@@ -1,0 +1,109 @@
+"""Changes of the bench's state: one function makes them, and only along EDGES of `bench.lifecycle`.
+
+A change that EDGES does not have is a fault of this program: it stops the bench in the same tick.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
+from drivers.base.compiled import compiled
+
+
+@compiled
+def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
+    """Begin `reaction` unless one as severe is under way; return whether it began."""
+    if reaction <= s.reaction:
+        return False
+    s.reaction = reaction
+    s.reaction_start = s.still_since = time
+    if reaction == Reaction.BLIND_BRAKE:
+        profile = parameters.profile[0]
+        row = s.swing_sample // profile.blind_spacing
+        s.blind_row = min(row, profile.blind_rows - 1) if s.swinging else -1
+    return True
+
+
+@compiled
+def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
+    """Go to `state` if EDGES has that way; else stop with Cause.EXCEPTION in this tick and return False."""
+    p = parameters.control[0]
+    if s.state < len(p.transitions) and p.transitions[s.state, state.value] != 0:
+        s.state, s.state_since = state, time
+        return True
+    s.latest_cause = Cause.EXCEPTION
+    if s.cause == 0:
+        s.cause = Cause.EXCEPTION
+    if s.phase == Phase.STANDING:
+        s.reaction, s.securing = Reaction.VENT, False
+        s.state, s.state_since = State.ESTOP if s.emergency else State.FAULT, time
+    else:
+        begin_reaction(s, parameters, p.reactions[s.phase, TRUSTED], time)
+    return False
+
+
+@compiled
+def resting_state(s: Any) -> State:
+    """Return the state of the robot at rest: that of the latched cause, otherwise whether it is homed."""
+    if s.cause != 0:
+        return State.ESTOP if s.emergency else State.FAULT
+    return State.READY if s.homed else State.SAFE
+
+
+@compiled
+def stand(s: Any, parameters: Any, time: float) -> None:
+    """Stand: end whatever was under way, vent, and latch the state of a cause."""
+    s.swinging = s.moving = s.disarming = s.air = s.vented = False
+    s.phase, s.vent_start = Phase.STANDING, time
+    s.reaction = Reaction.VENT if s.cause != 0 else Reaction.NONE
+    change_state(s, parameters, resting_state(s), time)
+
+
+@compiled
+def latch(s: Any, parameters: Any, cause: int, time: float) -> None:
+    """Latch ESTOP or FAULT while standing; the first cause is kept, unless an emergency comes on top."""
+    s.latest_cause = cause
+    emergency = parameters.control[0].emergencies[s.latest_cause] != 0
+    if s.cause == 0 or (emergency and not s.emergency):
+        s.cause = cause
+    s.emergency = s.emergency or emergency
+    s.reaction, s.securing = Reaction.VENT, False
+    change_state(s, parameters, State.ESTOP if s.emergency else State.FAULT, time)
+
+
+@compiled
+def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> None:
+    """Enter the table's reaction to `cause`, unless a more severe one is under way."""
+    s, p = state.control[0], parameters.control[0]
+    s.latest_cause = cause
+    s.emergency = s.emergency or p.emergencies[s.latest_cause] != 0
+    s.distrusted = s.distrusted or column == LOST or cause >= Cause.SHOULDER_AIR
+    if s.cause == 0:
+        s.cause = cause
+    if begin_reaction(s, parameters, p.reactions[s.phase, column], time) and s.reaction == Reaction.VENT:
+        stand(s, parameters, time)
+
+
+@compiled
+def disarm(s: Any, parameters: Any, time: float) -> None:
+    """Disarm: vent if at rest, otherwise brake first. No cause, nothing is latched."""
+    if s.phase in (Phase.HOLD, Phase.STANDING) or not s.air:
+        stand(s, parameters, time)
+    elif s.reaction == Reaction.NONE:
+        s.reaction, s.moving = Reaction.BRAKE, False
+        s.reaction_start = s.still_since = time
+        if s.state == State.ARMED:
+            change_state(s, parameters, State.RECOVERING, time)
+
+
+@compiled
+def arrive(s: Any, parameters: Any, time: float) -> None:
+    """Be at the address: hold it, or vent after a swing that is not followed by another."""
+    s.moving = False
+    s.phase = Phase.HOLD
+    again = parameters.control[0].series and s.lease_held and s.support_ready and not s.disarming
+    if s.state == State.ARMED or (again and s.reaction == Reaction.NONE):
+        change_state(s, parameters, State.ARMED, time)
+    elif s.reaction == Reaction.NONE:
+        stand(s, parameters, time)

@@ -1,0 +1,117 @@
+"""What is watched while the robot moves or holds, and what stops it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.control.envelope import motion_cause
+from bench.control.homing import search_cause
+from bench.control.model import model_cause
+from bench.control.references import charging
+from bench.control.states import disarm, react
+from bench.lifecycle import (
+    DISOBEYED,
+    DOUBTED,
+    EMERGENCY,
+    LOST,
+    TRUSTED,
+    WRIST_DISOBEYED,
+    Cause,
+    Phase,
+    Reaction,
+    State,
+)
+from drivers.base.compiled import compiled
+
+
+@compiled
+def table_column(cause: int) -> int:
+    """Return the column of the stopping table for a broken limit of motion or of the model."""
+    if cause >= Cause.SHOULDER_SENSOR:
+        return DOUBTED
+    if Cause.SHOULDER_JUMP <= cause < Cause.SHOULDER_FLOW:
+        return LOST
+    if cause >= Cause.SHOULDER_AIR or Cause.SHOULDER_FOLLOWING <= cause < Cause.SHOULDER_FOLLOWING + 3:
+        first = Cause.SHOULDER_AIR if cause >= Cause.SHOULDER_AIR else Cause.SHOULDER_FOLLOWING
+        return WRIST_DISOBEYED if (cause - first) % 3 == 2 else DISOBEYED  # one cause a joint
+    return TRUSTED
+
+
+@compiled
+def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float) -> None:
+    """Stop the moving or holding robot for the first cause found, as the stopping table says."""
+    s = state.control[0]
+    emergency = interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP
+    s.emergency = s.emergency or emergency
+    if s.tick > 1 and not s.measured_step > 0.0 and s.reaction < Reaction.PASSIVE:
+        # With a clock that stands still, runs backwards or is NaN a timed reaction would never end.
+        react(state, parameters, Cause.TICK_GAP, TRUSTED, time)
+        s.reaction = Reaction.PASSIVE
+    elif s.lost != 0:
+        react(state, parameters, s.lost, LOST, time)
+    elif interlock != 0:
+        react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
+    elif asked != 0:
+        react(state, parameters, asked, EMERGENCY if emergency else TRUSTED, time)
+    elif not s.device_operational:
+        # No command arrives; at least no air is left to be let in later.
+        react(state, parameters, Cause.DEVICE_PASSIVE, DISOBEYED, time)
+    elif not s.supervisor_alive:
+        react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
+    elif s.reaction <= Reaction.COMPLETE:
+        if s.phase == Phase.HOMING:
+            _watch_search(state, parameters, time)
+        else:
+            _watch_swing(state, parameters, readings, time)
+
+
+@compiled
+def _watch_search(state: Any, parameters: Any, time: float) -> None:
+    """Stop the search for an index that leaves its limits, or does not fit the model."""
+    s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
+    following = limits.following[Phase.HOMING.value]
+    broken = search_cause(s, parameters.control[0], following, limits.greatest_gap, e.angle, e.velocity, time)
+    stuck = Cause.SHOULDER_FOLLOWING <= broken < Cause.SHOULDER_FOLLOWING + 3
+    doubted = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
+    if doubted != 0 and not charging(s, time):
+        react(state, parameters, doubted, table_column(doubted), time)
+    elif stuck:
+        react(state, parameters, Cause.HOMING_FAILED, DISOBEYED, time)
+    elif broken != 0:
+        react(state, parameters, broken, TRUSTED, time)
+
+
+@compiled
+def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> None:
+    """Stop a swing, a move or a hold that leaves the envelope, or does not fit the model."""
+    s = state.control[0]
+    broken = motion_cause(
+        parameters.envelope,
+        parameters.robot,
+        state.estimator,
+        readings,
+        s.reference,
+        s.phase,
+        s.measured_step,
+        charging(s, time),
+    )
+    if broken == 0 and not charging(s, time):
+        broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
+    longest = s.move_time + parameters.control[0].move_timeout
+    if broken == 0 and s.moving and time - s.move_start > longest:
+        broken = Cause.ADDRESS_TIMEOUT.value
+    if broken != 0:
+        react(state, parameters, broken, table_column(broken), time)
+
+
+@compiled
+def watch_permission(s: Any, parameters: Any, time: float) -> None:
+    """Disarm if the lease or the recorder is lost, or the address was held for too long."""
+    if s.state == State.ARMED and s.reaction == Reaction.NONE:
+        waited = s.phase == Phase.HOLD and time - s.state_since > parameters.control[0].armed_time
+        if waited or not (s.lease_held and s.support_ready):
+            disarm(s, parameters, time)
+    elif s.state == State.HOMING and s.reaction == Reaction.NONE and not s.lease_held:
+        disarm(s, parameters, time)
+    elif s.state in (State.SWINGING, State.RECOVERING) and not (s.lease_held and s.support_ready):
+        s.disarming = True  # also if both come back: nothing is armed again by itself
