@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
-from statsmodels.nonparametric.smoothers_lowess import lowess
 
 from bench.campaign.analysis import SectionAnalysis, values_of
+from bench.campaign.lowess import lowess
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import FIGURES
@@ -145,12 +145,12 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis)
             axes.plot([s.shot for s in kept], values - values.mean(), **_look(index, many))
     kept, values = values_of(plan, [shot for shot in shots if shot.role == Role.CONTROL])
     if len(values) > 1:
-        number, off = np.array([s.shot for s in kept]), values - values.mean()
+        number, off = np.array([s.shot for s in kept], dtype=float), values - values.mean()
         axes.plot(number, off, color=_INK, marker="x", markersize=2.5 if many else 4, linestyle="none",
                   rasterized=many, label="control ball")  # fmt: skip
         if len(off) >= 6:
-            smooth = lowess(off, number, frac=0.4, delta=0.01 * (number[-1] - number[0]), is_sorted=True)
-            axes.plot(*smooth.T, color=_INK, label="control ball, LOWESS")
+            at = number if len(number) <= 100 else np.linspace(number[0], number[-1], 101)
+            axes.plot(at, lowess(number, off, at, share=0.4), color=_INK, label="control ball, LOWESS")
         axes.legend(loc="upper right", ncols=2)
     for shot, _ in analysis.outliers:
         axes.axvline(shot, color=_RED, linewidth=0.6, alpha=0.5)

@@ -4,6 +4,10 @@ Levels are fixed, blocks are random, and where several physical balls of a model
 within its model: then the interval holds for balls that were not hit, too. Restricted maximum likelihood by
 Henderson's equations; blocks, each with a random effect of its own, are eliminated first, so that what is
 left is as small as the number of levels and balls.
+
+Not left to statsmodels: for blocks and balls at once it works with one dense matrix of all shots
+(1,200 shots: 5 s instead of 0.01 s, the same result), and its standard errors are good to some thousandths
+only. The tests compare both.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
 
-PACKAGES = ("golfbench", "numpy", "numba", "scipy", "statsmodels", "filterpy", "sqlalchemy")
+PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
 """Whose versions stand in the record."""
 
 SHORTEST_PREFIX = 4

@@ -11,6 +11,7 @@ import importlib.metadata
 import itertools
 import json
 import os
+import re
 import resource
 import shutil
 import socket
@@ -254,28 +255,55 @@ def data_folder(data_dir: Path) -> ItemResult:
 def package_probes() -> Iterator[Probe]:
     """Return one item for each package golfbench requires, as its own metadata names them."""
     try:
-        from packaging.requirements import Requirement
-
-        wanted = [Requirement(line) for line in importlib.metadata.requires("golfbench") or ()]
-    except (ImportError, importlib.metadata.PackageNotFoundError) as error:
+        lines = importlib.metadata.requires("golfbench") or ()
+    except importlib.metadata.PackageNotFoundError as error:
         found = f"{type(error).__name__}: {error}"
         outcome = ItemResult(
             CheckStatus.MISSING, found, "install golfbench: `make demo`, or `pip install -e .`"
         )
         yield Probe("packages", "golfbench", lambda: outcome, required=True)
         return
-    wanted = [
-        requirement for requirement in wanted if not requirement.marker or requirement.marker.evaluate()
-    ]
-    modules = {
-        requirement.name: _MODULES.get(requirement.name, requirement.name.replace("-", "_"))
-        for requirement in wanted
-    }
+    wanted = [requirement for line in lines if (requirement := Requirement.of(line)) is not None]
+    modules = {r.name: _MODULES.get(r.name, r.name.replace("-", "_")) for r in wanted}
     answers = functools.cache(lambda: import_answers(tuple(modules.values())))
     for requirement in wanted:
-        name = requirement.name
-        look = functools.partial(package, name, requirement.specifier.contains, answers, modules[name])
-        yield Probe("packages", name, look, required=True)
+        look = functools.partial(
+            package, requirement.name, requirement.allows, answers, modules[requirement.name]
+        )
+        yield Probe("packages", requirement.name, look, required=True)
+
+
+class Requirement(NamedTuple):
+    """A package that golfbench requires: from a version, and below another one."""
+
+    name: str
+    bounds: tuple[tuple[str, str], ...]
+    """(">=" or "<", version)."""
+
+    @classmethod
+    def of(cls, line: str) -> Requirement | None:
+        """Return the requirement in a `line` of metadata; None if only an extra requires it."""
+        line, _, marker = line.partition(";")
+        if "extra" in marker:
+            return None
+        name = re.match(r"[A-Za-z0-9._-]+", line)
+        return cls(name[0] if name else line, tuple(re.findall(r"(>=|<)\s*([0-9.]+)", line)))
+
+    def allows(self, version: str) -> bool:
+        """Return whether `version` lies within the bounds."""
+        return all(
+            (_release(version) >= _release(bound)) if sign == ">=" else (_release(version) < _release(bound))
+            for sign, bound in self.bounds
+        )
+
+
+def _release(version: str) -> tuple[int, ...]:
+    """Return the numbers of `version` before any suffix, without zeros at the end: 2.0rc1 as (2,)."""
+    found = re.match(r"[0-9.]+", version)
+    numbers = [int(part) for part in found[0].split(".") if part] if found else []
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return tuple(numbers)
 
 
 def package(

@@ -8,12 +8,14 @@ import resource
 import socket
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import packaging.requirements
 import pytest
 from rich.console import Console
 
@@ -89,6 +91,20 @@ def test_package(name: str, answer: str, allowed: bool, status: CheckStatus, val
     outcome = doctor.package(name, lambda _: allowed, lambda: {"module": answer}, "module")
     assert outcome.status is status
     assert outcome.value.endswith(value)
+
+
+@pytest.mark.parametrize(
+    "version", ["0.9", "1", "2.0", "2.0.1", "2.2.5", "2.10", "3.0.0", "4.1+local", "30.1"]
+)
+def test_versions_are_judged_as_pip_does(version: str) -> None:
+    project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
+    for line in (*project["dependencies"], "plain", "numpy>=2, <3.0"):
+        requirement = doctor.Requirement.of(line)
+        assert requirement is not None
+        known = packaging.requirements.Requirement(line)
+        assert requirement.name == known.name
+        assert requirement.allows(version) == known.specifier.contains(version), line
+    assert doctor.Requirement.of('casadi<4,>=3.7; extra == "design"') is None
 
 
 def test_a_package_that_ends_the_interpreter_costs_only_itself(
