@@ -48,8 +48,8 @@ def _body(
 ) -> BodyTerms:
     """Return one body's part of the mass matrix and of the bias forces.
 
-    `spin_r` are its partial angular velocities (that of u1 is 1), `p` its centre of mass in frame 1 and
-    `p_r` = dp/dtheta_r, so that its partial velocities are z x p, p_2, p_3. `spin_rate` and `a` are the
+    `spin_2`, `spin_3` are its partial angular velocities (that of u1 is 1), p its centre of mass in frame 1
+    and p_r = dp/dtheta_r, so that its partial velocities are z x p, p_2, p_3. `spin_rate` and `a` are the
     parts of its angular and linear acceleration (less gravity) that remain when du/dt = 0.
     """
     torque_bias = inertia * spin_rate

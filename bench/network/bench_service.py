@@ -107,7 +107,7 @@ class LaunchMonitorStatus(TypedDict):
     note: str
     """What is to be said of it; empty when all is well."""
     outcomes: dict[str, int]
-    """How many swings and launches came to which `drivers.launch_monitor.matching.Outcome`."""
+    """How many swings and launches came to which `drivers.launch_monitor.matching.MatchOutcome`."""
     settled_s: float
     """After the impact: by then a swing's outcome is settled."""
     refused: int

@@ -227,7 +227,7 @@ class CommandPlane:
             self._event.put(json.dumps(message, allow_nan=False))
 
     def publish_shot(self, message: Mapping[str, Any]) -> None:
-        """Publish what is known of a shot by now, see `bench.shot_message`."""
+        """Publish what is known of a shot by now, see `bench.shot.shot_message`."""
         with suppress(zenoh.ZError):
             self._shot.put(json.dumps(message, allow_nan=False))
 

@@ -5,7 +5,7 @@ JSON with `version` and, as far as they are known when it is sent:
 `shot_id`   the shot's id, also in the metadata of its record; null for a launch that no swing made
 `record`    path of the swing's record on the bench's machine; null while it is not stored
 `shot`      the shot as a row of the shot table, null while nothing is known of the ball
-`outcome`   null until it is settled, then one of `drivers.launch_monitor.matching.Outcome`
+`outcome`   null until it is settled, then one of `drivers.launch_monitor.matching.MatchOutcome`
 `launch`    what the launch monitor told (SI, see `launch_to_json`), null when it told nothing
 `reason`    what speaks against the launch, or why there is none; empty when all is well
 

@@ -2,7 +2,7 @@
 
 Rerun listens on all interfaces unless told otherwise, and sends usage statistics unless told otherwise. So it
 is started with `--bind 127.0.0.1` and with a configuration folder of its own in which the statistics are
-switched off, which is read back before it starts; its web page comes with a policy (`viewer_page`).
+switched off, which is read back before it starts; its web page comes with a policy (`bench.viewer.page`).
 """
 
 from __future__ import annotations
