@@ -6,7 +6,6 @@ quick.
 
 from __future__ import annotations
 
-import importlib.metadata
 import sys
 import traceback
 from collections.abc import Sequence
@@ -76,7 +75,9 @@ app.add_typer(faults_app, name="faults")
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"golfbench {importlib.metadata.version('golfbench')}")
+        from importlib.metadata import version
+
+        typer.echo(f"golfbench {version('golfbench')}")
         raise typer.Exit
 
 
