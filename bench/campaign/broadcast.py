@@ -33,10 +33,18 @@ class Broadcast(Watcher):
         self._planned = len(all_trials(plan))
         self._times: deque[datetime] = deque(maxlen=_LAST)
         self._message: dict[str, Any] = {
-            "version": VERSION, "campaign": entry.id, "name": entry.name, "state": CampaignState.RUNNING,
-            "reason": "", "shots": 0, "valid": 0, "done": 0, "planned": self._planned, "seconds_left": None,
+            "version": VERSION,
+            "campaign": entry.id,
+            "name": entry.name,
+            "state": CampaignState.RUNNING,
+            "reason": "",
+            "shots": 0,
+            "valid": 0,
+            "done": 0,
+            "planned": self._planned,
+            "seconds_left": None,
             "last_shot": None,
-        }  # fmt: skip
+        }
 
     def shot(self, shot: Shot) -> None:
         """Tell of a shot, and of the time that the rest will take."""
@@ -45,10 +53,15 @@ class Broadcast(Watcher):
         m["valid"] += shot.status is ShotStatus.VALID
         m["done"] += is_settled(self._plan, shot)
         m["last_shot"] = {
-            "shot": shot.shot, "ball": shot.ball, "club": shot.club, "status": shot.status,
-            "reason": shot.reason, "club_speed_mps": shot.club_speed_mps, "carry_m": shot.carry_m,
+            "shot": shot.shot,
+            "ball": shot.ball,
+            "club": shot.club,
+            "status": shot.status,
+            "reason": shot.reason,
+            "club_speed_mps": shot.club_speed_mps,
+            "carry_m": shot.carry_m,
             "time_utc": shot.time_utc.isoformat(),
-        }  # fmt: skip
+        }
         self._times.append(shot.time_utc)
         pace = self._plan.design.seconds_per_shot
         if len(self._times) > 1:

@@ -114,15 +114,24 @@ def _levels(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis
         spread = analysis.levels[index].spread
         if spread.n >= 2:
             result.errorbar(
-                [spread.mean], [index], xerr=[[spread.mean - spread.low], [spread.high - spread.mean]],
-                color=_INK, marker="|", markersize=12, capsize=4, linewidth=1.4, label=level,
-            )  # fmt: skip
+                [spread.mean],
+                [index],
+                xerr=[[spread.mean - spread.low], [spread.high - spread.mean]],
+                color=_INK,
+                marker="|",
+                markersize=12,
+                capsize=4,
+                linewidth=1.4,
+                label=level,
+            )
         speeds = [s.club_speed_mps for s in mine if s.club_speed_mps and s.status is ShotStatus.VALID]
         club.plot(speeds, np.full(len(speeds), index) + _spread_out(len(speeds)), **style)
     result.set_yticks(range(len(found)), [level for level, _ in found])
     result.set_ylim(len(found) - 0.4, -0.6)
-    result.set(title=f"{name.capitalize()}: mean and {100 * plan.analysis.confidence:g} % interval",
-               xlabel=f"{name}, {unit}")  # fmt: skip
+    result.set(
+        title=f"{name.capitalize()}: mean and {100 * plan.analysis.confidence:g} % interval",
+        xlabel=f"{name}, {unit}",
+    )
     club.set(title="Club speed delivered", xlabel="m/s")
     return figure
 
@@ -146,8 +155,16 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis)
     kept, values = values_of(plan, [shot for shot in shots if shot.role == Role.CONTROL])
     if len(values) > 1:
         number, off = np.array([s.shot for s in kept], dtype=float), values - values.mean()
-        axes.plot(number, off, color=_INK, marker="x", markersize=2.5 if many else 4, linestyle="none",
-                  rasterized=many, label="control ball")  # fmt: skip
+        axes.plot(
+            number,
+            off,
+            color=_INK,
+            marker="x",
+            markersize=2.5 if many else 4,
+            linestyle="none",
+            rasterized=many,
+            label="control ball",
+        )
         if len(off) >= 6:
             at = number if len(number) <= 100 else np.linspace(number[0], number[-1], 101)
             axes.plot(at, lowess(number, off, at, share=0.4), color=_INK, label="control ball, LOWESS")

@@ -135,13 +135,21 @@ class CampaignCorrections:
             weights = self.weights(arm)
             with robot(lecture) as swinger:
                 lesson = learn(
-                    lecture, swinger, LearningSettings(swings=self._plan.learning.swings),
+                    lecture,
+                    swinger,
+                    LearningSettings(swings=self._plan.learning.swings),
                     start=np.array(weights) if weights else None,
-                )  # fmt: skip
+                )
             found = stored(
-                lesson, self._entry.bench, profile.name, self._conditions(arm, truth), "encoders+model",
-                datetime.now(UTC), simulated=self._simulated, beside=mark,
-            )  # fmt: skip
+                lesson,
+                self._entry.bench,
+                profile.name,
+                self._conditions(arm, truth),
+                "encoders+model",
+                datetime.now(UTC),
+                simulated=self._simulated,
+                beside=mark,
+            )
             found = replace(found, version=keep(self._database, found))
         swings = f"{len(found.content['swings']) - 1} learning swings"
         if not found.within:

@@ -416,9 +416,14 @@ class LiveShots:
     ) -> Taken:
         """Return the shot that the robot did not swing for, or whose record is missing."""
         shot = Shot.from_measurements(
-            **_row(step, number, sample), delivery=None, launch=None, flight=None, status=ShotStatus.FAILED,
-            reason=reason, time_utc=datetime.now(UTC),
-        )  # fmt: skip
+            **_row(step, number, sample),
+            delivery=None,
+            launch=None,
+            flight=None,
+            status=ShotStatus.FAILED,
+            reason=reason,
+            time_utc=datetime.now(UTC),
+        )
         return Taken(shot, None, {}, False, events)
 
     def _taken(
@@ -484,9 +489,14 @@ class LiveShots:
                 "relative_humidity": air.relative_humidity,
             }
         shot = Shot.from_measurements(
-            **row, delivery=delivery, launch=launch, flight=flight, status=status, reason=reason,
+            **row,
+            delivery=delivery,
+            launch=launch,
+            flight=flight,
+            status=status,
+            reason=reason,
             time_utc=datetime.fromisoformat(metadata["time_utc"]),
-        )  # fmt: skip
+        )
         shot = replace(shot, **figures)
         metadata |= {"record": record.path.name, **more}
         return Taken(shot, cycles, metadata, struck, events, original=record.path)
@@ -496,10 +506,18 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
     """Return what is known of a shot before it is taken."""
     trial, arm = step.trial, step.trial.arm
     return {
-        "shot": number, "block": trial.block, "position": trial.position, "club": arm.club,
-        "ball": arm.ball, "swing": arm.swing, "role": str(trial.role), "section": trial.section,
-        "attempt": step.attempt, "sample": sample, "carry_source": "model",
-    }  # fmt: skip
+        "shot": number,
+        "block": trial.block,
+        "position": trial.position,
+        "club": arm.club,
+        "ball": arm.ball,
+        "swing": arm.swing,
+        "role": str(trial.role),
+        "section": trial.section,
+        "attempt": step.attempt,
+        "sample": sample,
+        "carry_source": "model",
+    }
 
 
 @contextmanager

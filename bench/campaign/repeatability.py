@@ -73,9 +73,18 @@ def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot
     _, codes = np.unique([block for _, block in found], return_inverse=True)
     within, overall = variance_components(values, codes)
     return Repeatability(
-        column, name, unit, digits, len(values), int(codes.max()) + 1, float(values.mean()), within, overall,
-        float(values.min()), float(values.max()),
-    )  # fmt: skip
+        column,
+        name,
+        unit,
+        digits,
+        len(values),
+        int(codes.max()) + 1,
+        float(values.mean()),
+        within,
+        overall,
+        float(values.min()),
+        float(values.max()),
+    )
 
 
 def variance_components(values: Array, group: Codes, confidence: float = 0.95) -> tuple[Scatter, Scatter]:

@@ -106,7 +106,7 @@ class SimulatedShots:
             double=s.launch_double,
             dropped=s.missing_launch,
             seed=plan.design.seed,
-        )  # fmt: skip - the noise is the plan's, see monitored
+        )
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
 
     def time_of(self, number: int) -> datetime:

@@ -30,8 +30,11 @@ def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSu
         table.add_column(heading, justify="right")
     for summary in summaries:
         stop, pressure, lowest, slowest = (
-            summary.worst_stop, summary.worst_pressure, summary.lowest, summary.slowest,
-        )  # fmt: skip
+            summary.worst_stop,
+            summary.worst_pressure,
+            summary.lowest,
+            summary.slowest,
+        )
         table.add_row(
             summary.fault,
             str(summary.instants),

@@ -146,9 +146,15 @@ def _outcomes(
         task = bar.add_task(text, total=len(plan.cases))
         begun = monotonic()
         outcomes = run_matrix(
-            plan, configuration, profile, store, model_check=model_check, processes=processes,
-            progress=lambda done: bar.update(task, completed=done), stop=asked.is_made,
-        )  # fmt: skip
+            plan,
+            configuration,
+            profile,
+            store,
+            model_check=model_check,
+            processes=processes,
+            progress=lambda done: bar.update(task, completed=done),
+            stop=asked.is_made,
+        )
         store.took(monotonic() - begun)
     return outcomes, store.seconds
 

@@ -79,9 +79,14 @@ def out_of_reach(plant: PlantParameters, human: HumanDownswing) -> tuple[float, 
 
 def _table(title: str, caption: str, *columns: str) -> Table:
     table = Table(
-        box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, caption=caption,
-        title_justify="left", caption_justify="left",
-    )  # fmt: skip
+        box=SIMPLE_HEAD,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+        title=title,
+        caption=caption,
+        title_justify="left",
+        caption_justify="left",
+    )
     table.add_column("golfer", no_wrap=True)
     for heading in columns:
         table.add_column(heading, justify="right", no_wrap=True)
@@ -94,8 +99,11 @@ def deviations_table(rows: list[GolferRow]) -> Table:
         "The robot against golfers",
         "Root mean square over the downswing, clocks laid together at the ball, in % of the human's range; "
         f"Hunt and Wiens quote {100 * HUNT_WIENS:.1f} % without a public definition.",
-        "shoulder", "arm", "wrist", "head",
-    )  # fmt: skip
+        "shoulder",
+        "arm",
+        "wrist",
+        "head",
+    )
     for row in rows:
         table.add_row(row.golfer.name, *(f"{100 * share:.0f}" for share in row.away))
     return table
@@ -108,8 +116,14 @@ def reach_table(rows: list[GolferRow], plant: PlantParameters) -> Table:
         "Head speed of the golfer, of the model of his or her motion, of the robot, and what that is short "
         "by, m/s; golfer's and robot's downswing, s; the robot's attack angle, deg; how far the golfer goes "
         "beyond the robot's range: shoulder (rad), right arm (m), wrist (rad).",
-        "m/s", "model", "robot", "short", "downswing", "attack", "beyond",
-    )  # fmt: skip
+        "m/s",
+        "model",
+        "robot",
+        "short",
+        "downswing",
+        "attack",
+        "beyond",
+    )
     for row in rows:
         speed, attack = (row.swing.delivery.get(key) for key in ("head_speed_mps", "attack_angle_deg"))
         table.add_row(

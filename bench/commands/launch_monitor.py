@@ -73,20 +73,34 @@ def launch_monitor(
     c = context.ensure_object(Session).configuration()
     usual = MonitorParameters()
     parameters = MonitorParameters(
-        speed_noise=noise * usual.speed_noise, angle_noise=noise * usual.angle_noise,
-        spin_noise=noise * usual.spin_noise, axis_noise=noise * usual.axis_noise,
-        delay=delay, missing=missing, dropped=tuple(drop or ()), misread=misread, double=double,
-        repeated=repeated, no_spin=no_spin, club=club, ghost=ghost, pieces=pieces, text_numbers=text,
+        speed_noise=noise * usual.speed_noise,
+        angle_noise=noise * usual.angle_noise,
+        spin_noise=noise * usual.spin_noise,
+        axis_noise=noise * usual.axis_noise,
+        delay=delay,
+        missing=missing,
+        dropped=tuple(drop or ()),
+        misread=misread,
+        double=double,
+        repeated=repeated,
+        no_spin=no_spin,
+        club=club,
+        ghost=ghost,
+        pieces=pieces,
+        text_numbers=text,
         seed=seed,
-    )  # fmt: skip
+    )
     settings = c.launch_monitor
     address = (settings.address, settings.port)
     if not settings.enabled:
         typer.echo("[launch_monitor] is not enabled here; the running bench may have it on", err=True)
     play(
-        parameters, c.plant, folder or bench_folder(c.bench.id), address,
+        parameters,
+        c.plant,
+        folder or bench_folder(c.bench.id),
+        address,
         lambda text: typer.echo(text, err=True),
-    )  # fmt: skip
+    )
 
 
 def play(

@@ -95,9 +95,11 @@ def learn(
     only = {"--robot": robot, "--draw": draw} if not sim else {"--source": source}
     for option in (name for name, value in only.items() if value is not None):
         raise BenchError(
-            "learn", option, f"{'with' if not sim else 'without'} --sim only",
+            "learn",
+            option,
+            f"{'with' if not sim else 'without'} --sim only",
             "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here."),
-        )  # fmt: skip
+        )
 
     if records and identified is None:
         raise BenchError(
@@ -141,9 +143,11 @@ def learn(
             live = stack.enter_context(LiveSwinger(client, lecture, measured, say, ask_mark))
         swinger = live or on_series(lecture, Series(bench, truth))
         lesson = learned(
-            lecture, swinger, LearningSettings(swings=swings),
+            lecture,
+            swinger,
+            LearningSettings(swings=swings),
             told=lambda attempt: bar.update(task, advance=1),
-        )  # fmt: skip
+        )
         if live is not None:
             live.correct(lesson.weights)
     settings, now = configuration.bench, datetime.now(UTC)

@@ -100,6 +100,8 @@ def play(plan: NodesPlan) -> None:
         run_nodes(plan, lambda how: typer.echo(f"nodes {numbers} live on {where} ({how})", err=True), wish)
     except (OSError, can.CanError, SharedMemoryError) as error:
         raise NoBus(
-            f"nodes on {where}", str(error), "a CAN interface that can be opened",
+            f"nodes on {where}",
+            str(error),
+            "a CAN interface that can be opened",
             "Bring it up, or take --config local_can, which needs none.",
-        ) from error  # fmt: skip
+        ) from error

@@ -111,7 +111,8 @@ def replay_json(
         "last_tick": int(ticks[-1]),
         "tolerance": tolerance,
         "fields": [
-            {key: _finite(value) for key, value in d._asdict().items()} if d.ticks
+            {key: _finite(value) for key, value in d._asdict().items()}
+            if d.ticks
             else {"field": d.field, "greatest": _finite(d.greatest), "ticks": 0}
             for d in differences
         ],
@@ -119,7 +120,7 @@ def replay_json(
         "not_compared": sorted(MEASURED),
         "default_settings": list(replay.defaults),
         "changed_versions": changed_versions(metadata),
-    }  # fmt: skip
+    }
 
 
 def _shown(field: str, value: float) -> str:

@@ -157,9 +157,12 @@ def margins_table(title: str, judged: Judged) -> Table:
 
 
 def _story(
-    before: Gains, after: Gains, recipe: Recipe | None, proofs: dict[str, tuple[Proof, Proof]],
+    before: Gains,
+    after: Gains,
+    recipe: Recipe | None,
+    proofs: dict[str, tuple[Proof, Proof]],
     worst: tuple[str, str],
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Return what to say below the table."""
     from drivers.base import JOINTS
 

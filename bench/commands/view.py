@@ -90,9 +90,15 @@ def _check(
 
 
 def _view_records(
-    stack: ExitStack, shot: Path | None, campaign: Sequence[Path], save: Path | None, web: bool,
-    connect: str | None, port: int | None, memory_limit: str,
-) -> None:  # fmt: skip
+    stack: ExitStack,
+    shot: Path | None,
+    campaign: Sequence[Path],
+    save: Path | None,
+    web: bool,
+    connect: str | None,
+    port: int | None,
+    memory_limit: str,
+) -> None:
     from bench.commands.progress import progress_bar
     from bench.viewer.recording import layout_for, log_shots, write_recording
 
@@ -136,9 +142,14 @@ def _read(
 
 
 def _view_bench(
-    stack: ExitStack, options: Session, save: Path | None, web: bool, connect: str | None, port: int | None,
+    stack: ExitStack,
+    options: Session,
+    save: Path | None,
+    web: bool,
+    connect: str | None,
+    port: int | None,
     memory_limit: str,
-) -> None:  # fmt: skip
+) -> None:
     import time
 
     import rerun as rr

@@ -19,9 +19,16 @@ _STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
 _READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered")
 """Rules of everybody with a role."""
 _MESSAGES = (
-    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
-    "liveliness_query", "declare_liveliness_subscriber",
-)  # fmt: skip
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
 
 
 def access_control(

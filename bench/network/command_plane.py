@@ -56,9 +56,18 @@ LONGEST_END = 1.5
 """s that `CommandPlane.close` waits for the lanes."""
 
 _CHANGES = (
-    "state", "phase", "reaction", "cause", "homed", "vented", "swings", "support_ready",
-    "emergency_stop_clear", "guard_closed", "guard_locked",
-)  # fmt: skip
+    "state",
+    "phase",
+    "reaction",
+    "cause",
+    "homed",
+    "vented",
+    "swings",
+    "support_ready",
+    "emergency_stop_clear",
+    "guard_closed",
+    "guard_locked",
+)
 """Parts of the state that are told as soon as they change, as the lease's holder and a launch monitor's
 coming and going are."""
 

@@ -26,9 +26,13 @@ def add_reading(database: Engine, bench: str, reading: AirReading) -> None:
     """Add a reading at `bench`."""
     air = reading.air
     row = {
-        "bench": bench, "date": reading.date, "temperature": air.temperature, "pressure": air.pressure,
-        "relative_humidity": air.relative_humidity, "by": reading.by,
-    }  # fmt: skip
+        "bench": bench,
+        "date": reading.date,
+        "temperature": air.temperature,
+        "pressure": air.pressure,
+        "relative_humidity": air.relative_humidity,
+        "by": reading.by,
+    }
     with database.execution_options(sqlite_begin="IMMEDIATE").begin() as connection:
         connection.execute(insert(_READINGS).values(row))
 

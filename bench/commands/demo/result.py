@@ -63,12 +63,16 @@ def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignP
     plan = replace(
         plan,
         design=replace(
-            plan.design, balls=balls, clubs=(club,), swings=(c.swing.profile,),
-            blocks=-(-swings // len(balls)), seed=seed,
+            plan.design,
+            balls=balls,
+            clubs=(club,),
+            swings=(c.swing.profile,),
+            blocks=-(-swings // len(balls)),
+            seed=seed,
         ),
         balls={name: c.balls[name] for name in balls},
         clubs={club: c.clubs[club]},
-    )  # fmt: skip
+    )
     require_swings(plan, c)
     return plan
 

@@ -58,8 +58,12 @@ def test_what_is_added_comes_back_bit_for_bit(database: Engine, values: Values) 
     entry = add(database, values, note="new tee")
     assert entry.values == values
     assert (entry.version, entry.bench, entry.by, entry.method, entry.note) == (
-        1, "b", "me", "rule", "new tee",
-    )  # fmt: skip
+        1,
+        "b",
+        "me",
+        "rule",
+        "new tee",
+    )
     assert (entry.date, entry.expires) == (NOW, NOW + 10 * DAY)
     assert list_calibrations(database, "b") == [entry]
     assert values_of(entry.kind, content_of(values), "here") == values
@@ -169,16 +173,25 @@ def _at(folder: Path, driver: str) -> Configuration:
     ("kind", "content", "places"),
     [
         (CalibrationKind.BALL, {"x": 0.2, "y": -1.5}, ["here: uncertainty"]),
-        (CalibrationKind.BALL, {"x": float("nan"), "y": 9.0, "uncertainty": True},
-         ["here: x", "here: y", "here: unc"]),
+        (
+            CalibrationKind.BALL,
+            {"x": float("nan"), "y": 9.0, "uncertainty": True},
+            ["here: x", "here: y", "here: unc"],
+        ),
         (CalibrationKind.BALL, {"x": 0.2, "y": -1.5, "uncertainty": 0.001, "z": 1.0}, ["here: z"]),
-        (CalibrationKind.VALVES, {"centre": [0.0, 0.3, 0.0], "dead_band": [0.0], "uncertainty": 0.0},
-         ["here: centre[1]", "here: dead_band"]),
+        (
+            CalibrationKind.VALVES,
+            {"centre": [0.0, 0.3, 0.0], "dead_band": [0.0], "uncertainty": 0.0},
+            ["here: centre[1]", "here: dead_band"],
+        ),
         (CalibrationKind.ENCODERS, content_of(ZEROS) | {"sign": [1, 0, 1]}, ["here"]),
-        (CalibrationKind.ENCODERS, content_of(ZEROS) | {"counts_per_revolution": 3},
-         ["here: counts_per_revolution"]),
+        (
+            CalibrationKind.ENCODERS,
+            content_of(ZEROS) | {"counts_per_revolution": 3},
+            ["here: counts_per_revolution"],
+        ),
     ],
-)  # fmt: skip
+)
 def test_every_wrong_value_is_named(
     kind: CalibrationKind, content: dict[str, Any], places: list[str]
 ) -> None:

@@ -35,12 +35,22 @@ def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
     plan = load_plan(Path(name), configuration)
     plan = replace(plan, design=replace(plan.design, blocks=blocks))
     shots = [
-        replace(shot, club_speed_mps=42.9 + 0.01 * (n % 7), attack_angle_deg=0.5, dynamic_loft_deg=11.1,
-                strike_x_mm=0.1 * (n % 5), ball_speed_mps=62.0 + 0.01 * n, carry_side_m=-2.0 + n % 9 / 9,
-                total_m=190.0, delivery_source="simulated", air_temperature_k=298.15,
-                air_pressure_pa=101325.0, relative_humidity=0.5)
+        replace(
+            shot,
+            club_speed_mps=42.9 + 0.01 * (n % 7),
+            attack_angle_deg=0.5,
+            dynamic_loft_deg=11.1,
+            strike_x_mm=0.1 * (n % 5),
+            ball_speed_mps=62.0 + 0.01 * n,
+            carry_side_m=-2.0 + n % 9 / 9,
+            total_m=190.0,
+            delivery_source="simulated",
+            air_temperature_k=298.15,
+            air_pressure_pa=101325.0,
+            relative_humidity=0.5,
+        )
         for n, shot in enumerate(campaign_shots(plan, truth, 1))
-    ]  # fmt: skip
+    ]
     shots[5] = replace(shots[5], status=ShotStatus.EXCLUDED, reason="the launch monitor saw <no> ball")
     entry = new_entry(plan, configuration, NOW, simulated=True)
     standing = Standing(CampaignState.FINISHED, "", "")
@@ -72,10 +82,21 @@ def test_the_verdict_comes_before_any_table_or_picture(text: str) -> None:
 def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
     words = _words(text)
     for wanted in (
-        record.entry.id, record.entry.digest, "Seed", "guard opened", "Every figure is simulated",
-        "Tested by, date", "Symmetry: pole against seam", "25.0 °C, 1013 hPa, 50 %", "scipy",
-        "drift removed by the control", "Mixed model", "reproducibility SD", "ball tour", "plan.design",
-    ):  # fmt: skip
+        record.entry.id,
+        record.entry.digest,
+        "Seed",
+        "guard opened",
+        "Every figure is simulated",
+        "Tested by, date",
+        "Symmetry: pole against seam",
+        "25.0 °C, 1013 hPa, 50 %",
+        "scipy",
+        "drift removed by the control",
+        "Mixed model",
+        "reproducibility SD",
+        "ball tour",
+        "plan.design",
+    ):
         assert wanted in words, wanted
     assert "saw &lt;no&gt; ball" in text
 
@@ -139,9 +160,16 @@ def test_a_baseline_holds_or_tells_what_left_its_band(record: CampaignRecord, tm
 
 @pytest.mark.parametrize(
     "content",
-    ["", "x = 1", "[[figure]]\nlow = 1", '[[figure]]\npath = "a"', '[[figure]]\npath = "a"\nlow = nan',
-     '[[figure]]\npath = "a"\nlow = 2\nhigh = 1', '[[figure]]\npath = "a"\nlow = 2\nhihg = 1'],
-)  # fmt: skip
+    [
+        "",
+        "x = 1",
+        "[[figure]]\nlow = 1",
+        '[[figure]]\npath = "a"',
+        '[[figure]]\npath = "a"\nlow = nan',
+        '[[figure]]\npath = "a"\nlow = 2\nhigh = 1',
+        '[[figure]]\npath = "a"\nlow = 2\nhihg = 1',
+    ],
+)
 def test_a_wrong_baseline_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "baseline.toml"
     file.write_text(content)
@@ -178,10 +206,15 @@ def test_a_browser_shows_it_without_a_word_of_complaint_and_prints_it(
 
 def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.CompletedProcess[Any]:
     options = (
-        "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-        "--host-resolver-rules=MAP * ~NOTFOUND", "--no-first-run",
-        "--enable-logging=stderr", f"--user-data-dir={folder / 'profile'}",
-    )  # fmt: skip
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--no-first-run",
+        "--enable-logging=stderr",
+        f"--user-data-dir={folder / 'profile'}",
+    )
     command = [chromium, *options, action, page.as_uri()]
     return subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
 

@@ -51,9 +51,16 @@ def stored(value: float, date: datetime, **changes: Any) -> Learned:
     plant = replace(plant, robot=replace(plant.robot, club=PLAN.clubs[ARM[1]]))
     here = Conditions.of(PROFILE, plant, CONFIGURATION.air.temperature, plant)
     learned = Learned(
-        CONFIGURATION.bench.id, PROFILE.name, date, True, "encoders+model", here, True, (value,) * SIZE,
+        CONFIGURATION.bench.id,
+        PROFILE.name,
+        date,
+        True,
+        "encoders+model",
+        here,
+        True,
+        (value,) * SIZE,
         {"swings": [{}, {}]},
-    )  # fmt: skip
+    )
     return replace(learned, **changes)
 
 

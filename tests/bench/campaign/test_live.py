@@ -106,8 +106,10 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
             assert process.returncode == ExitCode.OK, output
         shots = [stored.shot for stored in store.shots(entry.id)]
         assert [(s.shot, s.status, s.attempt) for s in shots] == [
-            (1, ShotStatus.FAILED, 1), (2, ShotStatus.VALID, 2), (3, ShotStatus.VALID, 1),
-        ]  # fmt: skip
+            (1, ShotStatus.FAILED, 1),
+            (2, ShotStatus.VALID, 2),
+            (3, ShotStatus.VALID, 1),
+        ]
         assert shots[0].reason == "stopped by the operator"
         assert {shots[1].ball, shots[2].ball} == {"tour", "range"}
         assert shots[0].time_utc < shots[1].time_utc < shots[2].time_utc
@@ -137,9 +139,15 @@ class StandingBench:
     def __init__(self, **status: Any) -> None:
         self.asked: list[str] = []
         self._status = {
-            "state": "READY", "phase": "STANDING", "cause": None, "lease": {"holder": "me"}, "tick": 1,
-            "supply_pressure_pa": 8.0e5, "correction": 0, **status,
-        }  # fmt: skip
+            "state": "READY",
+            "phase": "STANDING",
+            "cause": None,
+            "lease": {"holder": "me"},
+            "tick": 1,
+            "supply_pressure_pa": 8.0e5,
+            "correction": 0,
+            **status,
+        }
 
     def status(self) -> dict[str, Any]:
         return self._status
@@ -177,10 +185,17 @@ def shots_of(
 ) -> LiveShots:
     configuration = load_configuration(Path("shipped"))
     return LiveShots(
-        plan, AsDesigned(require_swings(plan, configuration)), configuration.clubs, bench, "me",
-        simulated=simulated, interrupted=interrupted, aborted=never,
-        monitored=monitored, air=lambda: air,
-    )  # fmt: skip
+        plan,
+        AsDesigned(require_swings(plan, configuration)),
+        configuration.clubs,
+        bench,
+        "me",
+        simulated=simulated,
+        interrupted=interrupted,
+        aborted=never,
+        monitored=monitored,
+        air=lambda: air,
+    )
 
 
 def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
@@ -223,8 +238,14 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
     profiles = require_swings(plan, configuration)
 
     def require(plan: CampaignPlan = plan, **status: Any) -> None:
-        given: Any = {"driver": "sim", "profile": "default", "club": "driver", "bench": "b", "lease": None,
-                      "launch_monitor": None}  # fmt: skip
+        given: Any = {
+            "driver": "sim",
+            "profile": "default",
+            "club": "driver",
+            "bench": "b",
+            "lease": None,
+            "launch_monitor": None,
+        }
         require_live(plan, profiles, configuration.clubs, given | status)
 
     require()
@@ -343,9 +364,12 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: CampaignPla
     swing = simulate_swing(robot, Ball())
     assert swing.launch is not None
     metadata = {
-        **robot.metadata(), "outcome": {"cause": "NONE"}, "complete": True, "lost_records": 0,
+        **robot.metadata(),
+        "outcome": {"cause": "NONE"},
+        "complete": True,
+        "lost_records": 0,
         "time_utc": "2026-11-21T12:00:00+00:00",
-    }  # fmt: skip
+    }
     record = SwingRecord(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
     told = ShotMessage(
         "1", None, MatchOutcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
@@ -469,8 +493,9 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
         assert (prompt.before_shot, prompt.by) == (2, "Ann")
         first, second = (stored.shot for stored in store.shots(name))
         assert [(s.club, s.status) for s in (first, second)] == [
-            ("driver", ShotStatus.VALID), ("driver-9", ShotStatus.VALID),
-        ]  # fmt: skip
+            ("driver", ShotStatus.VALID),
+            ("driver-9", ShotStatus.VALID),
+        ]
         assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
             (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
         )

@@ -66,8 +66,13 @@ def test_every_shipped_campaign_holds_and_its_swings_fit(name: str, configuratio
 
 def test_the_six_examples_are_there() -> None:
     assert set(campaign_names()) == {
-        "two-balls", "ten-balls", "clubs", "distance", "symmetry", "repeatability",
-    }  # fmt: skip
+        "two-balls",
+        "ten-balls",
+        "clubs",
+        "distance",
+        "symmetry",
+        "repeatability",
+    }
     assert find_plan(Path("two-balls")) == EXAMPLES / "two-balls.toml"
 
 
@@ -132,8 +137,10 @@ def test_blocks_are_complete_and_the_control_ball_stands_at_start_middle_and_end
     plan = load_plan(Path("ten-balls"), configuration)
     slow, middle, fast = sections(plan)
     assert [{arm.swing for arm in section.arms} for section in (slow, middle, fast)] == [
-        {"driver-85mph"}, {"driver-90mph"}, {"default"},
-    ]  # fmt: skip
+        {"driver-85mph"},
+        {"driver-90mph"},
+        {"default"},
+    ]
     orders = set()
     for number in range(1, plan.design.blocks + 1):
         trials = block_trials(plan, slow, number)

@@ -93,9 +93,15 @@ class Series:
     ) -> RunOutcome:
         profiles = require_swings(self.plan, CONFIGURATION)
         runner = Runner(
-            self.entry, self.plan, self.store, self.folder, source, Watcher(), 4,
+            self.entry,
+            self.plan,
+            self.store,
+            self.folder,
+            source,
+            Watcher(),
+            4,
             person or Person(kinds=frozenset({PromptKind.BENCH})),
-        )  # fmt: skip
+        )
         return runner.run(course_of(self.plan, profiles, CONFIGURATION.plant.robot.lie), interrupted)
 
     @property

@@ -45,11 +45,16 @@ class Blocks:
         for _ in range(shots):
             yield self.drifts.before(step(number, swing))
             values = {
-                "club_speed_mps": speed + 0.03 * self.random.standard_normal(), "attack_angle_deg": 1.0,
-                "dynamic_loft_deg": 11.0, "strike_x_mm": 0.1 * self.random.standard_normal(),
-                "strike_y_mm": -2.0, "status": ShotStatus.VALID, "reason": "", "delivery_source": "simulated",
+                "club_speed_mps": speed + 0.03 * self.random.standard_normal(),
+                "attack_angle_deg": 1.0,
+                "dynamic_loft_deg": 11.0,
+                "strike_x_mm": 0.1 * self.random.standard_normal(),
+                "strike_y_mm": -2.0,
+                "status": ShotStatus.VALID,
+                "reason": "",
+                "delivery_source": "simulated",
                 "role": "test",
-            } | changes  # fmt: skip
+            } | changes
             shot = Shot(1, number, 1, "driver", "tour", time_utc=NOW, swing=swing, section=1, **values)  # type: ignore[arg-type]
             self.drifts.note(shot)
 

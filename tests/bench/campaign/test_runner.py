@@ -80,15 +80,31 @@ class Scripted:
         self.taken.append((number, step, sample))
         arm, trial = step.trial.arm, step.trial
         values: dict[str, Any] = {
-            "club_speed_mps": 42.9, "attack_angle_deg": 0.5, "dynamic_loft_deg": 11.1, "strike_x_mm": 0.0,
-            "strike_y_mm": 0.0, "carry_m": 180.0 + 0.1 * (number * 7 % 11), "ball_speed_mps": 62.0,
-            "delivery_source": "simulated", "status": ShotStatus.VALID, "reason": "",
-        } | self.script(number)  # fmt: skip
+            "club_speed_mps": 42.9,
+            "attack_angle_deg": 0.5,
+            "dynamic_loft_deg": 11.1,
+            "strike_x_mm": 0.0,
+            "strike_y_mm": 0.0,
+            "carry_m": 180.0 + 0.1 * (number * 7 % 11),
+            "ball_speed_mps": 62.0,
+            "delivery_source": "simulated",
+            "status": ShotStatus.VALID,
+            "reason": "",
+        } | self.script(number)
         shot = Shot(
-            number, trial.block, trial.position, arm.club, arm.ball, time_utc=self.time_of(number),
-            swing=arm.swing, role=str(trial.role), section=trial.section, attempt=step.attempt, sample=sample,
+            number,
+            trial.block,
+            trial.position,
+            arm.club,
+            arm.ball,
+            time_utc=self.time_of(number),
+            swing=arm.swing,
+            role=str(trial.role),
+            section=trial.section,
+            attempt=step.attempt,
+            sample=sample,
             **values,
-        )  # fmt: skip
+        )
         from bench.telemetry.cycle_record import CYCLE
 
         cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
@@ -155,9 +171,15 @@ def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]
     assert outcome.state is CampaignState.FINISHED
     attempts = [(s.shot, s.block, s.position, s.attempt) for s in bench.shots if s.block == 1]
     assert attempts == [
-        (4, 1, 1, 1), (5, 1, 2, 1), (6, 1, 2, 2), (7, 1, 3, 1), (8, 1, 4, 1), (9, 1, 4, 2), (10, 1, 4, 3),
+        (4, 1, 1, 1),
+        (5, 1, 2, 1),
+        (6, 1, 2, 2),
+        (7, 1, 3, 1),
+        (8, 1, 4, 1),
+        (9, 1, 4, 2),
+        (10, 1, 4, 3),
         (11, 1, 5, 1),
-    ]  # fmt: skip
+    ]
 
 
 def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[..., Bench]) -> None:

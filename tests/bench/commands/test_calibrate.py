@@ -161,11 +161,14 @@ def test_valves_are_measured_on_the_software_plant(golfbench: Run) -> None:
         ([*POSE, "--counts", "1", "5", "5", "--sign", "1", "0", "1"], 2, ["sign: 1 or -1"]),
         (["valves", "--measure", "--uncertainty", "1"], 2, ["Give one or the other"]),
         (["valves", "--centre", "0", "0", "0"], 2, ["values missing"]),
-        (["valves", "--centre", "0", "0.5", "0", "--dead-band", "0", "0", "0", "--uncertainty", "0"], 2,
-         ["centre[1]", "-0.2 to 0.2"]),
+        (
+            ["valves", "--centre", "0", "0.5", "0", "--dead-band", "0", "0", "0", "--uncertainty", "0"],
+            2,
+            ["centre[1]", "-0.2 to 0.2"],
+        ),
         ([*BALL, "--expires-days", "0"], 2, []),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_told_and_nothing_is_stored(
     golfbench: Run, arguments: list[str], code: int, texts: list[str]
 ) -> None:

@@ -82,8 +82,9 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     call("export", campaign, "--output", tmp_path / "shots.csv")
     shots = read_shot_table(tmp_path / "shots.csv")
     assert [shot.reason for shot in shots if shot.reason] == [
-        "the launch monitor saw no ball", "feeder jam: no ball came",
-    ]  # fmt: skip
+        "the launch monitor saw no ball",
+        "feeder jam: no ball came",
+    ]
     assert shots[4].club_speed_mps is not None
     assert shots[4].carry_m is None
     assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
@@ -167,13 +168,13 @@ centre = "planned"
     ("change", "place", "words"),
     [
         (('"range"]', '"rnage"]'), "short.toml: design.balls", "Did you mean range?"),
-        (("blocks = 1", "blocks = 500"), "ball_handling.samples", "500 hits of \"tour\" are planned"),
+        (("blocks = 1", "blocks = 500"), "ball_handling.samples", '500 hits of "tour" are planned'),
         (("blocks = 1", 'blocks = 1\nclubs = ["thesis"]'), "default.toml: club", "[swings.default] thesis ="),
-        (("[gate]", "[swings.fast]\ndriver = \"default\"\n[gate]"), "swings.fast", "Add it to design.swings"),
+        (("[gate]", '[swings.fast]\ndriver = "default"\n[gate]'), "swings.fast", "Add it to design.swings"),
         (("[gate]", "[ball_handling]\nmagazine = -1\n[gate]"), "ball_handling.magazine", "0 to 1000"),
         (("[gate]", "[gate"), "short.toml", "TOML"),
     ],
-)  # fmt: skip
+)
 def test_a_plan_that_does_not_hold_begins_nothing(
     user: User, tmp_path: Path, change: tuple[str, str], place: str, words: str
 ) -> None:
@@ -233,8 +234,11 @@ def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_pa
     arguments = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", str(tmp_path / "short.toml")]
     done = subprocess.run(
         [sys.executable, "-c", limited, *arguments, "--sim"],
-        capture_output=True, text=True, timeout=110, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+    )
     assert done.returncode == ExitCode.FILE, done.stderr
     assert "File too large" in done.stderr
     assert "Traceback" not in done.stderr

@@ -398,8 +398,11 @@ def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["runtime"] or "NI-DAQmx" in found["trouble"]
     monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
     assert probe.daq_cards() == {
-        "package": "", "runtime": "", "cards": [], "trouble": probe.daq_cards()["trouble"],
-    }  # fmt: skip
+        "package": "",
+        "runtime": "",
+        "cards": [],
+        "trouble": probe.daq_cards()["trouble"],
+    }
     assert "golfbench[daq]" in probe.daq_cards()["trouble"]
 
 

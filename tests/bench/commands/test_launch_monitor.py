@@ -122,9 +122,12 @@ def test_the_simulated_monitor_tells_what_the_plants_ball_did(tmp_path: Path) ->
             assert following()["reason"] == "no ball struck"
             outcomes = monitored(bench, lambda link: sum(link["outcomes"].values()) == 3)["outcomes"]
             assert outcomes == {
-                "matched": 1, "swing without a launch": 2, "launch without a swing": 0,
-                "launch sent again": 0, "second launch of a swing": 0,
-            }  # fmt: skip
+                "matched": 1,
+                "swing without a launch": 2,
+                "launch without a swing": 0,
+                "launch sent again": 0,
+                "second launch of a swing": 0,
+            }
             monitor.send_signal(signal.SIGTERM)
             assert monitor.wait(20.0) == 0
         monitored(bench, lambda link: not link["present"])
@@ -141,8 +144,10 @@ def test_what_monitors_do_wrong_is_told_and_survived(tmp_path: Path) -> None:
             one.sendall(b"}" + write_shot(1, LAUNCH, "first"))
             told = following()
             assert (told["outcome"], told["shot_id"], told["launch"]["device"]) == (
-                "launch without a swing", None, "first",
-            )  # fmt: skip
+                "launch without a swing",
+                None,
+                "first",
+            )
             one.sendall(write_shot(2, LAUNCH, "first")[:90])  # and away, in the middle of a message
         link = monitored(bench, lambda link: not link["present"])
         assert link["refused"] == 4  # "{}" is none either

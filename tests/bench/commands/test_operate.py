@@ -72,9 +72,16 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
     taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
     assert taken == Outcome(0, "bench bench1: Ann holds it for 60 s\n", "")
     day = [
-        ("reset", "SAFE"), ("access", "ACCESS"), ("access --end", "SAFE"), ("home", "READY"),
-        ("arm", "ARMED"), ("tee", "ARMED"), ("swing", "READY"), ("arm", "ARMED"), ("disarm", "READY"),
-    ]  # fmt: skip
+        ("reset", "SAFE"),
+        ("access", "ACCESS"),
+        ("access --end", "SAFE"),
+        ("home", "READY"),
+        ("arm", "ARMED"),
+        ("tee", "ARMED"),
+        ("swing", "READY"),
+        ("arm", "ARMED"),
+        ("disarm", "READY"),
+    ]
     for line, state in day:
         assert golfbench(*line.split()) == Outcome(0, f"bench bench1: {state}\n", "")
     assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
@@ -251,13 +258,35 @@ def test_the_table_shows_everything_within_80_columns() -> None:
     text = shown()
     assert max(map(len, text.splitlines())) <= 80
     for part in (
-        "bench bench1", "ESTOP", "STANDING", "POWER_UP: the bench was switched on", "nobody's", "not homed",
-        "vented", "e-stop clear", "guard closed", "guard not locked", "shoulder 32.7°", "wrist –", "8.01 bar",
-        "shoulder vane 1.01/1.01", "1000.0 Hz", "tick 123456", "skipped 3", "late 5", "p50 8 µs", "p99 41 µs",
-        "tick p99 93 µs", "loop 4711", "recorder DEAD: killed by signal 9",
-        "node 10 (valves and interlocks) has restarted", "frames 123456, missing 7",
-        "prefer: memory lock none instead of all", "sim", "default",
-    ):  # fmt: skip
+        "bench bench1",
+        "ESTOP",
+        "STANDING",
+        "POWER_UP: the bench was switched on",
+        "nobody's",
+        "not homed",
+        "vented",
+        "e-stop clear",
+        "guard closed",
+        "guard not locked",
+        "shoulder 32.7°",
+        "wrist –",
+        "8.01 bar",
+        "shoulder vane 1.01/1.01",
+        "1000.0 Hz",
+        "tick 123456",
+        "skipped 3",
+        "late 5",
+        "p50 8 µs",
+        "p99 41 µs",
+        "tick p99 93 µs",
+        "loop 4711",
+        "recorder DEAD: killed by signal 9",
+        "node 10 (valves and interlocks) has restarted",
+        "frames 123456, missing 7",
+        "prefer: memory lock none instead of all",
+        "sim",
+        "default",
+    ):
         assert part in text, part
     assert "SILENT" not in text
     assert "bus off" not in text  # none was counted

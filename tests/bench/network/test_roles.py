@@ -248,9 +248,13 @@ def test_the_command_line_ends_with_75(
                 main(["--config", str(file), verb])
             outcomes.append((name, verb, end.value.code, "denied or not running" in capsys.readouterr().err))
     assert outcomes == [
-        ("anna", "status", 0, False), ("anna", "disarm", 75, True), ("anna", "stop", 0, False),
-        ("carl", "status", 75, True), ("carl", "disarm", 75, True), ("carl", "stop", 0, False),
-    ]  # fmt: skip
+        ("anna", "status", 0, False),
+        ("anna", "disarm", 75, True),
+        ("anna", "stop", 0, False),
+        ("carl", "status", 75, True),
+        ("carl", "disarm", 75, True),
+        ("carl", "stop", 0, False),
+    ]
 
 
 # Certificates that do not hold are told before anything is opened ------------------------------------

@@ -35,14 +35,35 @@ from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 STORED = Path(__file__).with_name("stored")
 ENTRY = CampaignEntry(
-    id="two-20261121T120000", bench="bench1", name="two", title="Two", date=NOW, simulated=True, seed=7,
-    plan={"design": {"blocks": 3}}, digest="0123456789abcdef", configuration={"loop": {"rate": 1000.0}},
-    versions={"golfbench": "0.1.0"}, real_time={}, calibrations={},
-)  # fmt: skip
+    id="two-20261121T120000",
+    bench="bench1",
+    name="two",
+    title="Two",
+    date=NOW,
+    simulated=True,
+    seed=7,
+    plan={"design": {"blocks": 3}},
+    digest="0123456789abcdef",
+    configuration={"loop": {"rate": 1000.0}},
+    versions={"golfbench": "0.1.0"},
+    real_time={},
+    calibrations={},
+)
 SHOT = Shot(
-    1, 1, 1, "driver", "tour", ShotStatus.VALID, club_speed_mps=42.1, carry_m=181.25,
-    delivery_source="simulated",    time_utc=NOW, swing="default", sample=3, air_temperature_k=298.15,
-)  # fmt: skip
+    1,
+    1,
+    1,
+    "driver",
+    "tour",
+    ShotStatus.VALID,
+    club_speed_mps=42.1,
+    carry_m=181.25,
+    delivery_source="simulated",
+    time_utc=NOW,
+    swing="default",
+    sample=3,
+    air_temperature_k=298.15,
+)
 PROMPTS = [
     Prompt(1, 1, "club", "Mount club driver.", {"club": "driver"}, NOW, NOW, "Ann"),
     Prompt(2, 3, "club", "Mount club iron.", {"club": "iron"}, NOW),

@@ -27,8 +27,11 @@ def start(out: Path, swings: int) -> subprocess.Popen[str]:
     """Start a demo as from a terminal: in a process group of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "bench", "demo", "--swings", str(swings), "--output", str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
 def wait_for(process: subprocess.Popen[str], out: Path, pattern: str) -> None:
