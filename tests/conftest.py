@@ -1,11 +1,16 @@
-"""What holds for every test: no leaks, no silent skips, repeatable random cases.
+"""Rules for every test: no leaks, no silent skips, repeatable random cases, one marker for its run.
 
 Leaks. A test that leaves a Python thread, a process (also one that detached itself) or a file in
-shared memory behind fails. What module- and session-wide fixtures hold is theirs.
+shared memory behind fails. Module- and session-wide fixtures may hold theirs. In a parallel run each
+worker checks its own threads, processes and files; a file that no worker can own (its name has no
+process id and nothing has it open) is checked when the run ends.
 
 Tools. `@pytest.mark.requires("chromium")`, or the fixture `tool` for its path, skips a test whose tool
 is absent, by name; with GOLFBENCH_REQUIRE=chromium,postgres the skip is a failure. The run ends with a
 list of the skips by tool.
+
+Markers. `live` tests run alone, `slow` tests run in parallel, both in `make test-all`; a test without
+either runs in `make test`. A test that asks for a tool is `live`.
 
 Random cases. With CI set hypothesis derives its cases from the test itself; elsewhere they are random,
 and a failure prints the blob that repeats it.
@@ -15,6 +20,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import shutil
 import threading
 import time
@@ -71,6 +77,13 @@ TOOLS: dict[str, Callable[[], str | None]] = {
 """Optional tools by name; each search returns the tool's path or None."""
 
 MISSING = pytest.StashKey[dict[str, list[str]]]()
+"""Tests skipped by missing tool."""
+
+FILES = pytest.StashKey[frozenset[str]]()
+"""Files in shared memory before the run."""
+
+LEFT = pytest.StashKey[list[str]]()
+"""Files in shared memory that the run left behind."""
 
 
 def demanded_tools() -> frozenset[str]:
@@ -135,10 +148,13 @@ def _is_alive(process: psutil.Process) -> bool:
 def _is_foreign(name: str) -> bool:
     """Tell whether a process outside this test run uses the shared-memory file `name`."""
     own = {os.getpid()} | {child.pid for child in psutil.Process().children(recursive=True)}
+    return _is_used(name, {int(folder.name) for folder in Path("/proc").glob("[0-9]*")} - own)
+
+
+def _is_used(name: str, processes: set[int]) -> bool:
+    """Tell whether one of `processes` (ids) has the shared-memory file `name` open or mapped."""
     path = str(SHARED_MEMORY / name)
-    for folder in Path("/proc").glob("[0-9]*"):
-        if int(folder.name) in own:
-            continue
+    for folder in (Path(f"/proc/{number}") for number in processes):
         try:
             if path in (folder / "maps").read_text():
                 return True
@@ -157,16 +173,40 @@ def _is_contained(process: psutil.Process) -> bool:
         return False
 
 
+def _has_children() -> bool:
+    """Tell whether this process has a child; 100 times as fast as a list of them, which 4,500 tests need."""
+    try:
+        return any(children.read_text() for children in Path("/proc/self/task").glob("*/children"))
+    except OSError:
+        return True
+
+
+def _processes() -> frozenset[psutil.Process]:
+    """Return the children of this process and theirs."""
+    return frozenset(psutil.Process().children(recursive=True)) if _has_children() else frozenset()
+
+
+def _files() -> frozenset[str]:
+    """Return the names of all files in shared memory."""
+    return frozenset(os.listdir(SHARED_MEMORY)) if SHARED_MEMORY.is_dir() else frozenset()
+
+
 def _held() -> Held:
-    return Held(
-        frozenset(threading.enumerate()),
-        frozenset(psutil.Process().children(recursive=True)),
-        frozenset(os.listdir(SHARED_MEMORY)) if SHARED_MEMORY.is_dir() else frozenset(),
-    )
+    return Held(frozenset(threading.enumerate()), _processes(), _files())
 
 
-def _leaked(before: Held) -> Held:
+def _is_ours(name: str) -> bool:
+    """Tell whether this worker of a parallel run made the shared-memory file `name`.
+
+    Its name carries the process id of this worker or of a child, or one of them has it open.
+    """
+    own = {os.getpid()} | {child.pid for child in _processes()}
+    return any(str(number) in re.findall(r"[0-9]+", name) for number in own) or _is_used(name, own)
+
+
+def _leaked(before: Held, parallel: bool) -> Held:
     now = _held()
+    files = now.files - before.files
     return Held(
         frozenset(thread for thread in now.threads - before.threads if thread.is_alive()),
         frozenset(
@@ -174,7 +214,7 @@ def _leaked(before: Held) -> Held:
             for process in now.processes - before.processes
             if _is_alive(process) and not _is_helper_of_python(process) and not _is_contained(process)
         ),
-        now.files - before.files,
+        frozenset(filter(_is_ours, files)) if parallel else files,
     )
 
 
@@ -186,12 +226,13 @@ def _describe(process: psutil.Process) -> str:
 
 
 @pytest.fixture(autouse=True)
-def _no_leaks() -> Iterator[None]:
+def _no_leaks(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that leaves a thread, a process or a shared-memory file behind."""
+    parallel = hasattr(request.config, "workerinput")  # set by pytest-xdist in its workers
     before = _held()
     yield
     deadline = time.monotonic() + GRACE
-    while any(leaked := _leaked(before)) and time.monotonic() < deadline:
+    while any(leaked := _leaked(before, parallel)) and time.monotonic() < deadline:
         time.sleep(0.01)
     found = [f"thread {thread.name}" for thread in leaked.threads]
     found += [_describe(process) for process in leaked.processes]
@@ -217,6 +258,31 @@ def pytest_configure(config: pytest.Config) -> None:
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests that ask for a tool as `live`, before -m selects by markers."""
+    for item in items:
+        if item.get_closest_marker("requires") or "tool" in getattr(item, "fixturenames", ()):
+            item.add_marker("live")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Note the files in shared memory before the run."""
+    session.config.stash[FILES] = _files()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail a parallel run that left a file in shared memory which no worker could own."""
+    config = session.config
+    if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
+        return
+    left = sorted(name for name in _files() - config.stash[FILES] if not _is_foreign(name))
+    if left:
+        config.stash[LEFT] = left
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip or fail a test marked `requires` whose tool is absent."""
     for marker in item.iter_markers("requires"):
@@ -225,7 +291,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """List the skipped tests: first by missing tool, then the others with their reason."""
+    """List files the run left behind, then the skipped tests: by missing tool, the others with reason."""
+    for name in config.stash.get(LEFT, []):
+        terminalreporter.line(f"the run left behind: file {SHARED_MEMORY / name}", red=True)
     skipped = terminalreporter.stats.get("skipped", [])
     if not skipped:
         return

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 CONFTEST = Path(__file__).with_name("conftest.py").read_text()
-INI = "[pytest]\naddopts = --import-mode=importlib -p no:cacheprovider\nmarkers = requires(*tools): x\n"
+INI = """
+[pytest]
+addopts = --import-mode=importlib -p no:cacheprovider
+markers =
+    requires(*tools): x
+    live: x
+"""
 
 
 @pytest.fixture
@@ -57,6 +64,51 @@ def test_leaks_fail_and_clean_tests_pass(project: pytest.Pytester) -> None:
             "*file /dev/shm/golfbench-leak-*",
         ]
     )
+
+
+def test_workers_of_a_parallel_run_see_their_own_leaks(project: pytest.Pytester) -> None:
+    """Two workers leak and clean up at the same time; a file without a process id shows at the end."""
+    name = f"golfbench-unowned-{os.getpid()}x"
+    project.makepyfile(
+        test_one="""
+        import os, subprocess, time
+        from pathlib import Path
+
+        def test_own_file():
+            Path(f"/dev/shm/golfbench-leak-{os.getpid()}").touch()
+
+        def test_own_process():
+            global child
+            child = subprocess.Popen(["sleep", "96"])
+
+        def test_removes_it():
+            Path(f"/dev/shm/golfbench-leak-{os.getpid()}").unlink()
+        """,
+        test_two=f"""
+        import time, pytest
+        from pathlib import Path
+
+        @pytest.mark.parametrize("number", range(20))
+        def test_clean_beside_leaks(number):
+            time.sleep(0.03)
+
+        def test_unowned_file():
+            Path("/dev/shm/{name}").touch()
+        """,
+    )
+    result = project.runpytest_subprocess("-n", "2", "--dist", "loadfile")
+    Path(f"/dev/shm/{name}").unlink()  # noqa: S108
+    result.assert_outcomes(passed=24, errors=2)
+    result.stdout.fnmatch_lines_random(
+        ["*file /dev/shm/golfbench-leak-*", "*process *: sleep 96", f"*the run left behind: file *{name}"]
+    )
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+
+
+def test_a_test_that_asks_for_a_tool_is_live(project: pytest.Pytester) -> None:
+    project.makepyfile(TOOL_TESTS)
+    result = project.runpytest_subprocess("-m", "live", "--collect-only", "-q")
+    result.stdout.fnmatch_lines(["*test_marked", "*test_fixture", "*2/3 tests collected*"])
 
 
 def test_what_a_wider_fixture_holds_is_no_leak(project: pytest.Pytester) -> None:

@@ -19,7 +19,10 @@ from drivers.canopen.counters import CLASSES
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.running_bench import played_nodes, running_bench, write_configuration
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 
 def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> DeviceStatus:

@@ -169,6 +169,7 @@ def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
     )
 
 
+@pytest.mark.live
 def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
     command = [sys.executable, "-m", "bench", "doctor", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -180,6 +181,7 @@ def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
     assert "Traceback" not in errors
 
 
+@pytest.mark.live
 def test_a_closed_pipe_is_no_error() -> None:
     command = f"{sys.executable} -m bench doctor --json | head -c 10"
     answer = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)

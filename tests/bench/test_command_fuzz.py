@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import open_client
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.command_fuzz import fuzz, uncounted, use_up
+
+pytestmark = pytest.mark.live
 
 MESSAGES = 3000
 

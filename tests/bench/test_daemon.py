@@ -31,7 +31,10 @@ from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 BALL = BallPosition(0.251, -1.559, 5e-4)
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 
 def wait_for_records(bench: BenchProcess, count: int) -> list[Path]:

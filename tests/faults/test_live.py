@@ -16,6 +16,7 @@ from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration
 
 pytestmark = [
+    pytest.mark.live,
     pytest.mark.timeout(400),  # the first start compiles
     pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a tick takes longer than a period"),
 ]

@@ -56,6 +56,7 @@ def tried(file: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100.0, check=False)
 
 
+@pytest.mark.slow
 def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
     file = tmp_path / "test_watching.py"
     file.write_text(textwrap.dedent(WATCHING))
@@ -71,6 +72,7 @@ def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
     file = tmp_path / "test_failing.py"
     file.write_text("import bench.lifecycle\n\ndef test_it():\n    assert False\n")

@@ -86,6 +86,7 @@ def in_swing(bench: BenchProcess, swings: int) -> None:
     bench.wait_phase(Phase.BACKSWING)
 
 
+@pytest.mark.live
 @pytest.mark.timeout(400)
 def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live", "[lifecycle]\nseries = true\n")
@@ -397,6 +398,7 @@ duration = 45.0
 """
 
 
+@pytest.mark.live
 @pytest.mark.timeout(400)
 def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live", LOW_SUPPLY)
@@ -460,6 +462,7 @@ def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
         return process.returncode, output
 
 
+@pytest.mark.live
 @pytest.mark.timeout(400)
 def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
     tmp_path: Path,
@@ -508,6 +511,7 @@ def wait_for(store: CampaignStore, name: str, state: CampaignState, process: sub
         assert process.poll() is None
 
 
+@pytest.mark.live
 @pytest.mark.timeout(600)
 def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "obeys", "[lifecycle]\nseries = true\n")
@@ -608,6 +612,7 @@ class Listening(Watcher):
         self.texts.append(text)
 
 
+@pytest.mark.live
 @pytest.mark.timeout(400)
 def test_a_swing_is_learned_anew_on_the_bench_without_a_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

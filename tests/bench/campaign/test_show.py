@@ -8,6 +8,8 @@ import pytest
 
 from tests.benchmarks.campaign_show import rows_of, show
 
+pytestmark = pytest.mark.live
+
 
 @pytest.mark.timeout(900)  # the first start compiles
 def test_what_was_planned_is_there_in_the_end_and_what_went_wrong_on_record(tmp_path: Path) -> None:

@@ -34,7 +34,10 @@ LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)
 LATEST = 8.0
 """s: on a busy machine a process may wait for seconds."""
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 
 def configuration(folder: Path, name: str) -> tuple[Path, int]:

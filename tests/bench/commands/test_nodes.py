@@ -15,6 +15,8 @@ from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
 from tests.running_bench import command_beside
 
+pytestmark = pytest.mark.live
+
 LONGEST = 100.0
 """s; the first start compiles."""
 

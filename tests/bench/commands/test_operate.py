@@ -296,6 +296,7 @@ def test_a_silent_bench_is_shown_as_one() -> None:
     assert "SILENT: last heard 3.2 s ago" in shown(3.2)
 
 
+@pytest.mark.live
 def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
     environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]

@@ -92,6 +92,7 @@ def test_a_bench_that_is_not_there_is_no_answer(tmp_path: Path, capsys: pytest.C
     assert "denied or not running" in capsys.readouterr().err
 
 
+@pytest.mark.live
 def test_it_shows_a_bench_live_on_a_web_page_and_listens_on_the_loopback_only(
     tmp_path: Path, make_day: Callable[..., Cycles]
 ) -> None:

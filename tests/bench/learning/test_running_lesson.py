@@ -22,7 +22,10 @@ from bench.shot.shot_message import ShotMessage
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, simulated_monitor, write_configuration
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 
 def lesson(file: Path, source: str, marks: str = "") -> tuple[list[dict[str, Any]], str]:

@@ -340,6 +340,7 @@ while True:
 """
 
 
+@pytest.mark.live
 def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
     configuration = loopback_configuration()
     with running_plane(FakeDesk(), configuration) as running:
@@ -362,6 +363,7 @@ def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
             client.stdout.close()
 
 
+@pytest.mark.live
 def test_it_ends_in_time_although_the_desk_hangs() -> None:
     with running_plane(FakeDesk(), loopback_configuration()) as running:
         running.desk.free.clear()

@@ -21,7 +21,10 @@ from bench.network.free_port import free_port
 from tests.bench.certified import Folder
 from tests.running_bench import running_bench, write_configuration
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 HURRY = 60.0
 

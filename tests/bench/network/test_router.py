@@ -129,6 +129,7 @@ def test_the_example_gives_the_roles_that_a_bench_gives() -> None:
     assert (shipped["enabled"], shipped["default_permission"]) == (True, "deny")
 
 
+@pytest.mark.live
 def test_roles_hold_through_a_router(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
@@ -151,6 +152,7 @@ def test_roles_hold_through_a_router(
     assert bench.desk.requests == [Request.RESET]
 
 
+@pytest.mark.live
 def test_what_the_bench_tells_goes_through_a_router(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
@@ -189,6 +191,7 @@ def note_key(keys: set[str], sample: zenoh.Sample) -> None:
     keys.add(str(sample.key_expr))
 
 
+@pytest.mark.live
 def test_a_bench_runs_without_its_router_and_finds_it_again(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
@@ -203,6 +206,7 @@ def test_a_bench_runs_without_its_router_and_finds_it_again(
         assert answers(bench.configuration)
 
 
+@pytest.mark.live
 def test_a_router_without_a_bench_is_no_answer(router: Router, folder: Folder, endpoint: str) -> None:
     router.start()
     with BenchClient.connect(client_of(endpoint, str(folder.path / "bob"))) as client:

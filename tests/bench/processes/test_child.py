@@ -14,6 +14,8 @@ from bench.errors import ExitCode
 from bench.processes.child import Child, NotStarted
 from bench.processes.child_process import FOR_PARENT
 
+pytestmark = pytest.mark.live
+
 TOLD = """
 import sys, time
 from bench.processes.child_process import read_plan, tell

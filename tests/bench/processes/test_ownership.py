@@ -200,6 +200,7 @@ def test_an_owner_file_that_is_a_link_is_not_followed(memory: Path, tmp_path: Pa
 # One at a time ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.live
 def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
@@ -211,6 +212,7 @@ def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, memory: Pa
     assert free(memory)
 
 
+@pytest.mark.live
 def test_a_killed_daemon_leaves_the_bench_free(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
@@ -220,6 +222,7 @@ def test_a_killed_daemon_leaves_the_bench_free(start: Start, memory: Path) -> No
     assert free(memory)
 
 
+@pytest.mark.live
 def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP)
     loop = int(line(supervisor))
@@ -250,6 +253,7 @@ def test_what_a_dead_owner_wrote_is_no_hindrance(memory: Path) -> None:
 # Supervisor and loop ---------------------------------------------------------------------------------
 
 
+@pytest.mark.live
 def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
@@ -268,6 +272,7 @@ def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(start: Start, me
     assert not bench_folder("a", memory).exists(), "the last to leave removes the folder"
 
 
+@pytest.mark.live
 def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
@@ -279,6 +284,7 @@ def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(start: Start
     assert free(memory)
 
 
+@pytest.mark.live
 def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
@@ -291,6 +297,7 @@ def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, memory: 
     assert not bench_folder("a", memory).exists()
 
 
+@pytest.mark.live
 def test_supervisor_and_loop_leave_in_any_order(start: Start, memory: Path) -> None:
     for _ in range(3):  # both see their input end at the same time
         supervisor = start(SUPERVISOR, LOOP, "note")
@@ -321,6 +328,7 @@ def test_only_the_locked_file_can_be_adopted(memory: Path, tmp_path: Path) -> No
         os.close(elsewhere)
 
 
+@pytest.mark.live
 def test_many_who_start_at_once_are_one_daemon(start: Start, memory: Path) -> None:
     program = """
 import sys, time

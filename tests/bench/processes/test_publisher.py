@@ -30,6 +30,8 @@ from bench.telemetry.batches import Batch, decode_batch
 from bench.telemetry.ring import RingWriter
 from drivers.base.shared_record import SharedRecord
 
+pytestmark = pytest.mark.live
+
 Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]
 HURRY = 15.0

@@ -18,6 +18,8 @@ from bench.errors import ExitCode, Refused
 from bench.processes import real_time as module
 from bench.processes.real_time import RealTime, Setting, limit_cure, real_time
 
+pytestmark = pytest.mark.live
+
 # What a process without privileges has: neither capabilities nor limits. Capabilities leave at exec only.
 WITHOUT_PRIVILEGES = """
     import ctypes, os, resource, sys

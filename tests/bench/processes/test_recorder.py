@@ -31,6 +31,8 @@ from bench.telemetry.swing_metadata import read_profile, since
 from tests.bench.recorded_bench import HURRY, RECORDER, Cycles
 from tests.bench.recorded_bench import RecordedBench as Bench
 
+pytestmark = pytest.mark.live
+
 S = State
 ONCE = [(S.READY, 300), (S.ARMED, 400), (S.SWINGING, 300), (S.RECOVERING, 200)]
 SWING = [*ONCE, (S.READY, 400)]

@@ -10,6 +10,8 @@ from bench.processes.child import Child
 from bench.processes.child_process import Condition, HeartbeatSender
 from bench.processes.support import ManagedProcess
 
+pytestmark = pytest.mark.live
+
 SLEEP = "import time; time.sleep(60)"
 
 

@@ -156,6 +156,7 @@ def test_late_is_later_than_its_bound() -> None:
         assert record["late"][0] == late
 
 
+@pytest.mark.live
 def test_plain_python_counts_the_same() -> None:
     program = (
         "import numpy as np, sys; sys.path.insert(0, 'tests/bench/processes')\n"
@@ -177,6 +178,7 @@ def test_plain_python_counts_the_same() -> None:
 # Across processes ------------------------------------------------------------------------------------
 
 
+@pytest.mark.live
 def test_another_process_reads_what_the_loop_counts(tmp_path: Path) -> None:
     path = tmp_path / "timing"
     with create_timing(path, PERIOD) as timing, TimingReader(path) as reader:

@@ -64,6 +64,7 @@ def _open_and_add(folder: Path, number: int) -> None:
         connection.execute(insert(CalibrationRow).values(ROW | {"version": number}))
 
 
+@pytest.mark.live
 def test_processes_that_open_a_new_database_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     processes = [context.Process(target=_open_and_add, args=(tmp_path, number)) for number in range(3)]
@@ -140,6 +141,7 @@ def test_what_is_no_database_of_golfbench_is_told(tmp_path: Path, content: bytes
     assert found in refusal.value.found
 
 
+@pytest.mark.live
 def test_a_locked_database_is_told_after_the_busy_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,8 @@ import pytest
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingReader
 
+pytestmark = pytest.mark.live
+
 SECONDS = float(os.environ.get("GOLFBENCH_HOSTILE_SECONDS", "1.2"))
 PATTERN = np.arange(CYCLE.itemsize // 8, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
 """Word i of record s is s plus this, so no two records share a word at one place."""

@@ -45,6 +45,7 @@ def listening(pid: int) -> list[str]:
     ]
 
 
+@pytest.mark.live
 def test_the_web_viewer_listens_on_the_loopback_only() -> None:
     with RerunWindow("web", "100MB") as window:
         stream = rr.RecordingStream("golfbench")
@@ -66,6 +67,7 @@ def test_the_web_viewer_listens_on_the_loopback_only() -> None:
     assert policy.startswith("default-src 'none'; ")
 
 
+@pytest.mark.live
 def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path: Path) -> None:
     file, rows = tmp_path / "late.rrd", 20_000
     plant = PlantParameters()
@@ -109,6 +111,7 @@ def wait_for_end_of(file: Path, last: float) -> Recording:
         time.sleep(0.2)
 
 
+@pytest.mark.live
 def test_usage_statistics_are_off_and_it_is_verified(tmp_path: Path) -> None:
     quiet = quiet_environment(tmp_path, {**os.environ, "FORCE_RERUN_ANALYTICS": "1"})
     assert "FORCE_RERUN_ANALYTICS" not in quiet
@@ -136,6 +139,7 @@ def test_without_switched_off_statistics_nothing_starts(
         RerunWindow("web", "10MB")
 
 
+@pytest.mark.live
 def test_recording_itself_sends_nothing_and_listens_nowhere(tmp_path: Path) -> None:
     code = (
         "import rerun as rr, psutil, sys\n"
@@ -153,6 +157,7 @@ def test_recording_itself_sends_nothing_and_listens_nowhere(tmp_path: Path) -> N
     assert not (tmp_path / "d" / "rerun" / "analytics").exists()
 
 
+@pytest.mark.live
 def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +170,7 @@ def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
         RerunWindow("web", "10MB")
 
 
+@pytest.mark.live
 def test_a_port_in_use_is_told() -> None:
     with RerunWindow("web", "10MB") as window:
         assert window._page is not None
@@ -190,6 +196,7 @@ def test_sizes_are_taken(text: str) -> None:
     assert checked_memory(text) == text
 
 
+@pytest.mark.live
 def test_a_viewer_that_was_closed_is_noticed() -> None:
     with RerunWindow("web", "10MB") as window:
         assert window.alive

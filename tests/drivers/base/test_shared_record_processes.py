@@ -20,6 +20,8 @@ import pytest
 
 from drivers.base.shared_record import SharedRecord
 
+pytestmark = pytest.mark.live
+
 SECONDS = float(os.environ.get("GOLFBENCH_HOSTILE_SECONDS", "1.2"))
 WORDS = 80
 LARGE = 8192

@@ -25,6 +25,8 @@ from sim.live.surroundings import SurroundingsWriter
 from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 
+pytestmark = pytest.mark.live
+
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True)
 LONGEST = 20.0
 """s that a test waits for what takes milliseconds."""

@@ -39,6 +39,8 @@ from sim.live.process import start_plant
 from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
 
+pytestmark = pytest.mark.live
+
 PLANT = PlantParameters()
 START = (0.2, 4.3, 6.0)
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True)

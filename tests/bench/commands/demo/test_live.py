@@ -20,7 +20,10 @@ from bench.shot.shot import ShotStatus
 from bench.shot.shot_table import read_shot_table
 from bench.telemetry.recorder import read_swing
 
-pytestmark = pytest.mark.timeout(400)  # the first start compiles
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.timeout(400),  # the first start compiles
+]
 
 
 def start(out: Path, swings: int) -> subprocess.Popen[str]:

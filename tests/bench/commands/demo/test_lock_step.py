@@ -163,6 +163,7 @@ def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
         run_lock_step_demo(load_configuration(), tmp_path / "file" / "below", 1, 1)
 
 
+@pytest.mark.live
 def test_control_c_ends_with_130_and_leaves_whole_files(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "bench", "demo", "--engine", "compiled", "--swings", "200"]
