@@ -1,9 +1,9 @@
 # Two commands: `make demo` and `make test`. Both need Python >= 3.11 with venv and pip, nothing else.
+# `make test-all` has the tests that are too slow, too dependent on time or on tools for `make test`.
 # The rest is made here: .venv with the versions of constraints.txt.
 
 .SHELLFLAGS := -euc
 .DEFAULT_GOAL := help
-.NOTPARALLEL:
 .DELETE_ON_ERROR:
 
 VENV := .venv
@@ -20,21 +20,39 @@ help:  ## show this text
 demo: $(VENV)/.runtime  ## ten swings of the simulated robot in real time at two balls, and their report
 	@$(BIN)/golfbench demo
 
-test: $(VENV)/.dev lint coverage  ## lint, types, import contracts, branches of the safety code and all tests
-	@$(BIN)/python -m pytest $(ARGS)
+# Files stay whole: their module-wide fixtures are made once.
+PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
+
+test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (five minutes)
+	@$(MAKE) --no-print-directory -j2 lint fast
+
+test-all: $(VENV)/.dev  ## all other tests: slow ones in parallel, then live ones alone (ARGS for pytest)
+	@failed=0; $(BIN)/python -m pytest -m 'slow and not live' $(PARALLEL) $(ARGS) || failed=$$?; \
+	$(BIN)/python -m pytest -m live $(ARGS) || failed=$$?; exit $$failed
+
+fast: $(VENV)/.dev coverage  ## the tests of `make test` alone (ARGS for pytest)
+	@$(BIN)/python -m pytest -m 'not slow and not live' $(PARALLEL) $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
-	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/mypy
 
 # Counted without compilation: compiled code leaves no trace of the lines it ran.
+SAFETY_TESTS := tests/bench/control/test_envelope.py tests/bench/control/test_requests.py \
+  tests/bench/test_lifecycle.py
+
 coverage: $(VENV)/.dev  ## every branch of envelope, stopping table and answers to requests is tested
-	@NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest --quiet --no-header --tb=short \
-	  tests/bench/control/test_envelope.py tests/bench/control/test_requests.py tests/bench/test_lifecycle.py
+	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --no-header --tb=short \
+	  -n 2 --dist worksteal --cov --cov-report= $(SAFETY_TESTS)
 	@$(BIN)/coverage report --fail-under=100 \
 	  --include='bench/control/envelope.py,bench/control/requests.py,bench/lifecycle.py'
+
+coverage-all: $(VENV)/.dev  ## lines and branches reached by all tests together (an hour; not by processes they start)
+	@failed=0; NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --cov --cov-report= $(SAFETY_TESTS) || failed=$$?; \
+	$(BIN)/python -m pytest --quiet --cov --cov-append --cov-report= $(ARGS) || failed=$$?; \
+	$(BIN)/coverage report; exit $$failed
 
 benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
@@ -88,4 +106,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test lint coverage benchmark faults mutation test-vm benchmark-vm reference clean
+.PHONY: help demo test test-all fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean

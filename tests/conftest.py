@@ -277,7 +277,8 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     config = session.config
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
-    left = sorted(name for name in _files() - config.stash[FILES] if not _is_foreign(name))
+    before = config.stash[FILES]
+    left = sorted(name for name in _files() - before if not _is_foreign(name))
     if left:
         config.stash[LEFT] = left
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
