@@ -1,4 +1,4 @@
-"""The command line: one frame for all commands, and what becomes of errors.
+"""The command line: registers all commands, maps errors to messages and exit codes.
 
 Heavy packages are imported inside the commands that need them, so that `--help` and completion stay
 quick.
@@ -41,7 +41,7 @@ HELP = "A bench for golf clubs and balls: the swing robot, its control, and its 
 EXIT_CODES = """[bold]Exit codes[/bold]
    0  done
    1  refused, or the answer is no
-   2  wrong usage, or a configuration, profile or file that does not hold
+   2  wrong usage, or an invalid configuration, profile or file
   69  a device or service cannot do its work
   70  an error of golfbench itself
   74  a file or folder cannot be read or written
@@ -92,12 +92,12 @@ def options(
             help="Configuration, a TOML file or a variant's name.",
         ),
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Show where an error comes from.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error.")] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Take the options that stand before the command."""
+    """Read the global options, which precede the command."""
     session = ctx.ensure_object(Session)
     session.config, session.debug = config, debug
 
@@ -111,9 +111,9 @@ def doctor(
         typer.Option(metavar="PATH", help="Folder of records.", show_default="data_dir of the configuration"),
     ] = None,
 ) -> None:
-    """Show what this machine can do: packages, real time, memory, CAN, tools.
+    """Check this machine: packages, real time, memory, CAN, tools.
 
-    Ends with 1 when something is missing without which not even the simulation runs.
+    Exits with 1 if something is missing that the simulation needs.
     """
     import json
 
@@ -148,16 +148,18 @@ def demo(
             metavar="DIR", help="New or empty folder for the files.", show_default="DATA_DIR/demo-TIME"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the small differences between shots.")] = 1,
-    swings: Annotated[int, typer.Option(min=1, max=200, help="How many.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the shot-to-shot scatter.")] = 1,
+    swings: Annotated[int, typer.Option(min=1, max=200, help="Number of swings.")] = 10,
     engine: Annotated[
         Literal["bench", "compiled"],
-        typer.Option(help="A running bench in real time; or, in seconds, lock-step in this process."),
+        typer.Option(
+            help="bench: a running bench in real time; compiled: lock-step in this process, within seconds."
+        ),
     ] = "bench",
 ) -> None:
-    """Swing the simulated robot at two balls in turn, show what happens and leave report and records.
+    """Compare two balls on the simulated robot: live table, report and records.
 
-    Ends with 1 when the test did not come to its end.
+    Exits with 1 if the test was not completed.
     """
     configuration = context.ensure_object(Session).configuration()
     if engine == "bench":
@@ -180,9 +182,9 @@ def check(
         typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
     ] = None,
 ) -> None:
-    """Check configuration and swing before anything moves, and say what was checked.
+    """Check configuration and swing before anything moves; print the checks.
 
-    Ends with 2 and every mistake found.
+    Exits with 2 and lists all mistakes.
     """
     from rich.console import Console
 
@@ -195,13 +197,13 @@ def check(
 def replay(
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record of a swing, .parquet.")],
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Absolute, and relative to the recorded value; codes are exact.")
+        float, typer.Option(min=0.0, help="Absolute and relative tolerance; codes must be equal.")
     ] = 1e-9,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
-    """Run a record's readings through today's controller and compare every field with the record.
+    """Replay a record's readings through the present controller and compare all fields.
 
-    Ends with 1 when a field differs.
+    Exits with 1 if a field differs.
     """
     from bench.commands.replay import replay_command
 
@@ -233,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:
-    """Return what to tell the user about `error`, and the exit code; a group tells of each mistake."""
+    """Return the messages for `error`, one for each error of a group, and the exit code."""
     from drivers.base import DriverError
 
     match error:

@@ -1,4 +1,4 @@
-"""`golfbench calibrate ...`: write down what was measured of this machine, and look at what is in force."""
+"""`golfbench calibrate ...`: enter calibrations of this machine and show those in force."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bench.config import Configuration
 
 app = typer.Typer(
-    help="Write down what was measured of this machine. Nothing is overwritten: a newer one supersedes.",
+    help="Enter calibrations of this machine. Nothing is overwritten: a newer one supersedes.",
     no_args_is_help=True,
 )
 
@@ -28,13 +28,13 @@ Days = Annotated[
         "--expires-days",
         min=1,
         max=3650,
-        help="Days for which it holds.",
+        help="Days until it expires.",
         show_default="encoders 365, ball 30, club 90, valves 180",
     ),
 ]
 By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")]
-Method = Annotated[str, typer.Option(metavar="TEXT", help="How and with which tool.")]
-Note = Annotated[str, typer.Option(metavar="TEXT", help="What else is to be said.")]
+Method = Annotated[str, typer.Option(metavar="TEXT", help="Method and tool of the measurement.")]
+Note = Annotated[str, typer.Option(metavar="TEXT", help="Remark.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
@@ -58,7 +58,7 @@ def encoders(
         tuple[int, int, int] | None,
         typer.Option(
             metavar="SHOULDER ARM WRIST",
-            help="What the encoders show at that pose.",
+            help="Encoder counts at that pose.",
             show_default="read from the running bench",
         ),
     ] = None,
@@ -66,7 +66,7 @@ def encoders(
         tuple[int, int, int] | None,
         typer.Option(
             metavar="SHOULDER ARM WRIST",
-            help="-1 where the count falls as the angle rises.",
+            help="Sign of each encoder: -1 if its count falls as the angle rises.",
             show_default="as in force",
         ),
     ] = None,
@@ -76,7 +76,7 @@ def encoders(
     note: Note = "",
     json_: Json = False,
 ) -> None:
-    """Set the encoders' zeros: counts at angle zero, or the pose at which the robot is locked now."""
+    """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
     from math import radians
 
     from bench.calibration.values import CalibrationKind
@@ -126,7 +126,7 @@ def ball(
     note: Note = "",
     json_: Json = False,
 ) -> None:
-    """Set where the ball's centre is on its tee, in the swing plane."""
+    """Set the position of the ball's centre on its tee, in the swing plane."""
     from bench.calibration.values import CalibrationKind
 
     content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3}
@@ -185,7 +185,7 @@ def valves(
         float | None, typer.Option(metavar="OPENING", help="Standard uncertainty of both.")
     ] = None,
     measure: Annotated[
-        bool, typer.Option("--measure", help="Ramp each valve of the software plant and find them.")
+        bool, typer.Option("--measure", help="Find them by a slow ramp of each valve of the simulated plant.")
     ] = False,
     method: Method = "",
     by: By = None,
@@ -243,9 +243,9 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
 
 @app.command()
 def show(context: typer.Context, json_: Json = False) -> None:
-    """Show what is in force now, and what of it has expired.
+    """Show the calibrations in force, and which have expired.
 
-    Ends with 1 when nothing may be armed for want of calibration.
+    Exits with 1 if the bench cannot be armed for lack of calibration.
     """
     import json
 

@@ -1,4 +1,4 @@
-"""`golfbench campaign ...`: plan, run, judge and keep test series."""
+"""`golfbench campaign ...`: plan, run, evaluate and store test series."""
 
 from __future__ import annotations
 
@@ -19,20 +19,18 @@ if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.store.campaigns import CampaignEntry, CampaignStore
 
-app = typer.Typer(help="Test series: plan, run, judge and keep them.", no_args_is_help=True)
+app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
 File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="A plan, TOML, or the name of one that comes with golfbench.")
+    Path, typer.Argument(metavar="FILE", help="Plan, a TOML file, or the name of a shipped plan.")
 ]
 Id = Annotated[
     str,
-    typer.Argument(metavar="ID", help="Id of a campaign, or a beginning that fits no other campaign."),
+    typer.Argument(metavar="ID", help="Campaign id, or its unambiguous beginning."),
 ]
 Ask = Annotated[
     bool,
-    typer.Option(
-        "--ask", help="Have a person change clubs and fill the feeder also where the bench is simulated."
-    ),
+    typer.Option("--ask", help="Also ask for club changes and feeder refills if the bench is simulated."),
 ]
 Junit = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
@@ -48,7 +46,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to 
 
 
 class Outputs(NamedTuple):
-    """What a run leaves beside its records."""
+    """Output files of a run beside its records."""
 
     json: bool
     junit: Path | None
@@ -63,9 +61,9 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print every block.")] = False,
     json_: Json = False,
 ) -> None:
-    """Check a plan and print its order and what it can resolve, before anything moves.
+    """Check a plan before anything moves; print its shot order and resolution.
 
-    Ends with 2 and every mistake found.
+    Exits with 2 and lists all mistakes.
     """
     import json
 
@@ -108,7 +106,7 @@ def run(
     context: typer.Context,
     file: File,
     sim: Annotated[
-        bool, typer.Option("--sim", help="On the simulated bench, in lock-step, in this process.")
+        bool, typer.Option("--sim", help="Simulate the bench in lock-step, in this process.")
     ] = False,
     json_: Json = False,
     junit: Junit = None,
@@ -116,9 +114,9 @@ def run(
     check_: Check = None,
     ask: Ask = False,
 ) -> None:
-    """Run a campaign from its first shot to its end: on the running bench, or with --sim without one.
+    """Run a campaign on the running bench, or simulated with --sim.
 
-    Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
+    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C.
     """
     from datetime import UTC, datetime
 
@@ -141,7 +139,7 @@ def resume(
     context: typer.Context,
     campaign: Id,
     file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="Its plan, which must be unchanged.")
+        Path | None, typer.Argument(metavar="FILE", help="Plan, to check that it is unchanged.")
     ] = None,
     json_: Json = False,
     junit: Junit = None,
@@ -151,7 +149,7 @@ def resume(
 ) -> None:
     """Resume a campaign that was paused, stopped, suspended or cut off.
 
-    Ends with 1 when it did not come to its planned end or a figure left its band, 130 after Ctrl-C.
+    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C.
     """
     from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
@@ -172,7 +170,7 @@ def resume(
 
 
 def _bench_facts(plan: CampaignPlan, configuration: Configuration) -> dict[str, Any]:
-    """Return what there is to note of the running bench, which can swing `plan`."""
+    """Return the facts to record about the running bench; it can swing `plan`."""
     from bench.campaign.operate import bench_facts
     from bench.network.client import BenchClient
 
@@ -183,7 +181,7 @@ def _bench_facts(plan: CampaignPlan, configuration: Configuration) -> dict[str, 
 def _run(
     store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs, *, ask: bool
 ) -> None:
-    """Run `entry` with a progress bar and tell what came of it."""
+    """Run `entry` with a progress bar and print the outcome."""
     import json
 
     from bench.campaign.campaign_report import load_record, write_campaign_report
@@ -248,14 +246,14 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Where to.", show_default="report.html beside the campaign's records"
+            metavar="FILE", help="File to write.", show_default="report.html beside the campaign's records"
         ),
     ] = None,
     json_: Annotated[
         bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
     ] = False,
 ) -> None:
-    """Write the report of a campaign: one HTML file, verdict first, for the screen and for paper."""
+    """Write the report of a campaign: one HTML file, verdict first."""
     import json
 
     from bench.campaign.campaign_report import load_record, write_campaign_report
@@ -291,9 +289,11 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
 def answer(
     context: typer.Context,
     campaign: Id,
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who did it.", show_default="user@host")] = "",
+    by: Annotated[
+        str, typer.Option(metavar="NAME", help="Person who did it.", show_default="user@host")
+    ] = "",
 ) -> None:
-    """Say that what a campaign asks for is done: a club is mounted, the feeder is filled."""
+    """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
     from datetime import UTC, datetime
 
     from bench.campaign.operate import answer, find_campaign
@@ -310,13 +310,13 @@ def answer(
 
 @app.command()
 def pause(context: typer.Context, campaign: Id) -> None:
-    """Pause a running campaign after the shot under way; resume goes on."""
+    """Pause a running campaign after the current shot; its runner keeps the bench."""
     _request(context, campaign, "pause")
 
 
 @app.command()
 def stop(context: typer.Context, campaign: Id) -> None:
-    """Stop a running campaign after the shot under way; it can be resumed."""
+    """Stop a running campaign after the current shot; it can be resumed."""
     _request(context, campaign, "stop")
 
 
@@ -348,18 +348,18 @@ def abort(
 @app.command()
 def air(
     context: typer.Context,
-    temperature: Annotated[float | None, typer.Option(metavar="C", help="Degrees Celsius.")] = None,
+    temperature: Annotated[float | None, typer.Option(metavar="C", help="Temperature, deg C.")] = None,
     pressure: Annotated[
-        float | None, typer.Option(metavar="HPA", help="Of the place, not reduced to sea level.")
+        float | None, typer.Option(metavar="HPA", help="Station pressure, not reduced to sea level.")
     ] = None,
-    humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative.")] = None,
+    humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative humidity.")] = None,
     by: Annotated[
-        str, typer.Option(metavar="NAME", help="Who or what read it.", show_default="user@host")
+        str, typer.Option(metavar="NAME", help="Person or instrument that read it.", show_default="user@host")
     ] = "",
 ) -> None:
-    """Tell the air that was read at the bench, or show the newest reading.
+    """Enter a reading of the air at the bench, or show the newest one.
 
-    The shots of a real bench have it from then on, for as long as the plan says ([air] valid_for).
+    Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
     from datetime import UTC, datetime
 
@@ -385,7 +385,7 @@ def air(
             reading = AirReading(datetime.now(UTC), read, by or user_name())
             add_reading(store.database, bench, reading)
         elif not (found := newest_reading(store.database, bench, datetime(1970, 1, 1, tzinfo=UTC))):
-            typer.echo("The air has not been read yet.")
+            typer.echo("No reading of the air yet.")
             return
         else:
             reading = found
@@ -420,12 +420,12 @@ def list_campaigns(context: typer.Context, json_: Json = False) -> None:
 def export(
     context: typer.Context,
     campaign: Id,
-    format_: Annotated[Literal["csv"], typer.Option("--format", help="What to write.")] = "csv",
+    format_: Annotated[Literal["csv"], typer.Option("--format", help="Output format.")] = "csv",
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where to.", show_default="standard output")
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
     ] = None,
 ) -> None:
-    """Write a campaign's shots, one row each."""
+    """Export a campaign's shots, one row each."""
     from bench.campaign.operate import find_campaign
     from bench.shot.shot_table import shot_table_text, write_shot_table
 

@@ -64,7 +64,7 @@ def read_baseline(path: Path) -> list[Band]:
         else:
             bands.append(Band(entry["path"], float(entry.get("low", -inf)), float(entry.get("high", inf))))
     if faults:
-        raise ExceptionGroup(f"{path} does not hold", faults)
+        raise ExceptionGroup(f"{path} is invalid", faults)
     return bands
 
 

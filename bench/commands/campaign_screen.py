@@ -1,4 +1,4 @@
-"""What a campaign shows at the terminal: its progress, and the list of all."""
+"""Campaigns at the terminal: progress and list."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The person at a campaign's terminal: sees what is to be done, and presses Enter when it is."""
+"""The operator at a campaign's terminal: sees prompts and confirms them with Enter."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _AFTER = {
 
 
 def user_name() -> str:
-    """Return who answers when nobody says otherwise."""
+    """Return the default name of who answers, user@host."""
     return f"{getpass.getuser()}@{socket.gethostname()}"
 
 
 class TerminalOperator:
-    """Shows prompts above the progress bar and takes Enter for an answer, where input is a terminal."""
+    """Shows prompts above the progress bar; on a terminal, Enter confirms."""
 
     def __init__(self, bar: Progress, campaign: str, kinds: frozenset[PromptKind]) -> None:
-        """`kinds` are asked for; what else a person would do happens by itself."""
+        """`kinds` of prompts wait for the operator; others are answered automatically."""
         self.name, self.kinds = user_name(), kinds
         self._bar, self._campaign = bar, campaign
         self._listening = sys.stdin is not None and sys.stdin.isatty()
 
     def show(self, prompt: Prompt) -> None:
-        """Show what is to be done and how to say that it is."""
+        """Show a prompt and how to confirm it."""
         self._bar.stop()
         command = f"golfbench campaign answer {self._campaign}"
         how = f"Enter (or {command})" if self._listening else command
@@ -51,7 +51,7 @@ class TerminalOperator:
         self._bar.console.print(Panel(text, title=title, title_align="left", expand=False))
 
     def answered(self) -> bool:
-        """Tell whether Enter was pressed."""
+        """Return whether Enter was pressed."""
         if not self._listening or not select.select([sys.stdin], [], [], 0)[0]:
             return False
         line = ""

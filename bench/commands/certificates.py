@@ -12,19 +12,23 @@ from bench.errors import BenchError
 
 
 def certificates(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where they are; made when it is not there.")],
-    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Of people, benches and routers.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of the certificates, created if absent.")
+    ],
+    names: Annotated[
+        list[str], typer.Argument(metavar="NAME...", help="Names of people, benches and routers.")
+    ],
     addresses: Annotated[
         list[str] | None,
         typer.Option(
             "--address", metavar="HOST", help="IP address or host name where NAME listens; may be repeated."
         ),
     ] = None,
-    days: Annotated[float, typer.Option(min=0.01, max=3650.0, help="For which they are valid.")] = 365.0,
+    days: Annotated[float, typer.Option(min=0.01, max=3650.0, help="Days of validity.")] = 365.0,
 ) -> None:
     """Make a certificate for each NAME, to reach the bench from other machines.
 
-    The first call makes the authority that signs them, too. Each side gets its NAME.pem and NAME.key and
+    The first call also makes the authority that signs them. Each side gets its NAME.pem and NAME.key and
     authority.pem; authority.key stays where it is. A bench or router needs --address. Ends with 1 when there
     is a certificate of that name.
     """

@@ -34,10 +34,14 @@ def compare(
     ] = "both",
     draw: Annotated[
         int | None,
-        typer.Option(metavar="SEED", min=0, help="Instead a robot drawn within 10 % of the configured one."),
+        typer.Option(
+            metavar="SEED",
+            min=0,
+            help="Seed of a random robot within 10 % of the configured one, used instead.",
+        ),
     ] = None,
-    swings: Annotated[int, typer.Option(min=1, max=100, help="Of each controller.")] = 3,
-    learning: Annotated[bool, typer.Option(help="Let the planned openings learn, too.")] = True,
+    swings: Annotated[int, typer.Option(min=1, max=100, help="Swings with each controller.")] = 3,
+    learning: Annotated[bool, typer.Option(help="Also compare with learned openings.")] = True,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
     """Compare controllers on one swing: PIDs alone, with feed-forward by the model, and with learning.

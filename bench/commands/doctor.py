@@ -1,4 +1,4 @@
-"""What this machine can do for golfbench: each item's status, what was found, and what to do.
+"""Checks of this machine: status, finding and advice for each item.
 
 Nothing here raises or changes the machine. What may end or change a process (imports of binary
 packages, real-time scheduling, memory locks) is tried in a child process, see `bench.commands.probe`.
@@ -67,7 +67,7 @@ _TOOLS = {
 
 
 class CheckStatus(StrEnum):
-    """How far an item goes."""
+    """Status of a check."""
 
     OK = "ok"
     LIMITED = "limited"
@@ -82,7 +82,7 @@ _STYLES = {
 
 
 class ItemResult(NamedTuple):
-    """What looking at an item found."""
+    """Result of a check."""
 
     status: CheckStatus
     value: str
@@ -91,7 +91,7 @@ class ItemResult(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """One item to look at."""
+    """A check to make."""
 
     group: str
     item: str
@@ -101,7 +101,7 @@ class Probe(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """One item looked at."""
+    """A check with its result."""
 
     group: str
     item: str
@@ -123,7 +123,7 @@ def examine(probes: Sequence[Probe]) -> Iterator[Finding]:
 
 
 def usable(findings: Sequence[Finding]) -> bool:
-    """Tell whether everything required is there, so that at least the simulation runs."""
+    """Return whether all requirements of the simulation are met."""
     return not any(finding.required and finding.status is CheckStatus.MISSING for finding in findings)
 
 
@@ -352,7 +352,7 @@ def compiled_code() -> ItemResult:
         return ItemResult(
             CheckStatus.LIMITED,
             f"{folder} is not writable",
-            "every start compiles anew: set NUMBA_CACHE_DIR to a folder you may write to",
+            "every start recompiles: set NUMBA_CACHE_DIR to a writable folder",
         )
     if not functions:
         return ItemResult(

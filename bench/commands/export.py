@@ -28,7 +28,7 @@ def export(
         list[Path],
         typer.Argument(metavar="RECORD...", help="Records of swings, .parquet, or folders of them."),
     ],
-    format_: Annotated[Format, typer.Option("--format", help="What to write.")],
+    format_: Annotated[Format, typer.Option("--format", help="Output format.")],
     output: Annotated[
         Path | None,
         typer.Option(

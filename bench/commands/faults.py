@@ -1,4 +1,4 @@
-"""`golfbench faults ...`: what becomes of robot and bench when something breaks."""
+"""`golfbench faults ...`: inject faults and judge the outcomes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def faults() -> None:
-    """Break every signal and part in every phase on the simulated robot, and judge how it ends."""
+    """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
 
 
 @app.command()
@@ -32,24 +32,25 @@ def run(
     ] = None,
     signal: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Only faults with this in their name; again for more."),
+        typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable."),
     ] = None,
     phase: Annotated[
-        list[str] | None, typer.Option(metavar="PHASE", help="Only from this phase; again for more.")
+        list[str] | None, typer.Option(metavar="PHASE", help="Only faults in this phase; repeatable.")
     ] = None,
     model_check: Annotated[
         bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
     ] = True,
     compare: Annotated[
-        bool, typer.Option("--compare", help="Run encoders, valves and supply without that check as well.")
+        bool,
+        typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check."),
     ] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="One instant a phase.")] = False,
-    processes: Annotated[int, typer.Option(min=0, help="0: one a core.")] = 0,
+    quick: Annotated[bool, typer.Option("--quick", help="One instant per phase only.")] = False,
+    processes: Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")] = 0,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
-    """Run the matrix of faults, signals and phases; what was run before with the same sources is kept.
+    """Run the fault matrix; results of earlier runs with the same sources are reused.
 
-    Leaves matrix.html, matrix.json and cases.jsonl. Ends with 1 when a case ends unsafe.
+    Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
     """
     import json
 
@@ -161,10 +162,12 @@ def _outcomes(
 
 @app.command()
 def table(
-    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="A matrix.json.")],
-    output: Annotated[Path | None, typer.Option(metavar="FILE", help="Where to; else it is printed.")] = None,
+    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="Result of faults run, matrix.json.")],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
+    ] = None,
 ) -> None:
-    """Make the hazard table of a matrix, as in sim/FAULTS.md."""
+    """Write the hazard table of a fault matrix, as in sim/FAULTS.md."""
     import json
 
     from bench.errors import BenchError

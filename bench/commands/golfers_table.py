@@ -24,7 +24,7 @@ from sim.kinematics import forward_kinematics, right_arm_length
 from sim.plant import PlantParameters
 
 _SHORT = 0.1
-"""m/s below which nothing is short: the strike differs as much from swing to swing."""
+"""m/s; smaller shortfalls are within swing-to-swing scatter."""
 
 
 class GolferRow(NamedTuple):

@@ -16,13 +16,14 @@ def identify(
         list[Path], typer.Argument(metavar="RECORD...", help="Parquet files of swings of one profile.")
     ],
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the robot as a configuration, .toml.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml."),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
     """Identify friction, valve flow, dead volumes, supply, vane, club and latency from recorded swings.
 
-    Give swings that were not the first after arming, made with the control of --config.
+    Use swings made with the control of --config, none of them the first after arming.
     """
     import json
 

@@ -23,7 +23,7 @@ _ATTACH = 0.5
 
 
 def _share(of: str) -> Any:
-    return typer.Option(min=0.0, max=1.0, metavar="SHARE", help=f"Of {of}.")
+    return typer.Option(min=0.0, max=1.0, metavar="SHARE", help=f"Share of {of}.")
 
 
 class NoPlant(BenchError):
@@ -34,24 +34,24 @@ class NoPlant(BenchError):
 
 def launch_monitor(
     context: typer.Context,
-    seed: Annotated[int, typer.Option(min=0, help="Of noise and faults.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of noise and faults.")] = 1,
     drop: Annotated[
-        list[int] | None, typer.Option(min=1, metavar="N", help="Do not tell of the N-th ball; repeatable.")
+        list[int] | None,
+        typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable."),
     ] = None,
-    missing: Annotated[float, _share("balls that are not told of")] = 0.0,
-    misread: Annotated[float, _share("balls of which one figure is wrong")] = 0.0,
-    double: Annotated[float, _share("balls told twice, measured anew")] = 0.0,
-    repeated: Annotated[float, _share("messages that are sent again")] = 0.0,
-    no_spin: Annotated[float, _share("balls whose spin is not seen")] = 0.0,
-    ghost: Annotated[float, _share("balls that one follows which nobody hit")] = 0.0,
-    club: Annotated[
-        bool, typer.Option("--club", help="Tell of the club, too: its speed and angle of attack.")
-    ] = False,
+    missing: Annotated[float, _share("balls without a message")] = 0.0,
+    misread: Annotated[float, _share("balls with one wrong value")] = 0.0,
+    double: Annotated[float, _share("balls measured and sent twice")] = 0.0,
+    repeated: Annotated[float, _share("messages sent again")] = 0.0,
+    no_spin: Annotated[float, _share("balls without spin")] = 0.0,
+    ghost: Annotated[float, _share("balls followed by a ghost ball")] = 0.0,
+    club: Annotated[bool, typer.Option("--club", help="Also send club speed and attack angle.")] = False,
     noise: Annotated[
-        float, typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Times the usual noise; 0: none.")
+        float,
+        typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none."),
     ] = 1.0,
     delay: Annotated[
-        float, typer.Option(min=0.0, max=30.0, metavar="S", help="From the impact to the message.")
+        float, typer.Option(min=0.0, max=30.0, metavar="S", help="Delay from impact to message.")
     ] = 0.6,
     pieces: Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")] = False,
     text: Annotated[
@@ -59,13 +59,17 @@ def launch_monitor(
     ] = False,
     folder: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Of the plant's shared records, as of golfbench nodes --folder."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the plant's shared records (golfbench nodes --folder).",
+            show_default="the bench's",
+        ),
     ] = None,
 ) -> None:
-    """Play a launch monitor beside a simulated bench, until Ctrl-C or SIGTERM.
+    """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
 
-    It sees what the plant's balls really do, measures them with noise and faults, and tells the bench of them
-    over Open Connect as a real one would: the bench needs [launch_monitor] enabled = true.
+    It measures the plant's balls with noise and faults, and sends them to the bench
+    over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
     from bench.processes.bench_folder import bench_folder
     from sim.launch_monitor import MonitorParameters
@@ -110,7 +114,7 @@ def play(
     address: tuple[str, int],
     say: Callable[[str], None],
 ) -> None:
-    """Be the monitor of the `plant` in `folder` until SIGTERM or Ctrl-C; `say` hears what goes on.
+    """Simulate the launch monitor of the `plant` in `folder` until SIGTERM or Ctrl-C; report events to `say`.
 
     Raises:
         NoPlant: the plant there is of other code.

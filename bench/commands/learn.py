@@ -26,47 +26,51 @@ def learn(
     context: typer.Context,
     profile: Annotated[str, typer.Argument(metavar="SWING", help="Name or path of a profile.")],
     sim: Annotated[
-        bool, typer.Option("--sim", help="On the simulated robot, in lock-step, without a running bench.")
+        bool, typer.Option("--sim", help="Simulate the robot in lock-step, without a running bench.")
     ] = False,
     robot: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Configuration of the robot that is truly swung; the bench goes on believing in --config.",
+            help="Configuration of the robot that really swings; the bench still assumes --config.",
         ),
     ] = None,
     draw: Annotated[
         int | None,
-        typer.Option(metavar="SEED", min=0, help="Or a robot drawn within 10 % of the configured one."),
+        typer.Option(
+            metavar="SEED", min=0, help="Or seed of a random robot within 10 % of the configured one."
+        ),
     ] = None,
     identified: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="What golfbench identify has written: learning begins where that robot ends in simulation.",
+            help="Output of golfbench identify: start from what was learned on that robot in simulation.",
         ),
     ] = None,
     records: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="RECORD",
-            help="A swing it was identified from, once for each: what identification missed is made up for.",
+            help="Record it was identified from, repeatable: corrects what identification missed.",
         ),
     ] = None,
     source: Annotated[
         Source | None,
-        typer.Option(help="What tells of the delivery on a running bench: encoders+model unless said."),
+        typer.Option(help="Source of the delivery on a running bench.", show_default="encoders+model"),
     ] = None,
-    swings: Annotated[int, typer.Option(min=1, max=100, help="At most.")] = 12,
+    swings: Annotated[int, typer.Option(min=1, max=100, help="Max number of swings.")] = 12,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Also write the corrected profile, .toml; its table beside it."),
+        typer.Option(
+            metavar="FILE", help="Also write the corrected profile, .toml, with its table beside it."
+        ),
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
-    """Learn a swing from its own repetitions on the running bench, or with --sim, and store the correction.
+    """Learn a swing by repeating it on the running bench, or with --sim; store the correction.
 
-    The target is what the profile delivers on the configured plant. Ends with 1 when it is not reached.
+    The target is the profile's delivery on the configured plant. Exits with 1 if it is not reached.
     """
     import json
     from datetime import UTC, datetime
@@ -170,7 +174,7 @@ def learn(
 
 
 def _mark_from_person() -> tuple[float, float] | None:
-    """Ask for the mark that the ball left on the face; None when there is none to be read."""
+    """Ask for the ball's mark on the face; None if it cannot be read."""
     while True:
         text = typer.prompt(
             "mark on the face, mm towards the toe and mm up (empty: none)", default="", err=True

@@ -1,4 +1,4 @@
-"""The lease that the command line keeps from one command to the next, in a file only its user can read."""
+"""Storage of the lease between commands, in a file only its user can read."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bench.network.client import HeldLease
 
 
 def lease_folder(environment: Mapping[str, str], home: Path) -> Path:
-    """Return the folder of kept leases: of the login session where there is one, else of the user's state."""
+    """Return the folder of stored leases: of the login session if there is one, else of the user's state."""
     if runtime := environment.get("XDG_RUNTIME_DIR"):
         return Path(runtime) / "golfbench"
     state = environment.get("XDG_STATE_HOME")
@@ -25,13 +25,13 @@ def lease_folder(environment: Mapping[str, str], home: Path) -> Path:
 
 
 class LeaseFile:
-    """The open and locked file of one bench; what it holds may be over."""
+    """The open and locked lease file of one bench; its lease may have expired."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
 
     def read(self) -> HeldLease | None:
-        """Return the kept lease; None when there is none, or none that can be read."""
+        """Return the stored lease; None if there is none or it is unreadable."""
         self._file.seek(0)
         try:
             match json.loads(self._file.read(4096) or "null"):
@@ -48,7 +48,7 @@ class LeaseFile:
         return None
 
     def write(self, lease: HeldLease | None) -> None:
-        """Keep `lease`, or none."""
+        """Store `lease`, or none."""
         self._file.seek(0)
         self._file.truncate()
         if lease is not None:

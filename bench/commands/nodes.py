@@ -31,7 +31,7 @@ def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
     from sim.nodes.plan import NodesPlan
 
     if mistakes := unheard_phases(configuration):
-        raise ExceptionGroup("the configuration does not hold", mistakes)
+        raise ExceptionGroup("invalid configuration", mistakes)
     c, bus = configuration, configuration.canopen
     return NodesPlan(
         interface=bus.interface,
@@ -50,14 +50,14 @@ def nodes(
     context: typer.Context,
     folder: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Of the plant's shared records; by default one that goes away."),
+        typer.Option(metavar="DIR", help="Folder of the plant's shared records.", show_default="temporary"),
     ] = None,
     dbc: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Describe every frame of the bus in a DBC file, and end."),
+        typer.Option(metavar="FILE", help="Write a DBC file of all bus frames and exit."),
     ] = None,
 ) -> None:
-    """Play the bench's devices on its CAN bus, the simulated robot behind them, until Ctrl-C or SIGTERM.
+    """Run the simulated nodes on the CAN bus, with the simulated robot behind them, until stopped.
 
     Encoders, valves and interlocks as CANopen nodes, in real time. Without a CAN interface:
     `golfbench --config local_can nodes`, and in another terminal `golfbench --config local_can run`.
@@ -80,7 +80,7 @@ def nodes(
 
 
 def play(plan: NodesPlan) -> None:
-    """Be the nodes of `plan` until SIGTERM or Ctrl-C.
+    """Run the simulated nodes of `plan` until SIGTERM or Ctrl-C.
 
     Raises:
         NoBus: the bus or the plant's files cannot be had.

@@ -1,4 +1,4 @@
-"""`golfbench status`, `home`, `arm`, ... `lease`: asking a running bench from the command line."""
+"""`golfbench status`, `home`, `arm`, ... `lease`: operate a running bench."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PANEL = "A running bench"
 
 app = typer.Typer()
 lease_app = typer.Typer(
-    help="Hold the bench: who moves it holds its lease. What stops it needs none.", no_args_is_help=True
+    help="Hold the bench: moving it needs its lease, stopping it does not.", no_args_is_help=True
 )
 app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
 
@@ -38,18 +38,18 @@ Timeout = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 _SPARE = 1000
-"""Sequence numbers set apart for one command: a command that is killed leaves none behind that it used."""
+"""Sequence numbers reserved for one command, so that the next one does not reuse those of a killed one."""
 
 
 @app.command(rich_help_panel=PANEL)
 def status(
     context: typer.Context,
-    watch: Annotated[bool, typer.Option("--watch", help="Follow it until Ctrl-C.")] = False,
+    watch: Annotated[bool, typer.Option("--watch", help="Keep watching until Ctrl-C.")] = False,
     json_: Json = False,
 ) -> None:
     """Show the state of the bench: once, or live.
 
-    With --watch and --json one line for each state that the bench tells of.
+    With --watch and --json: one line for each published state.
     """
     import json
 
@@ -73,7 +73,7 @@ def status(
 def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
     """Home the robot: prove the encoders' zeros; needs the lease.
 
-    With --wait ends with 1 when the bench is not READY in time.
+    With --wait: exits with 1 if the bench is not READY in time.
     """
     _ask_as_holder(
         context,
@@ -84,10 +84,10 @@ def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) ->
 
 @app.command(rich_help_panel=PANEL)
 def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
-    """Warn, let the air on and go to the address; needs the lease.
+    """Warn, switch the air on and go to the address; needs the lease.
 
-    With --wait until the robot rests at its address, ready to swing; ends with 1 when it does not in time.
-    Ctrl-C then ends the waiting only: golfbench disarm.
+    With --wait: returns when the robot rests at its address, ready to swing; exits with 1 if not in time.
+    Ctrl-C then ends only the waiting, not the arming: use golfbench disarm.
     """
     _ask_as_holder(
         context,
@@ -98,13 +98,14 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
 
 @app.command(rich_help_panel=PANEL)
 def disarm(context: typer.Context) -> None:
-    """Go back to READY in order and vent."""
+    """Disarm: vent if at rest, otherwise brake first."""
     _ask(context, lambda bench: bench.disarm())
 
 
 @app.command(rich_help_panel=PANEL)
 def access(
-    context: typer.Context, end: Annotated[bool, typer.Option("--end", help="Lock the guard again.")] = False
+    context: typer.Context,
+    end: Annotated[bool, typer.Option("--end", help="End the access: lock the guard.")] = False,
 ) -> None:
     """Unlock the guard of a vented bench, to change club or ball; needs the lease."""
     _ask_as_holder(context, lambda bench: bench.secure() if end else bench.access())
@@ -118,19 +119,19 @@ def tee(context: typer.Context) -> None:
 
 @app.command(rich_help_panel=PANEL)
 def stop(context: typer.Context) -> None:
-    """Stop the robot; anybody may."""
+    """Stop the robot; needs no lease."""
     _ask(context, lambda bench: bench.stop())
 
 
 @app.command(rich_help_panel=PANEL)
 def estop(context: typer.Context) -> None:
-    """Stop the robot as the emergency stop does; anybody may. A convenience, not a safety function."""
+    """Stop the robot and latch ESTOP; needs no lease. A convenience, not a safety function."""
     _ask(context, lambda bench: bench.emergency_stop())
 
 
 @app.command(rich_help_panel=PANEL)
 def reset(context: typer.Context) -> None:
-    """Leave ESTOP or FAULT when its cause is gone; enables, never moves; needs the lease."""
+    """Leave ESTOP or FAULT once the cause is cleared; never moves the robot; needs the lease."""
     _ask_as_holder(context, lambda bench: bench.reset())
 
 
@@ -152,7 +153,9 @@ def swing_when_armed(context: typer.Context) -> None:
 
 Seconds = Annotated[
     float | None,
-    typer.Option(metavar="N", min=5.0, max=600.0, help="How long.", show_default="30, or as before"),
+    typer.Option(
+        metavar="N", min=5.0, max=600.0, help="Duration of the lease, s.", show_default="30, or as before"
+    ),
 ]
 
 
@@ -160,11 +163,11 @@ Seconds = Annotated[
 def take_lease(
     context: typer.Context,
     holder: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Who holds the bench.", show_default="user@host")
+        str | None, typer.Option(metavar="NAME", help="Name of the holder.", show_default="user@host")
     ] = None,
     seconds: Seconds = None,
 ) -> None:
-    """Take the bench; the commands that follow use the lease and renew it."""
+    """Take the lease; the commands that follow use and renew it."""
     from bench.commands.lease_file import open_lease_file
     from bench.network.client import CommandRefused
     from bench.network.lease import DEFAULT
@@ -190,7 +193,7 @@ def take_lease(
 
 @lease_app.command("renew")
 def renew_lease(context: typer.Context, seconds: Seconds = None) -> None:
-    """Keep the bench."""
+    """Renew the lease."""
     with _holding(context) as bench:
         left = bench.renew_lease(seconds)
         typer.echo(f"bench {bench.bench}: held for {left:g} s more")
@@ -198,10 +201,10 @@ def renew_lease(context: typer.Context, seconds: Seconds = None) -> None:
 
 @lease_app.command("release")
 def release_lease(context: typer.Context) -> None:
-    """Give the bench back; an armed bench disarms."""
+    """Release the lease; an armed bench disarms."""
     with _holding(context) as bench:
         bench.release_lease()
-        typer.echo(f"bench {bench.bench}: given back")
+        typer.echo(f"bench {bench.bench}: lease released")
 
 
 @lease_app.command("show")
@@ -214,14 +217,14 @@ def show_lease(context: typer.Context, json_: Json = False) -> None:
         if json_:
             typer.echo(json.dumps(held))
         elif held is None:
-            typer.echo(f"bench {bench.bench}: nobody holds it")
+            typer.echo(f"bench {bench.bench}: lease not held")
         else:
             typer.echo(
                 f"bench {bench.bench}: {held['holder']} holds it for {held['seconds_left']:.0f} s more"
             )
 
 
-# How a verb is asked ---------------------------------------------------------------------------------
+# Requests --------------------------------------------------------------------------------------------
 
 
 def _client(context: typer.Context) -> BenchClient:
@@ -238,7 +241,7 @@ def _folder() -> Path:
 
 @contextmanager
 def _holding(context: typer.Context) -> Iterator[BenchClient]:
-    """Yield a client with the kept lease, and keep what becomes of it."""
+    """Yield a client with the stored lease; store the lease again at the end."""
     from bench.commands.lease_file import open_lease_file
 
     with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:

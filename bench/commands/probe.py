@@ -1,4 +1,4 @@
-"""What is tried in a process of its own, because it changes the process or may end it.
+"""Checks made in a process of their own, because they change the process or may end it.
 
 `python -m bench.commands.probe imports MODULE...` imports each module and prints `module TAB answer`.
 `python -m bench.commands.probe realtime` asks the kernel for what the loop needs and prints JSON.

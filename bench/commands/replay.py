@@ -1,4 +1,4 @@
-"""What a replay found, for people and for programs."""
+"""Output of a replay, as a table and as JSON."""
 
 from __future__ import annotations
 

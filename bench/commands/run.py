@@ -13,22 +13,24 @@ from bench.commands.session import Session
 def run(
     context: typer.Context,
     driver: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What is driven.", show_default="the configuration's")
+        str | None,
+        typer.Option(metavar="NAME", help="Driver of the robot.", show_default="the configuration's"),
     ] = None,
     time: Annotated[
         Literal["wall", "paced"] | None,
-        typer.Option(help="Of the simulated plant: its own clock, or in step with the loop's ticks."),
+        typer.Option(help="Clock of the simulated plant: wall clock, or in step with the loop's ticks."),
     ] = None,
     profile: Annotated[
-        str | None, typer.Option(metavar="PROFILE", help="What is swung.", show_default="the configuration's")
+        str | None,
+        typer.Option(metavar="PROFILE", help="Profile to swing.", show_default="the configuration's"),
     ] = None,
     read_only: Annotated[
-        bool, typer.Option("--read-only", help="Observe; send nothing but the passive command.")
+        bool, typer.Option("--read-only", help="Observe only: send nothing but the passive command.")
     ] = False,
 ) -> None:
     """Run the bench until Ctrl-C or SIGTERM: loop, recorder, publisher, and commands over the network.
 
-    It comes up in ESTOP; go on from another terminal: golfbench lease take, reset, home, arm, swing.
+    It starts in ESTOP. Continue in another terminal: golfbench lease take, reset, home, arm, swing.
     """
     import logging
 
@@ -48,7 +50,7 @@ def run(
     configuration = replace(configuration, swing=swing).with_driver(settings)
     if configuration.faults:
         if mistakes := contradictions(configuration) + unheard_phases(configuration):
-            raise ExceptionGroup("the configuration does not hold", mistakes)
+            raise ExceptionGroup("invalid configuration", mistakes)
     daemon = Daemon(configuration, read_only=read_only)
     daemon.run(
         lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)

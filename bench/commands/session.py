@@ -1,4 +1,4 @@
-"""What the options before a command say."""
+"""The global options, as every command sees them."""
 
 from __future__ import annotations
 

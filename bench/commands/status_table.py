@@ -20,7 +20,7 @@ REDRAW = 0.2
 """s between two pictures of `watch_status`."""
 
 SILENT = 1.0
-"""s without a word from the bench after which it counts as silent; it speaks every 0.2 s."""
+"""s without a state after which the bench counts as silent; it publishes every 0.2 s."""
 
 _STYLES = {
     "ESTOP": "bold white on red",
@@ -86,7 +86,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     rows: list[tuple[str, Text | str]] = [
         ("phase", moves),
         ("cause", Text(f"{cause['name']}: {cause['text']}", "red") if cause else "none"),
-        ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "nobody's"),
+        ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
         (
             "robot",
             _flags(("homed", status["homed"], "not homed"), ("vented", status["vented"], "not vented")),
@@ -128,7 +128,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
 
 
 def _flags(*flags: tuple[str, bool, str]) -> Text:
-    """Return the words for what holds and, in yellow, for what does not."""
+    """Return the words for conditions met and, in yellow, for those not met."""
     return Text(", ").join(Text(yes) if holds else Text(no, "yellow") for yes, holds, no in flags)
 
 
@@ -147,15 +147,15 @@ def _processes(status: BenchStatus) -> Text:
 
 
 def _device(device: DeviceStatus) -> Text:
-    """Return what ails it, and what was counted at all."""
-    told = Text(device["trouble"], "red") if device["trouble"] else Text("no trouble told")
+    """Return the device's trouble and its non-zero counters."""
+    told = Text(device["trouble"], "red") if device["trouble"] else Text("no trouble reported")
     if counted := {name: count for name, count in device["counters"].items() if count}:
         told.append(f"\n{_pairs(counted)}", "default")
     return told
 
 
 def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
-    """Return who is connected and what came of it, in yellow what is missing."""
+    """Return the connected monitors and their counts; in yellow, what is missing."""
     if link is None:
         return Text("none configured")
     where = f"listening at {link['listening']}" if link["listening"] else "not listening"
@@ -172,7 +172,7 @@ def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
 
 
 def _real_time(granted: Mapping[str, Any]) -> Text:
-    """Return what the machine granted of what was asked, and in yellow what it did not."""
+    """Return the granted real-time settings, and in yellow those not granted."""
     mode = granted.get("mode", "off")
     if mode == "off":
         return Text("off: nothing was asked of the machine")

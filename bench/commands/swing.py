@@ -1,4 +1,4 @@
-"""`golfbench swing ...`: look at profiles and try them on the software plant."""
+"""`golfbench swing ...`: show, simulate, check and design profiles."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 app = typer.Typer(invoke_without_command=True)
 
-Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name of a profile that is here, or a path.")]
+Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 @app.callback()
 def swing(context: typer.Context) -> None:
-    """Swing, if the bench is ARMED; or look at profiles and try them on the software plant."""
+    """Swing, if the bench is ARMED; or show, simulate, check and design profiles."""
     if context.invoked_subcommand is None:
         from bench.commands.operate import swing_when_armed
 
@@ -54,7 +54,7 @@ def show(
     context: typer.Context,
     profile: Name,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw it: a .png, .svg or .pdf.")
+        Path | None, typer.Option(metavar="FILE", help="Also plot it: .png, .svg or .pdf.")
     ] = None,
     table: Annotated[
         bool,
@@ -86,7 +86,10 @@ def show(
 def simulate(
     context: typer.Context,
     profile: Annotated[
-        str, typer.Argument(metavar="PROFILE", help='Name or path of a profile, or "thesis": its experiment.')
+        str,
+        typer.Argument(
+            metavar="PROFILE", help='Name or path of a profile, or "thesis" for the thesis experiment.'
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -97,9 +100,9 @@ def simulate(
     ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
     json_: Json = False,
 ) -> None:
-    """Swing once on the software plant, and show what came of it.
+    """Simulate one swing and show the result.
 
-    Ends with 1 when the swing gives no valid shot.
+    Exits with 1 if the shot is invalid.
     """
     from bench.swing.library import THESIS
 
@@ -157,10 +160,10 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
 def check(
     context: typer.Context,
     profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")] = "default",
-    spacing: Annotated[int, typer.Option(min=1, help="Ticks between the instants that are tried.")] = 20,
+    spacing: Annotated[int, typer.Option(min=1, help="Ticks between tested instants.")] = 20,
     json_: Json = False,
 ) -> None:
-    """Prove on the software plant how every stop ends, from every instant of a swing.
+    """Check on the simulated plant how every stop ends, from every instant of a swing.
 
     Each reaction, each valve stuck open or shut, a silent bench and a missing ball, against the ratings of
     stops and chambers. Ends with 1 when a reaction of the stopping table, the silent bench or the missing
@@ -202,14 +205,14 @@ def design(
         Path | None,
         typer.Argument(
             metavar="FILE",
-            help="The profile to write, .toml; its table goes beside it.",
-            show_default="by its demand",
+            help="Profile to write, .toml, with its table beside it.",
+            show_default="named by speed and angles",
         ),
     ] = None,
     club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
     golfer: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Golfer whose motion to keep close to."),
+        typer.Option(metavar="NAME", help="Golfer to imitate."),
     ] = None,
     speed: Annotated[
         float | None,
@@ -239,7 +242,8 @@ def design(
         typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane."),
     ] = 0.0,
     margin: Annotated[
-        float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Of each valve, left to feedback.")
+        float,
+        typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of each valve reserved for feedback."),
     ] = 15.0,
     backswing: Annotated[
         float | None,
@@ -247,19 +251,19 @@ def design(
             metavar="S",
             min=0.5,
             max=3.0,
-            help="How long the backswing takes: the tempo.",
+            help="Duration of the backswing.",
             show_default="0.85, or the golfer's",
         ),
     ] = None,
     highest: Annotated[
-        bool, typer.Option("--highest", help="Only say how fast it can be, and what limits it.")
+        bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
     ] = False,
     nearest: Annotated[
         bool,
         typer.Option(
             "--nearest",
-            help="Where this is out of reach give way, and say by how much: time of the downswing, "
-            "rise of the path, head speed.",
+            help="If out of reach, design the nearest swing and show the deviations: downswing time, "
+            "attack angle, head speed.",
         ),
     ] = False,
     start: Annotated[
@@ -267,14 +271,14 @@ def design(
         typer.Option(
             "--from",
             metavar="PROFILE",
-            help='Swing to begin with, or "nothing".',
+            help='Swing to start the optimization from, or "nothing".',
             show_default="the configuration's",
         ),
     ] = None,
 ) -> None:
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
-    Deterministic. A demand beyond the robot is refused with what limits it; --nearest designs what comes
+    Deterministic. A demand out of reach is refused with its limit; --nearest designs the
     nearest and says what it gave way in.
     """
     import math
@@ -351,7 +355,7 @@ def design(
                 "swing design",
                 str(failure),
                 "a swing that this plant can do",
-                "Ask for less --speed or a steeper --attack angle; --highest tells how fast it can be, "
+                "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
                 "--nearest gives way.",
             ) from None
     given = gave_way(demand, made.profile)
@@ -385,7 +389,7 @@ def golfers(
         ),
     ] = None,
     plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw them: a .png, .svg or .pdf.")
+        Path | None, typer.Option(metavar="FILE", help="Also plot them: .png, .svg or .pdf.")
     ] = None,
     json_: Json = False,
 ) -> None:

@@ -24,7 +24,7 @@ def tune(
     context: typer.Context,
     profile: Annotated[
         str | None,
-        typer.Argument(metavar="PROFILE", help="Swing to tune for.", show_default="the configuration's"),
+        typer.Argument(metavar="PROFILE", help="Profile to tune for.", show_default="the configuration's"),
     ] = None,
     method: Annotated[
         Method,
@@ -34,13 +34,13 @@ def tune(
         ),
     ] = "margins",
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Configuration with the gains to write, .toml.")
+        Path | None, typer.Option(metavar="FILE", help="Write a configuration with the gains, .toml.")
     ] = None,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
 ) -> None:
     """Tune the three PIDs on the simulated robot, and show the margins of their loops along a swing.
 
-    Deterministic. Whole swings prove the gains, also on a worn robot. Ends with 1, and writes nothing, when
+    Deterministic. Whole swings prove the gains, also on a worn robot. Exits with 1 and writes nothing if
     the configured robot does not swing with what was found.
     """
     import json

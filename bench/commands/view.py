@@ -38,21 +38,21 @@ def view(
         Path | None,
         typer.Option(metavar="FILE", help="Write a Rerun file, .rrd; no window unless --web."),
     ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Serve a browser of this machine.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
     connect: Annotated[
-        str | None, typer.Option(metavar="URL", help="Send to a Rerun viewer that runs already.")
+        str | None, typer.Option(metavar="URL", help="Send to a running Rerun viewer.")
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=1024, max=65535, help="Of the web page.", show_default="a free one"),
+        typer.Option(min=1024, max=65535, help="Port of the web page.", show_default="a free one"),
     ] = None,
     memory_limit: Annotated[
-        str, typer.Option(metavar="SIZE", help="What the viewer may keep; then the oldest goes.")
+        str, typer.Option(metavar="SIZE", help="Memory of the viewer; beyond it the oldest data are dropped.")
     ] = "2GB",
 ) -> None:
     """Show a running bench, a past swing or a series in Rerun, on this machine only.
 
-    Live it ends with Ctrl-C or when its window is closed; it goes on by itself when the bench starts anew.
+    A live view ends with Ctrl-C or when its window is closed; it reconnects if the bench restarts.
     """
     from bench.viewer.window import checked_memory
 
@@ -192,7 +192,7 @@ def _view_bench(
 
 
 def _writable(path: Path) -> Path:
-    """Return `path` after a look whether it can be written: Rerun does not tell.
+    """Return `path` after checking that it can be written: Rerun does not report it.
 
     Raises:
         NotStored: it cannot.

@@ -67,7 +67,7 @@ def run_live_demo(configuration: Configuration, output: Path | None, swings: int
     and recording.
 
     Raises:
-        BenchError: the profile does not hold, `output` cannot be used, or the bench does not start.
+        BenchError: the profile is invalid, `output` cannot be used, or the bench does not start.
         ExceptionGroup: of BenchErrors, the reasons why the profile cannot be swung here.
         KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
     """

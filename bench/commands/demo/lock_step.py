@@ -22,7 +22,7 @@ def run_lock_step_demo(configuration: Configuration, output: Path | None, swings
     """Check, swing, show and store; return whether the campaign came to its end.
 
     Raises:
-        BenchError: the profile does not hold, or `output` cannot be used.
+        BenchError: the profile is invalid, or `output` cannot be used.
         ExceptionGroup: of BenchErrors, the reasons why the profile cannot be swung here.
         KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
     """

@@ -25,7 +25,7 @@ from bench.viewer.recording import write_recording
 
 
 class Files(NamedTuple):
-    """What a demo leaves in its folder."""
+    """Files of a demo."""
 
     report: Path
     recording: Path

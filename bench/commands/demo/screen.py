@@ -61,7 +61,7 @@ _COLUMNS = (
 
 
 class Screen:
-    """Use it as a context. What happens is drawn on standard error, the result printed on standard output.
+    """Use it as a context. Progress goes to standard error, the result to standard output.
 
     Args:
         title: what is done, in a line.

@@ -286,7 +286,7 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
 
 
 def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
-    assert "not been read yet" in call("air").output
+    assert "No reading of the air yet" in call("air").output
     told = call("air", "--temperature", "21.5", "--pressure", "1008.2", "--humidity", "40", "--by", "Ann")
     assert told.exit_code == ExitCode.OK, told.output
     shown = call("air").output
@@ -308,7 +308,7 @@ def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], w
     refused = call("air", *arguments)
     assert isinstance(refused.exception, BenchError)
     assert what in str(refused.exception)
-    assert "not been read yet" in call("air").output
+    assert "No reading of the air yet" in call("air").output
 
 
 Begin = Callable[[int], list[str]]

@@ -85,8 +85,8 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
     for line, state in day:
         assert golfbench(*line.split()) == Outcome(0, f"bench bench1: {state}\n", "")
     assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
-    assert golfbench("lease", "release").out == "bench bench1: given back\n"
-    assert golfbench("lease", "show").out == "bench bench1: nobody holds it\n"
+    assert golfbench("lease", "release").out == "bench bench1: lease released\n"
+    assert golfbench("lease", "show").out == "bench bench1: lease not held\n"
     assert running.plane.counts()["refused"] == 0
 
 
@@ -262,7 +262,7 @@ def test_the_table_shows_everything_within_80_columns() -> None:
         "ESTOP",
         "STANDING",
         "POWER_UP: the bench was switched on",
-        "nobody's",
+        "not held",
         "not homed",
         "vented",
         "e-stop clear",
