@@ -1,7 +1,7 @@
 """Print how closely the joints of a campaign's swings followed their reference, shot by shot.
 
-golfbench campaign run two-balls --sim                                  # writes data/campaigns/ID/swings
-python tests/examples/campaign_tracking.py data/campaigns/ID
+.venv/bin/golfbench campaign run two-balls --sim                        # writes data/campaigns/ID/swings
+.venv/bin/python tests/examples/campaign_tracking.py data/campaigns/ID
 """
 
 from __future__ import annotations

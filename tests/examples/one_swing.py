@@ -1,7 +1,7 @@
 """Make one swing on a running bench and print what the club and the ball did.
 
-golfbench run --time paced                   # terminal 1: a bench with the simulated robot
-python tests/examples/one_swing.py           # terminal 2; for a bench of your own: one_swing.py bench.toml
+.venv/bin/golfbench run --time paced              # terminal 1: a bench with the simulated robot
+.venv/bin/python tests/examples/one_swing.py      # terminal 2; with a configuration: one_swing.py bench.toml
 """
 
 from __future__ import annotations

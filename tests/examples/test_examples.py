@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(
 def _python(*arguments: str) -> str:
     """Run Python with `arguments` beside the test and return what it printed."""
     done = subprocess.run(
-        [sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=240
+        [sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=500
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -42,11 +42,13 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return campaign, printed
 
 
+@pytest.mark.slow
 def test_the_readme_shows_what_the_campaign_prints(campaign: tuple[Path, str]) -> None:
     shown = README.read_text().partition("two-balls --sim\n")[2].partition("```")[0]
     assert " ".join(shown.split()) in " ".join(campaign[1].split())
 
 
+@pytest.mark.slow
 def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
     rows = _python(str(EXAMPLES / "campaign_tracking.py"), str(campaign[0])).splitlines()
     assert rows[1].split() == ["record", "shoulder", "arm", "wrist"]
@@ -54,7 +56,8 @@ def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
     assert all(0.0 < float(value) < 500.0 for row in rows[2:] for value in row.split()[1:])
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.live
+@pytest.mark.timeout(600)
 def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "example")
     with running_bench(file) as bench:
