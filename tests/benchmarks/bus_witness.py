@@ -58,9 +58,11 @@ def count(bus: Witness) -> dict[str, object]:
                 thirds.append(time - synced)
     p50, p99, longest = (1e-3 * np.quantile(thirds, [0.5, 0.99, 1.0])).tolist() if thirds else (np.nan,) * 3
     return {
-        "frames": dict(frames), "bits": bits, "seconds": 1e-9 * (time - begin),
+        "frames": dict(frames),
+        "bits": bits,
+        "seconds": 1e-9 * (time - begin),
         "third": {"p50_us": p50, "p99_us": p99, "max_us": longest, "count": len(thirds)},
-    }  # fmt: skip
+    }
 
 
 def main() -> None:

@@ -262,7 +262,7 @@ def rows_of(result: Result, title: str, drops: int) -> list[Row]:
         Row(title, "monitor started to going on", r.on_after, "s", "of which 3 s it must stay"),
         Row(title, "ball speed, tour less range", mean["tour"] - mean["range"], "m/s", "means of the valid"),
         Row(title, "campaign", r.duration, "s", f"{len(r.shots)} shots, {each:.1f} s each"),
-    ]  # fmt: skip
+    ]
 
 
 def run(arguments: Sequence[str]) -> list[Row]:

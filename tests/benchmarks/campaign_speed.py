@@ -107,10 +107,18 @@ def _reported(folder: Path, shots: int) -> list[Row]:
         store = CampaignStore(engine)
         store.begin(entry)
         drawn = [
-            replace(shot, club_speed_mps=42.9, attack_angle_deg=0.5, dynamic_loft_deg=11.1, strike_x_mm=0.1,
-                    ball_speed_mps=62.0, carry_side_m=-2.0 + shot.shot % 7 / 7, total_m=190.0)
+            replace(
+                shot,
+                club_speed_mps=42.9,
+                attack_angle_deg=0.5,
+                dynamic_loft_deg=11.1,
+                strike_x_mm=0.1,
+                ball_speed_mps=62.0,
+                carry_side_m=-2.0 + shot.shot % 7 / 7,
+                total_m=190.0,
+            )
             for shot in campaign_shots(plan, Truth(), 1)
-        ]  # fmt: skip
+        ]
         store.add(entry, [StoredShot(shot) for shot in drawn])
         begun = time.perf_counter()
         record = load_record(store, entry)

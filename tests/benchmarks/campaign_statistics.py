@@ -68,12 +68,20 @@ def campaign_shots(plan: CampaignPlan, truth: Truth, seed: int) -> list[Shot]:
                 carry += truth.deviation * random.normal() - (truth.difference if code else 0.0)
                 shots.append(
                     Shot(
-                        len(shots) + 1, trial.block, trial.position, trial.arm.club, trial.arm.ball,
-                        ShotStatus.VALID, carry_m=float(carry), swing=trial.arm.swing, role=str(trial.role),
-                        section=trial.section, sample=sample + 1,
+                        len(shots) + 1,
+                        trial.block,
+                        trial.position,
+                        trial.arm.club,
+                        trial.arm.ball,
+                        ShotStatus.VALID,
+                        carry_m=float(carry),
+                        swing=trial.arm.swing,
+                        role=str(trial.role),
+                        section=trial.section,
+                        sample=sample + 1,
                         time_utc=BEGIN + timedelta(seconds=48 * len(shots)),
                     )
-                )  # fmt: skip
+                )
     return shots
 
 
@@ -165,10 +173,14 @@ def survey(campaigns: int) -> list[Row]:
     # Pairs of one campaign share its shots: their errors are counted by campaigns, not by pairs.
     rate("four balls, equal: interval covers the truth", many.covered, many.pairs, 0.95, errors=campaigns)
     error = Row(
-        "campaign statistics", "four balls, equal: any pair called different (Holm)",
-        many.any_found / many.campaigns, "", f"of {many.campaigns}, at most 0.05",
-        None, 0.05 + 3 * sqrt(0.05 * 0.95 / campaigns),
-    )  # fmt: skip
+        "campaign statistics",
+        "four balls, equal: any pair called different (Holm)",
+        many.any_found / many.campaigns,
+        "",
+        f"of {many.campaigns}, at most 0.05",
+        None,
+        0.05 + 3 * sqrt(0.05 * 0.95 / campaigns),
+    )
     rows.append(error)
     return rows
 

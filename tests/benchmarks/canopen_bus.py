@@ -47,16 +47,23 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="golfbench-can-")))
         settings = CanopenSettings("local_socket", str(folder / "can"), service_time=1.0)
         plan = NodesPlan(
-            settings.interface, settings.channel, settings.bitrate, settings.encoders.nodes,
-            settings.valve_node.node, plant, folder, priority=PRIORITY - 1,
-        )  # fmt: skip
+            settings.interface,
+            settings.channel,
+            settings.bitrate,
+            settings.encoders.nodes,
+            settings.valve_node.node,
+            plant,
+            folder,
+            priority=PRIORITY - 1,
+        )
         nodes = Child.start("nodes", "sim.nodes.process", plan)
         stack.callback(nodes.end, 5.0)
         nodes.wait_until_ready(200.0)
         witness = subprocess.Popen(
             [sys.executable, "-m", "tests.benchmarks.bus_witness", settings.channel, str(PRIORITY - 2)],
-            stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         stack.callback(witness.wait)
         stack.callback(witness.terminate)
         if witness.stdout is None or witness.stdout.readline() != "here\n":
@@ -85,9 +92,14 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
 
 
 def rows(
-    title: str, loop: DriverLoop, ticks: int, new: dict[str, int], told: dict[str, Any], trouble: str,
+    title: str,
+    loop: DriverLoop,
+    ticks: int,
+    new: dict[str, int],
+    told: dict[str, Any],
+    trouble: str,
     load: float,
-) -> list[Row]:  # fmt: skip
+) -> list[Row]:
     """Return the figures: `new` of the driver's counters, `told` by the witness."""
     frames = {int(identifier): count for identifier, count in told["frames"].items()}
     positions, total = sum(frames.get(i, 0) for i in POSITIONS), sum(frames.values())
@@ -96,20 +108,56 @@ def rows(
         times(title, "wake-up", loop.lateness),
         times(title, "read: SYNC out, three positions in", loop.reading),
         times(title, "write: command out", loop.writing),
-        Row(title, "SYNC to the third position, on the bus", third["p50_us"], "us",
-            f"median; p99 {third['p99_us']:.1f}, longest {third['max_us']:.1f} us"),
+        Row(
+            title,
+            "SYNC to the third position, on the bus",
+            third["p50_us"],
+            "us",
+            f"median; p99 {third['p99_us']:.1f}, longest {third['max_us']:.1f} us",
+        ),
         Row(title, "bus: SYNCs less ticks", frames.get(SYNC, 0) - ticks, f"of {ticks}", "", 0, 0),
         Row(title, "bus: commands less ticks", frames.get(COMMAND, 0) - ticks, f"of {ticks}", "", 0, 0),
-        Row(title, "bus: positions less three for each SYNC", positions - 3 * ticks, f"of {3 * ticks}",
-            "", 0, 0),
-        Row(title, "driver: positions less those on the bus",
-            new["positions"] + new["late"] + new["duplicates"] - positions, f"of {positions}",
-            f"in time {new['positions']}, late {new['late']}", 0, 0),
-        Row(title, "driver: frames less those of its classes", new["frames"] - sum(new[c] for c in CLASSES),
-            f"of {new['frames']}", "", 0, 0),
-        Row(title, "positions late or missing", new["late"] + new["missing"], f"of {3 * ticks}",
-            f"{loop.old} ticks without all three"),
+        Row(
+            title,
+            "bus: positions less three for each SYNC",
+            positions - 3 * ticks,
+            f"of {3 * ticks}",
+            "",
+            0,
+            0,
+        ),
+        Row(
+            title,
+            "driver: positions less those on the bus",
+            new["positions"] + new["late"] + new["duplicates"] - positions,
+            f"of {positions}",
+            f"in time {new['positions']}, late {new['late']}",
+            0,
+            0,
+        ),
+        Row(
+            title,
+            "driver: frames less those of its classes",
+            new["frames"] - sum(new[c] for c in CLASSES),
+            f"of {new['frames']}",
+            "",
+            0,
+            0,
+        ),
+        Row(
+            title,
+            "positions late or missing",
+            new["late"] + new["missing"],
+            f"of {3 * ticks}",
+            f"{loop.old} ticks without all three",
+        ),
         Row(title, "trouble", float(bool(trouble)), "", trouble or "operational to the end", at_most=0),
-        Row(title, "bus load, frames really sent", 100.0 * told["bits"] / told["seconds"] / bitrate, "%",
-            f"{total / told['seconds']:.0f} frames a second, stuff bits counted", at_most=load),
-    ]  # fmt: skip
+        Row(
+            title,
+            "bus load, frames really sent",
+            100.0 * told["bits"] / told["seconds"] / bitrate,
+            "%",
+            f"{total / told['seconds']:.0f} frames a second, stuff bits counted",
+            at_most=load,
+        ),
+    ]

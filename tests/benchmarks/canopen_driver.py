@@ -102,16 +102,23 @@ def run() -> list[Row]:
             {"in memory, driver": _tick_of(in_memory), "in memory, naive": _naive(memory_bus, settings)}
         )
         plan = NodesPlan(
-            settings.interface, settings.channel, settings.bitrate, settings.encoders.nodes,
-            settings.valve_node.node, PlantParameters(), folder, priority=PRIORITY - 1,
-        )  # fmt: skip
+            settings.interface,
+            settings.channel,
+            settings.bitrate,
+            settings.encoders.nodes,
+            settings.valve_node.node,
+            PlantParameters(),
+            folder,
+            priority=PRIORITY - 1,
+        )
         nodes = Child.start("nodes", "sim.nodes.process", plan)
         stack.callback(nodes.end, 5.0)
         nodes.wait_until_ready(200.0)
         bus = can.Bus(
-            interface="local_socket", channel=settings.channel,
+            interface="local_socket",
+            channel=settings.channel,
             can_filters=[{"can_id": base + n, "can_mask": 0x7FF} for base, n in _heard(settings)],
-        )  # fmt: skip
+        )
         stack.callback(bus.shutdown)
         naive = _naive(bus, settings)
         driver = CanopenDriver(settings, period=PERIOD, watchdog=WATCHDOG)
@@ -135,10 +142,14 @@ def run() -> list[Row]:
         rows.append(Row(_TITLE, f"{place}, naive over driver", ratio, "", note="same run, blocks in turn"))
     rows.append(
         Row(
-            _TITLE, "bus load, frames really sent", 100.0 * load, "%", at_most=100.0 * driver.load,
+            _TITLE,
+            "bus load, frames really sent",
+            100.0 * load,
+            "%",
+            at_most=100.0 * driver.load,
             note=f"{frames:.0f} frames a second, stuff bits counted; computed at most {driver.load:.1%}",
         )
-    )  # fmt: skip
+    )
     rows.append(Row(_TITLE, "local bus, samples missing", missing, f"of {3 * BLOCK * ROUNDS}", note=trouble))
     return rows
 

@@ -213,9 +213,15 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
         _stay_silent(bench, wire, look)
     ticks, reaction = reacted[0] if reacted else (-1, Reaction.NONE)
     return Case(
-        fault, phase, ticks, reaction, Cause(int(bench.cycle.state.control["cause"][0])), driver.trouble,
-        bench.loads, bench.cycle.phase,
-    )  # fmt: skip
+        fault,
+        phase,
+        ticks,
+        reaction,
+        Cause(int(bench.cycle.state.control["cause"][0])),
+        driver.trouble,
+        bench.loads,
+        bench.cycle.phase,
+    )
 
 
 def _stay_silent(bench: SwingBench, wire: Wire, look: Callable[[], None]) -> None:
@@ -237,10 +243,16 @@ def show(cases: Sequence[Case], console: Console) -> None:
     table.add_column("what the driver tells")
     for case in cases:
         table.add_row(
-            case.fault, case.phase.name, case.reaction.name, case.cause.name, str(case.ticks),
-            f"{100 * case.loads.stop_share:.0f} %", f"{100 * case.loads.pressure_share:.0f} %", case.trouble,
+            case.fault,
+            case.phase.name,
+            case.reaction.name,
+            case.cause.name,
+            str(case.ticks),
+            f"{100 * case.loads.stop_share:.0f} %",
+            f"{100 * case.loads.pressure_share:.0f} %",
+            case.trouble,
             style="red" if case.unsafe else "",
-        )  # fmt: skip
+        )
     console.print(table)
 
 

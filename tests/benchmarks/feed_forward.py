@@ -33,9 +33,14 @@ _RESTORED = 5
 
 @compiled
 def _steps(
-    state: ControlState, parameters: ControlParameters, readings: Any, time: float, command: Any, cycle: Any,
+    state: ControlState,
+    parameters: ControlParameters,
+    readings: Any,
+    time: float,
+    command: Any,
+    cycle: Any,
     count: int,
-) -> None:  # fmt: skip
+) -> None:
     """Run `count` ticks of a millisecond on the same readings."""
     for k in range(count):
         step(state, parameters, readings, time + 0.001 * k, command, cycle)

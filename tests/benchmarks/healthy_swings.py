@@ -35,9 +35,14 @@ from sim.pneumatics import Actuator
 from tests.benchmarks.row import Row
 
 TOLERANCE = {
-    "conductance": 0.025, "spool frequency": 0.05, "dead band": 0.15, "friction": 0.15, "dead volume": 0.05,
-    "supply pressure": 0.01, "inertia": 0.01,
-}  # fmt: skip
+    "conductance": 0.025,
+    "spool frequency": 0.05,
+    "dead band": 0.15,
+    "friction": 0.15,
+    "dead volume": 0.05,
+    "supply pressure": 0.01,
+    "inertia": 0.01,
+}
 """Shares of the nominal value; assumption: what calibration and a good maker leave."""
 CENTRE = 0.0015
 """Of a valve, in openings."""
@@ -68,33 +73,42 @@ def drawn_plant(plant: PlantParameters, seed: int, spread: float = 1.0) -> Plant
             a.friction, viscous=a.friction.viscous * about_1("friction"), coulomb=coulomb, static=static
         )
         valve = replace(
-            a.valve, conductance=a.valve.conductance * about_1("conductance"),
+            a.valve,
+            conductance=a.valve.conductance * about_1("conductance"),
             natural_frequency=a.valve.natural_frequency * about_1("spool frequency"),
-            dead_band=a.valve.dead_band * about_1("dead band"), leakage=a.valve.leakage * leaking(),
+            dead_band=a.valve.dead_band * about_1("dead band"),
+            leakage=a.valve.leakage * leaking(),
             centre=spread * CENTRE * float(random.uniform(-1.0, 1.0)),
-        )  # fmt: skip
+        )
         return replace(
-            a, dead_volume=a.dead_volume * about_1("dead volume"),
-            cross_leakage=a.cross_leakage * leaking(), friction=friction, valve=valve,
-        )  # fmt: skip
+            a,
+            dead_volume=a.dead_volume * about_1("dead volume"),
+            cross_leakage=a.cross_leakage * leaking(),
+            friction=friction,
+            valve=valve,
+        )
 
     robot, supply = plant.robot, plant.supply
     left, link, club = robot.left_arm, robot.shoulder_link, robot.club
     return replace(
-        plant, shoulder=actuator(plant.shoulder), right_arm=actuator(plant.right_arm),
+        plant,
+        shoulder=actuator(plant.shoulder),
+        right_arm=actuator(plant.right_arm),
         wrist=actuator(plant.wrist),
         supply=replace(supply, pressure=supply.pressure * about_1("supply pressure")),
         robot=replace(
-            robot, left_arm=replace(left, inertia=left.inertia * about_1("inertia")),
+            robot,
+            left_arm=replace(left, inertia=left.inertia * about_1("inertia")),
             shoulder_link=replace(link, inertia=link.inertia * about_1("inertia")),
             club=replace(club, head_mass=club.head_mass * about_1("inertia")),
         ),
         encoders=replace(
-            plant.encoders, noise=spread * NOISE * float(random.uniform()),
+            plant.encoders,
+            noise=spread * NOISE * float(random.uniform()),
             jitter=spread * JITTER * float(random.uniform()),
         ),
         seed=seed + 1,
-    )  # fmt: skip
+    )
 
 
 def swing(plant: PlantParameters, parameters: ControlParameters, profile: Profile, *, ball: bool) -> Cause:

@@ -116,9 +116,14 @@ def _designed_anew(lecture: LearningProblem, robot: Configuration, file: Path) -
     if not file.exists():
         demand = SwingDemand(head_speed=lecture.target.speed, attack=lecture.target.attack)
         made = design_swing(
-            robot.plant, demand, file.stem, control=robot.control, envelope=robot.envelope,
-            estimator=robot.estimator, start=lecture.bench.profile,
-        )  # fmt: skip
+            robot.plant,
+            demand,
+            file.stem,
+            control=robot.control,
+            envelope=robot.envelope,
+            estimator=robot.estimator,
+            start=lecture.bench.profile,
+        )
         save_profile(file, made.profile)
     return load_profile(file)
 

@@ -31,9 +31,14 @@ from tests.benchmarks.row import Row
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 PHASES = (
-    Phase.STANDING, Phase.HOLD, Phase.BACKSWING, Phase.DOWNSWING, Phase.COMMITTED, Phase.FOLLOW_THROUGH,
+    Phase.STANDING,
+    Phase.HOLD,
+    Phase.BACKSWING,
+    Phase.DOWNSWING,
+    Phase.COMMITTED,
+    Phase.FOLLOW_THROUGH,
     Phase.RETURN,
-)  # fmt: skip
+)
 SUPPORT = ("recorder", "publisher")
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 _ATTEMPTS = 6

@@ -35,10 +35,27 @@ PROBE = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
 _PROBE_NAME = "probe"
 _EVERY = 1000
 _ABSURD = (
-    b"null", b"true", b'"NaN"', b"NaN", b"-Infinity", b"1e999", b"-1", b"0", b'""', b'"12,5"', b"[]", b"{}",
-    b'"\\ud800"', b"9" * 400, b"9" * 5000, b"[[[[[[[[[[", b'{"a":{"b":{"c":1}}}', b'"' + b"x" * 3000 + b'"',
-    b"\xff\xfe", b'"\\u0000"',
-)  # fmt: skip
+    b"null",
+    b"true",
+    b'"NaN"',
+    b"NaN",
+    b"-Infinity",
+    b"1e999",
+    b"-1",
+    b"0",
+    b'""',
+    b'"12,5"',
+    b"[]",
+    b"{}",
+    b'"\\ud800"',
+    b"9" * 400,
+    b"9" * 5000,
+    b"[[[[[[[[[[",
+    b'{"a":{"b":{"c":1}}}',
+    b'"' + b"x" * 3000 + b'"',
+    b"\xff\xfe",
+    b'"\\u0000"',
+)
 
 
 @dataclass

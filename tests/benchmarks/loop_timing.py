@@ -210,10 +210,17 @@ def table(pairs: list[Pair], rate: float) -> Table:
         loop, other = pair.loop.wake_up, pair.cyclictest
         both = [f"{getattr(loop, share):.0f} | {getattr(other, share):.0f}" for share in (*SHARES, "late")]
         shown.add_row(
-            str(number), pair.first, *both, f"{pair.loop.steal} | {pair.cyclictest_steal}",
-            f"{pair.ratio('p99'):.2f}", f"{pair.ratio('p999'):.2f}", str(pair.loop.skipped),
-            f"{pair.loop.tick_p99:.0f}", str(pair.loop.swings), str(pair.loop.stops),
-        )  # fmt: skip
+            str(number),
+            pair.first,
+            *both,
+            f"{pair.loop.steal} | {pair.cyclictest_steal}",
+            f"{pair.ratio('p99'):.2f}",
+            f"{pair.ratio('p999'):.2f}",
+            str(pair.loop.skipped),
+            f"{pair.loop.tick_p99:.0f}",
+            str(pair.loop.swings),
+            str(pair.loop.stops),
+        )
     return shown
 
 
@@ -248,9 +255,10 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Measure all pairs, print them, write them where `--output` says; 40 s a pair by default."""
     cores = sorted(os.sched_getaffinity(0))
     parser = argparse.ArgumentParser(
-        prog="python -m tests.benchmarks loop_timing", description=__doc__,
+        prog="python -m tests.benchmarks loop_timing",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop")
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--seconds", type=int, default=15, help="of each run")

@@ -47,9 +47,10 @@ def run() -> list[Row]:
     for name, model in (("with", always), ("without", off)):
         envelope = replace(c.envelope, model=model)
         bench = Lockstep(
-            build_plant(c.plant), build_controller(c.plant, profile, c.control, envelope, c.estimator),
+            build_plant(c.plant),
+            build_controller(c.plant, profile, c.control, envelope, c.estimator),
             hanging_pose(c.plant),
-        )  # fmt: skip
+        )
         bench.advance(200)
         LockstepEngine(bench).arm()
         works[name] = _swings(bench, ticks)
@@ -62,12 +63,22 @@ def run() -> list[Row]:
     decision = {name: tick[name] - tick["plant"] for name in ("with", "without")}
     note = f"{decision['with']:.0f} and {decision['without']:.0f} ns; the plant {tick['plant']:.0f} ns a tick"
     return [
-        Row("model check", "decision of a tick with it to one without",
-            decision["with"] / decision["without"], "times", note),
+        Row(
+            "model check",
+            "decision of a tick with it to one without",
+            decision["with"] / decision["without"],
+            "times",
+            note,
+        ),
         Row("model check", "tick of plant and decision, the same", tick["with"] / tick["without"], "times"),
-        Row("model check", "share of a tick's period that the decision takes with it",
-            decision["with"] * 1e-9 / c.plant.tick, "", at_most=GREATEST_SHARE),
-    ]  # fmt: skip
+        Row(
+            "model check",
+            "share of a tick's period that the decision takes with it",
+            decision["with"] * 1e-9 / c.plant.tick,
+            "",
+            at_most=GREATEST_SHARE,
+        ),
+    ]
 
 
 def _swings(bench: Lockstep, ticks: int) -> Work:

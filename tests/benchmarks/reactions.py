@@ -27,9 +27,16 @@ from sim.driver import SimDriver
 from tests.benchmarks.row import Row
 
 PHASES = (
-    Phase.STANDING, Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT,
-    Phase.FOLLOW_THROUGH, Phase.RETURN,
-)  # fmt: skip
+    Phase.STANDING,
+    Phase.HOLD,
+    Phase.BACKSWING,
+    Phase.TOP,
+    Phase.DOWNSWING,
+    Phase.COMMITTED,
+    Phase.IMPACT,
+    Phase.FOLLOW_THROUGH,
+    Phase.RETURN,
+)
 LONGEST = 20_000
 """Ticks until a phase is reached, or the robot rests."""
 
@@ -79,10 +86,17 @@ class FaultyDriver(SimDriver):
 
 
 FAULTS = {
-    "write raises": 0, "read raises": 0, "one encoder invalid": 5, "all encoders invalid": 5,
-    "guard opened": 1, "emergency stop": 1, "device silent": 1, "supervisor dead": 1, "operator stop": 0,
+    "write raises": 0,
+    "read raises": 0,
+    "one encoder invalid": 5,
+    "all encoders invalid": 5,
+    "guard opened": 1,
+    "emergency stop": 1,
+    "device silent": 1,
+    "supervisor dead": 1,
+    "operator stop": 0,
     "arm valve stuck open": None,
-}  # fmt: skip
+}
 """Faults and the ticks to the reaction that are promised."""
 
 
@@ -176,13 +190,15 @@ def run_case(fault: str, phase: Phase) -> Case:
     reacted = np.flatnonzero((records["trip"] != 0) | (records["reaction"] > Reaction.COMPLETE))
     speed = records["plant_head_speed"]
     return Case(
-        fault, phase,
+        fault,
+        phase,
         int(records["tick"][reacted[0]] - records["tick"][0]) if len(reacted) else -1,
         Cause(int(cycle.state.control["cause"][0])),
         Reaction(int(records["reaction"][reacted[0]])) if len(reacted) else Reaction.NONE,
         loads_of(state, c.plant),
-        float(np.nansum(speed) * period), float(np.nanmax(speed)),
-    )  # fmt: skip
+        float(np.nansum(speed) * period),
+        float(np.nanmax(speed)),
+    )
 
 
 def show(cases: Sequence[Case], console: Console) -> None:
@@ -222,9 +238,13 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         unreacted = [case.phase.name for case in moving if case.ticks < 0]
         rows.append(
             Row(
-                "reactions", fault, slowest.ticks, "ticks",
-                note + (f"; none in {', '.join(unreacted)}" if unreacted else ""), at_most=FAULTS[fault],
+                "reactions",
+                fault,
+                slowest.ticks,
+                "ticks",
+                note + (f"; none in {', '.join(unreacted)}" if unreacted else ""),
+                at_most=FAULTS[fault],
             )
-        )  # fmt: skip
+        )
     show(cases, Console(width=140))
     return rows

@@ -115,9 +115,11 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         stack.callback(plant.end, 2.0)
         profile = load_profile(find_profile(c.swing.profile))
         loop = Child.start(
-            "loop", "bench.processes.loop_process", LoopPlan(c, profile, owner.folder, owner.descriptor),
+            "loop",
+            "bench.processes.loop_process",
+            LoopPlan(c, profile, owner.folder, owner.descriptor),
             pass_fds=(owner.descriptor,),
-        )  # fmt: skip
+        )
         stack.callback(loop.end, 15.0)
         ready = loop.wait_until_ready(START)
         link.connect()

@@ -42,9 +42,14 @@ def run(arguments: list[str]) -> list[Row]:
             clock = process_time()
             try:
                 made = design_swing(
-                    c.plant, demand, "design", control=c.control, envelope=c.envelope, estimator=c.estimator,
+                    c.plant,
+                    demand,
+                    "design",
+                    control=c.control,
+                    envelope=c.envelope,
+                    estimator=c.estimator,
                     start=start,
-                )  # fmt: skip
+                )
             except DesignFailed as failure:
                 rows.append(Row(_NAME, f"{what}, designed", 0.0, "", str(failure), at_least=1.0))
                 continue

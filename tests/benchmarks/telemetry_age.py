@@ -86,8 +86,9 @@ class Subscriber:
         self._found = found
         self.process = subprocess.Popen(
             [sys.executable, "-c", _SUBSCRIBER, str(file), clock, str(found)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
         if self.process.stdout is None or self.process.stdout.readline() != b"ready\n":
             raise RuntimeError("the subscriber does not start")
 

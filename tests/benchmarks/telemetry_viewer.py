@@ -52,8 +52,9 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         swinging.start()
         viewer = subprocess.Popen(
             [sys.executable, "-m", "bench", "--config", str(file), "view", "--save", str(saved)],
-            stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         stack.callback(viewer.communicate)
         stack.callback(viewer.kill)
         deadline = time.monotonic() + _START
