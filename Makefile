@@ -20,6 +20,8 @@ help:  ## show this text
 demo: $(VENV)/.runtime  ## ten swings of the simulated robot in real time at two balls, and their report
 	@$(BIN)/golfbench demo
 
+# Bytecode is kept, or collecting the tests takes twice as long.
+unexport PYTHONDONTWRITEBYTECODE
 # Files stay whole: their module-wide fixtures are made once.
 PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
 

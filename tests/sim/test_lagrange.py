@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sympy as sp
 
 from sim.kane import bias_forces, forward_dynamics, mass_matrix
 from sim.robot import Club, RobotParameters, thesis_robot
@@ -26,6 +25,8 @@ Equations = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
 
 def _derive() -> Equations:
     """Return a function (q, u, parameters) -> mass matrix, bias forces, d l46/d q."""
+    import sympy as sp  # takes a second, which collecting the tests is not to take
+
     q, u = sp.Matrix(sp.symbols("q1:4")), sp.Matrix(sp.symbols("u1:4"))
     l12, l16, l23, gravity = sp.symbols("l12 l16 l23 g")
     mass, inertia, distance = sp.symbols("m_a:e"), sp.symbols("i_a:e"), sp.symbols("s_a:e")

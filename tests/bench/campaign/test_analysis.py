@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import statsmodels.api as sm
-from statsmodels.regression.mixed_linear_model import VCSpec
+from statsmodels.nonparametric import smoothers_lowess
+from statsmodels.regression.linear_model import OLS
+from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
 from statsmodels.stats.multitest import multipletests
 
 from bench.campaign.analysis import analyse, decide, spread
@@ -73,7 +74,7 @@ def test_taking_blocks_out_first_is_the_full_least_squares_fit(
     design = np.column_stack(
         [level == k for k in (1, 2, 3)] + [time] + [block == b for b in np.unique(block)]
     ).astype(float)
-    full = sm.OLS(y, design).fit()
+    full = OLS(y, design).fit()
     fit = fit_blocks(y, level, block, 4, time)
     assert fit.effects[1:] == pytest.approx(full.params[:4])
     assert fit.freedom == full.df_resid
@@ -98,7 +99,7 @@ def test_levels_that_share_no_block_are_not_compared() -> None:
 def test_the_mixed_model_is_that_of_statsmodels(unbalanced: dict[str, np.ndarray[Any, Any]]) -> None:
     level, y = unbalanced["level"], unbalanced["y"] - 0.3 * unbalanced["time"]
     _, block = np.unique(unbalanced["block"], return_inverse=True)
-    known = sm.MixedLM(y, (level[:, None] == np.arange(4)).astype(float), block).fit(reml=True)
+    known = MixedLM(y, (level[:, None] == np.arange(4)).astype(float), block).fit(reml=True)
     fit = fit_reml(y, level, block, None)
     assert fit.effects == pytest.approx(known.fe_params, abs=1e-4)
     assert fit.variance == pytest.approx(known.scale, rel=1e-3)
@@ -113,7 +114,7 @@ def test_the_smoothed_curve_is_that_of_statsmodels(count: int) -> None:
     x = np.sort(random.choice(4 * count, count, replace=False)).astype(float)
     y = np.sin(5 * x / x[-1]) + 0.3 * random.normal(size=count)
     y[count // 2] += 20.0  # an outlier, which is discounted
-    known = sm.nonparametric.lowess(y, x, frac=0.4, is_sorted=True)[:, 1]
+    known = smoothers_lowess.lowess(y, x, frac=0.4, is_sorted=True)[:, 1]
     assert lowess(x, y, x, share=0.4) == pytest.approx(known, abs=1e-9)
 
 
@@ -145,7 +146,7 @@ def test_crossed_random_effects_are_those_of_statsmodels() -> None:
     columns = [[(codes[:, None] == np.arange(codes.max() + 1)).astype(float)] for codes in kinds.values()]
     names = [[[str(code) for code in range(columns.shape[1])] for columns in kind] for kind in columns]
     fixed = (level[:, None] == np.arange(3)).astype(float)
-    known = sm.MixedLM(y, fixed, np.zeros(n), exog_vc=VCSpec(list(kinds), names, columns)).fit(reml=True)
+    known = MixedLM(y, fixed, np.zeros(n), exog_vc=VCSpec(list(kinds), names, columns)).fit(reml=True)
     fit = fit_reml(y, level, block, ball)
     assert fit.effects == pytest.approx(known.fe_params, abs=1e-3)
     assert [fit.group_variance, fit.block_variance] == pytest.approx(known.vcomp, rel=1e-3)
