@@ -181,6 +181,12 @@ def check(
         str | None,
         typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
     ] = None,
+    defaults: Annotated[
+        bool,
+        typer.Option(
+            "--defaults", help="Print the shipped configuration with every key, its meaning and bounds."
+        ),
+    ] = False,
 ) -> None:
     """Check configuration and swing before anything moves; print the checks.
 
@@ -188,8 +194,11 @@ def check(
     """
     from rich.console import Console
 
-    from bench.commands.check import check_all
+    from bench.commands.check import check_all, shipped_text
 
+    if defaults:
+        typer.echo(shipped_text(), nl=False)
+        return
     check_all(context.ensure_object(Session), profile, Console())
 
 

@@ -19,13 +19,19 @@ class Ball:
 
     name: str = "standard"
     mass: Annotated[float, Range(0.02, 0.06, "kg")] = 0.04593
+    """kg; the heaviest ball the Rules allow by default."""
     radius: Annotated[float, Range(0.015, 0.03, "m")] = 0.021335
+    """m; the smallest ball the Rules allow by default."""
     inertia_factor: Annotated[float, Range(0.2, 2.0 / 3.0, "(hollow shell at most)")] = 0.4
+    """I/(m r2); 0.4 is a uniform sphere."""
     restitution_factor: Annotated[float, Range(0.3, 1.2, "")] = 1.0
+    """Factor on the club's restitution."""
     friction: Annotated[float, Range(0.0, 2.0, "")] = 0.4
     """Coulomb coefficient of cover on club face; sliding starts only far above a driver's loft."""
     drag_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
+    """Factor on the flight model's drag."""
     lift_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
+    """Factor on the flight model's lift."""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -46,8 +46,11 @@ class Wind:
     """
 
     velocity: Vector = (0.0, 0.0, 0.0)
+    """m/s along the target line, up, to the right."""
     reference_height: Annotated[float, Range(0.1, 1000.0, "m")] = 10.0
+    """Height at which that blows (m)."""
     exponent: Annotated[float, Range(0.0, 1.0, "")] = 0.0
+    """Exponent of the height: 0 the same everywhere, 1/7 over open ground."""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -59,6 +59,7 @@ class Encoders:
     incremental: bool = False
     """False: absolute. True: counting from where they were switched on, until their index has passed."""
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")] = 2**17
+    """Counts of one revolution."""
     zero_count: tuple[ZeroCount, ZeroCount, ZeroCount] = (0.0, 0.0, 0.0)
     """Count at joint angle zero; calibration finds it. An incremental encoder's index is at count 0."""
     sign: tuple[Sign, Sign, Sign] = (1, 1, 1)
@@ -81,9 +82,11 @@ class Shaft:
     """In-plane bending of the shaft: the head's mass on a spring across the shaft line."""
 
     flexible: bool = False
+    """The head rides on a spring; the thesis' club is rigid."""
     frequency: Annotated[float, Range(0.5, 100.0, "Hz")] = 4.5
     """First clamped mode with the head, Hz."""
     damping_ratio: Annotated[float, Range(0.0, 1.0, "")] = 0.03
+    """Damping ratio of that mode."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class Site:
     sole_depth: Annotated[float, Range(0.0, 0.2, "m")] = 0.03
     """How far the head reaches below its face centre (m)."""
     ball_x: Annotated[float, Range(-1.5, 1.5, "m")] = 0.25
+    """x0 of the ball (m)."""
     ball_y: Annotated[float, Range(-3.0, 0.0, "m")] = -1.560
     """Centre of the ball on its tee."""
     ground_stiffness: Annotated[float, Range(1e3, 1e8, "N/m")] = 2.0e5
@@ -146,6 +150,7 @@ class PlantParameters:
     right_arm: Actuator = field(default_factory=_right_arm)
     wrist: Actuator = field(default_factory=_wrist)
     wrist_lever: Length = 0.06
+    """Lever d of the wrist's cylinder (m)."""
     supply: Supply = field(default_factory=Supply)
     encoders: Encoders = field(default_factory=Encoders)
     pressure_sensors: bool = True
@@ -156,7 +161,9 @@ class PlantParameters:
     tick: Annotated[float, Range(1e-4, 0.02, "s")] = 0.001
     """Time between two commands, s."""
     substeps: Annotated[int, Range(1, 256, "")] = 4
+    """Internal steps of the plant in a tick; delivery is converged to 0.1 mm, 0.01 % at 0.25 ms."""
     seed: Annotated[int, Range(0, 2**63 - 1, "")] = 1
+    """Seed of the encoders' noise and jitter."""
 
     @property
     def actuators(self) -> tuple[Actuator, Actuator, Actuator]:

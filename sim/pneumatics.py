@@ -58,9 +58,11 @@ class Valve:
     conductance: Conductance = 7.9e-8
     """Sonic conductance of one metering edge fully open, m3/(s Pa)."""
     critical_ratio: Annotated[float, Range(0.05, 0.9, "")] = 0.3
+    """Pressure ratio of choking."""
     natural_frequency: Annotated[float, Range(10.0, 1e4, "rad/s")] = 2 * pi * 100.0
     """Spool, rad/s (assumption: critical frequency about 100 Hz)."""
     damping_ratio: Annotated[float, Range(0.05, 2.0, "")] = 0.8
+    """Damping ratio of the spool."""
     dead_band: Annotated[float, Range(0.0, 0.5, "")] = 0.02
     """Overlap on each side of the centre, share of the stroke."""
     leakage: Annotated[float, Range(0.0, 0.1, "")] = 0.001
@@ -118,11 +120,15 @@ class Actuator:
     """
 
     area_a: Area
+    """Area of chamber A, which drives the coordinate up: m2 of a cylinder, m3/rad of a vane."""
     area_b: Area
+    """Area of chamber B: m2 of a cylinder, m3/rad of a vane."""
     dead_volume: Annotated[float, Range(1e-7, 0.01, "m3")]
     """Of each chamber with its hose, m3."""
     lower: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
+    """Lower end of the range: joint angle (rad), or rod extension of the right arm (m)."""
     upper: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
+    """Upper end of the range: joint angle (rad), or rod extension of the right arm (m)."""
     friction: Friction
     stop: EndStop
     valve: Valve = field(default_factory=Valve)
@@ -143,6 +149,7 @@ class Supply:
     volume: Annotated[float, Range(1e-5, 1.0, "m3")] = 0.002
     """Manifold between soft-start valve and spools, m3; small, so that cutting the supply acts at once."""
     dump_conductance: Conductance = 4.0e-7
+    """Conductance of the manifold's dump valve, m3/(s Pa)."""
     soft_start_time: Annotated[float, Range(0.001, 30.0, "s")] = 0.3
     """From shut to fully open, s."""
     vent_conductance: Conductance = 5.0e-9
@@ -152,8 +159,11 @@ class Supply:
     relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6
     """At which the relief valve of each chamber begins to open, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7
+    """Conductance of a relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
+    """Atmospheric pressure, Pa."""
     polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2
+    """Exponent of the chambers: 1.0 isothermal ... 1.4 adiabatic."""
 
 
 @compiled

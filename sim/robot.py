@@ -38,16 +38,22 @@ class Club:
     """
 
     head_mass: Annotated[float, Range(0.02, 0.6, "kg")] = 0.2
+    """kg; a real driver's by default."""
     shaft_mass: Annotated[float, Range(0.02, 0.5, "kg")] = 0.065
+    """kg"""
     mount_mass: Annotated[float, Range(0.0, 3.0, "kg")] = 0.4
+    """Mass of the robot's clamp (kg), as in the thesis."""
     shaft_length: Annotated[float, Range(0.3, 1.5, "m")] = 1.0668
     """R3 to the head's mass point (m); 42 in as in the thesis."""
     shaft_radius: Annotated[float, Range(0.001, 0.03, "m")] = 0.0075
+    """m, as in the thesis."""
     length_to_face: Annotated[float, Range(0.3, 1.5, "m")] = 1.09
     """R3 to the centre of the face (m), l3T of the thesis."""
     name: str = "driver"
     loft: Annotated[float, Range(0.0, radians(70.0), "rad")] = radians(10.5)
+    """Loft (rad)."""
     lie: Annotated[float, Range(radians(35.0), radians(80.0), "rad")] = radians(53.0)
+    """Shaft to the ground when the sole is flat (rad): equal to the plane, the toe is level."""
     face_angle: Annotated[float, Range(radians(-10.0), radians(10.0), "rad")] = 0.0
     """Face angle in the mount at zero shaft lean (rad, positive open)."""
     head_inertia_horizontal: HeadInertia = 4.8e-4
@@ -57,10 +63,13 @@ class Club:
     head_depth: Annotated[float, Range(0.0, 0.12, "m")] = 0.035
     """Depth of the centre of mass behind the face (m)."""
     restitution: Annotated[float, Range(0.1, 1.0, "")] = 0.83
+    """Coefficient at the centre; the Rules' limit for drivers by default."""
     tangential_factor: Annotated[float, Range(0.0, 1.0, "")] = 0.75
     """Share of the rolling-contact spin that a modern face gives (golf.md 3.1, a start value)."""
     bulge_radius: FaceRadius = 0.305
+    """Curvature heel to toe (m); 1e6 is flat."""
     roll_radius: FaceRadius = 0.305
+    """Curvature sole to crown (m); 1e6 is flat."""
 
     @classmethod
     def thesis(cls) -> Club:
@@ -98,8 +107,11 @@ class Body:
     """A rigid body: mass (kg), distance of its centre of mass on its axis (m), central inertia (kg m2)."""
 
     mass: Annotated[float, Range(0.01, 100.0, "kg")]
+    """Mass (kg)."""
     centre_of_mass: Annotated[float, Range(-1.0, 1.0, "m")]
+    """Centre of mass from the body's axis (m)."""
     inertia: Annotated[float, Range(1e-6, 10.0, "kg m2")]
+    """Moment of inertia about the centre of mass (kg m2)."""
 
 
 def _bar(mass: float, length: float, width: float) -> float:
@@ -109,7 +121,8 @@ def _bar(mass: float, length: float, width: float) -> float:
 
 def _shoulder_link() -> Body:
     mass = _STEEL * (0.375 * 2 * 17) * _INCH**3
-    return Body(mass, 0.34 / 2 - 0.09, _bar(mass, 17 * _INCH, 2 * _INCH))
+    # Centre of mass: 0.34 m / 2 - 0.09 m.
+    return Body(mass, 0.08, _bar(mass, 17 * _INCH, 2 * _INCH))
 
 
 def _left_arm() -> Body:
@@ -118,8 +131,8 @@ def _left_arm() -> Body:
 
 
 def _rod() -> Body:
-    # Erratum 9: Appendix A's length 0.20 m and m l^2/12.
-    return Body(0.6, 0.10, 0.6 * 0.20**2 / 12)
+    # Inertia: m l^2/12 with Appendix A's length 0.20 m (erratum 9).
+    return Body(0.6, 0.10, 0.002)
 
 
 def _right_arm_cylinder() -> Body:
@@ -168,17 +181,24 @@ class RobotParameters:
     """
 
     l12: Length = 0.25
+    """R1 shoulder axis to R2 left shoulder (m)."""
     l16: Length = 0.09
+    """R1 to R6 right shoulder (m)."""
     l23: Length = 0.56
+    """R2 to R3 wrist (m)."""
     l56: Length = 0.34
+    """Body of the right-arm cylinder, R6 to the rod's exit (m)."""
     stroke: Length = 0.22
+    """Stroke of the right arm's rod (m)."""
     shoulder_link: Body = field(default_factory=_shoulder_link)
     left_arm: Body = field(default_factory=_left_arm)
     rod: Body = field(default_factory=_rod)
     cylinder: Body = field(default_factory=_right_arm_cylinder)
     club: Club = field(default_factory=Club.driver)
     gravity: Annotated[float, Range(0.0, 20.0, "m/s2")] = 9.82
+    """Gravity (m/s2); its part in the swing plane does work."""
     lie: Annotated[float, Range(radians(20.0), pi / 2, "rad")] = radians(53.0)
+    """Swing plane to the ground (rad)."""
 
     @property
     def l62(self) -> float:

@@ -28,11 +28,15 @@ class Turf:
     """
 
     name: str = "fairway"
+    """Name for reports."""
     friction: Annotated[float, Range(0.0, 2.0, "")] = 0.40
+    """Friction of the ball on turf."""
     tilt: Annotated[float, Range(0.0, 0.6, "rad")] = radians(15.4)
     """Lean of the effective surface at 18.6 m/s, 44.4 degrees (rad); smaller on firmer turf."""
     restitution_factor: Annotated[float, Range(0.0, 2.0, "")] = 1.0
+    """Factor on Penner's restitution."""
     rolling_resistance: Annotated[float, Range(0.01, 2.0, "(deceleration over gravity)")] = 0.131
+    """Deceleration over gravity; assumption for a medium fairway."""
 
     model = "Penner 2002"
 

@@ -23,7 +23,7 @@ from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import Profiles, require_swings
-from bench.config import Configuration
+from bench.config import Configuration, with_new_names
 from bench.errors import BenchError, Refused
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
@@ -215,7 +215,7 @@ def require_resumable(
             f"the plan {entry.digest}, which is stored with it",
             "Leave the file out to go on as planned, or begin a new campaign.",
         )
-    if changed := _changed(entry.configuration, configuration.effective()):
+    if changed := _changed(with_new_names(entry.configuration), configuration.effective()):
         raise Refused(
             place,
             f"a configuration that differs in {', '.join(changed[:5])}",

@@ -12,7 +12,8 @@ from rich.text import Text
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.commands.session import Session
-from bench.config import Configuration, contradictions
+from bench.config import Configuration, contradictions, load_configuration, shipped_configuration
+from bench.config.text import configuration_text
 from bench.design.validate import Check, check_profile
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -45,6 +46,11 @@ def check_all(session: Session, name: str | None, console: Console) -> None:
     if faults := [fault for check in checks for fault in check.faults]:
         raise ExceptionGroup(f"{path} cannot be swung here", faults)
     console.print("Everything holds: this swing may be tried on this bench.", style="green")
+
+
+def shipped_text() -> str:
+    """Return the shipped configuration as a complete file with comments."""
+    return configuration_text(load_configuration(shipped_configuration()))
 
 
 def _summary(c: Configuration) -> str:

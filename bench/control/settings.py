@@ -95,13 +95,15 @@ class ControlSettings:
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
-    """Opening per rad/s against the motion in BRAKE."""
+    """Opening per rad/s against the motion in BRAKE; found with `golfbench swing check`."""
     brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
+    """Opening per rad/s2 against the motion in BRAKE."""
     brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05
+    """Rest that counts as standstill, s."""
     brake_time: Positive = 1.5
     """A brake that takes longer ends in VENT all the same, s."""
     blind_settle: NotNegative = 0.6
@@ -111,11 +113,13 @@ class ControlSettings:
     precharge_opening: Annotated[float, Gt(0), Le(1)] = 0.25
     """Opening to either side of the centre while charging."""
     precharge_period: Positive = 0.02
+    """Time between two changes of side while charging, s."""
     move_speed: PositiveTriple = (1.2, 0.6, 1.5)
     """Greatest speed of slow moves, rad/s."""
     move_timeout: Positive = 6.0
+    """Longest slow move, s."""
     rest_band: NotNegativeTriple = (0.003, 0.002, 0.005)
-    """Error at address that is left alone, rad."""
+    """Error at address that is left alone, rad: dry friction would make an integral hunt."""
     address_tolerance: PositiveTriple = (0.015, 0.010, 0.020)
     """Error at address below which a swing may begin, rad."""
     strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
@@ -264,9 +268,9 @@ class ModelSettings:
 
 @dataclass(frozen=True)
 class EnvelopeSettings:
-    """Limits that nothing gets around."""
+    """Limits of every motion; assumptions, all: they follow from plant and profile."""
 
-    greatest_speed: PositiveTriple = (26.0, 6.0, 48.0)
+    max_speed: PositiveTriple = (26.0, 6.0, 48.0)
     """Shoulder rad/s, rod m/s, wrist rad/s."""
     following: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
@@ -280,29 +284,33 @@ class EnvelopeSettings:
             "return": (0.35, 0.20, 0.50),
         }
     )
-    """Greatest following error by phase, rad."""
+    """Max following error by phase, rad."""
     stop_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
     """What braking can count on: rad/s2, m/s2, rad/s2."""
     stop_speed: PositiveTriple = (9.0, 5.2, 34.0)
     """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
-    greatest_opening: Annotated[float, Gt(0), Le(1)] = 1.0
-    greatest_slew: Positive = 400.0
+    max_opening: Annotated[float, Gt(0), Le(1)] = 1.0
+    """Max opening of a valve."""
+    max_slew: Positive = 400.0
     """Change of opening per second."""
     lost_time: Positive = 0.0045
     """Without a fresh reading for this long an encoder is lost (s); five ticks at 1 kHz."""
-    greatest_gap: Positive = 0.010
-    least_supply: Positive = 6.5e5
-    """Pa absolute."""
-    greatest_supply: Positive = 8.8e5
+    max_gap: Positive = 0.010
+    """Longest tick while moving, s."""
+    min_supply_pressure: Positive = 6.5e5
+    """Pa absolute, below which no swing begins."""
+    max_supply_pressure: Positive = 8.8e5
     """Pa absolute; above it the robot becomes faster than its profile."""
     clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60
     """Half width of the ball's window along the target line, m."""
     ball_clearance: NotNegative = 0.005
+    """Head over ground inside that window, m."""
     frame_radius: NotNegative = 0.10
-    least_lever: Annotated[float, Ge(0), Le(1)] = 0.15
-    """Least |sin beta| of the wrist."""
+    """Radius around R1 that the club keeps clear of, m."""
+    min_lever: Annotated[float, Ge(0), Le(1)] = 0.15
+    """Min |sin beta| of the wrist's lever (thesis figure 11)."""
     minimum_stop_margin: NotNegative = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
@@ -465,11 +473,20 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
     for name, errors in settings.following.items():
         record["following"][0, _FOLLOWED[name]] = errors
     for name in (
-        "greatest_speed", "stop_deceleration", "stop_speed", "greatest_opening", "greatest_slew", "lost_time",
-        "greatest_gap", "least_supply", "greatest_supply", "clearance", "ball_window", "ball_clearance",
-        "frame_radius", "least_lever",
-    ):  # fmt: skip
+        "stop_deceleration",
+        "stop_speed",
+        "lost_time",
+        "clearance",
+        "ball_window",
+        "ball_clearance",
+        "frame_radius",
+    ):
         record[name] = getattr(settings, name)
+    record["greatest_speed"], record["greatest_slew"] = settings.max_speed, settings.max_slew
+    record["greatest_opening"], record["greatest_gap"] = settings.max_opening, settings.max_gap
+    record["least_supply"] = settings.min_supply_pressure
+    record["greatest_supply"] = settings.max_supply_pressure
+    record["least_lever"] = settings.min_lever
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"] = profile.ball[0]
     return record

@@ -273,7 +273,7 @@ def _problem(
     parameters: PlantParameters, demand: SwingDemand, envelope: EnvelopeSettings, state: Array
 ) -> DownswingProblem:
     lean = demand.lean_freedom if demand.lean is None else (demand.lean, demand.lean)
-    speeds = envelope.greatest_speed
+    speeds = envelope.max_speed
     return DownswingProblem(
         start=state,
         top_freedom=np.stack([state[:3], state[:3]], axis=1),

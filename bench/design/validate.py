@@ -238,13 +238,13 @@ def _greatest_visit(work: Array) -> float:
 
 def _speed(plan: MachineSwing) -> Check:
     """Compare with the envelope's limits of speed."""
-    limits, faults = plan.envelope.greatest_speed, []
+    limits, faults = plan.envelope.max_speed, []
     speed = np.abs(plan.motion.speed)
     for i, limit in enumerate(limits):
         k = int(speed[:, i].argmax())
         if speed[k, i] > limit:
             found, wanted = f"{speed[k, i]:.2f} {_SPEED[i]}", f"at most {limit:g} {_SPEED[i]}"
-            cure = "Slow the swing; envelope.greatest_speed is the limit."
+            cure = "Slow the swing; envelope.max_speed is the limit."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
     return Check("joint speeds", _joined(speed.max(axis=0), "{:.1f}"), _joined(limits, "{:g}"), faults)
 
@@ -281,9 +281,9 @@ def _clearance(plan: MachineSwing) -> Check:
 def _lever(plan: MachineSwing) -> Check:
     """Keep the wrist where its cylinder has a lever (thesis figure 11)."""
     authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
-    k, least, faults = int(authority.argmin()), plan.envelope.least_lever, []
+    k, least, faults = int(authority.argmin()), plan.envelope.min_lever, []
     if authority[k] < least:
-        cure = "Fold the wrist less; envelope.least_lever is the limit."
+        cure = "Fold the wrist less; envelope.min_lever is the limit."
         found = f"|sin beta| = {authority[k]:.3f}"
         faults.append(plan.row(("angle_rad", k, 2), found, f"at least {least:g}", cure))
     return Check("wrist lever |sin beta|", f"{authority[k]:.2f}", f"at least {least:g}", faults)
@@ -291,10 +291,10 @@ def _lever(plan: MachineSwing) -> Check:
 
 def _valves(plan: MachineSwing) -> Check:
     """Compare the feed-forward with what the envelope passes."""
-    opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.greatest_opening, []
+    opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.max_opening, []
     k, joint = _peak(opening)
     if opening[k, joint] > limit:
-        wanted = f"at most {limit:g}, envelope.greatest_opening"
+        wanted = f"at most {limit:g}, envelope.max_opening"
         faults.append(plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Ask for less."))
     return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 

@@ -222,7 +222,7 @@ def _row(
         errors.append(down["reference_angle"] - down["plant_angle"])
         reference = forward_kinematics(robot, down["reference_angle"])[:, :2]
         away.append(np.hypot(*(reference - down["plant_head_position"]).T))
-        saturated.append(np.abs(down["applied_valve"]).max(axis=1) >= envelope.greatest_opening)
+        saturated.append(np.abs(down["applied_valve"]).max(axis=1) >= envelope.max_opening)
     struck = np.isfinite(figures).all(axis=1) & [_delivered(swing, profile) for swing in made]
     mean = figures[struck].mean(axis=0) if struck.any() else UNKNOWN.array
     error = mean - planned.array

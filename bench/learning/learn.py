@@ -168,7 +168,7 @@ def _attempt(lecture: LearningProblem, swing: Swinger, learner: Learner) -> tupl
         learner.error(trial.figures),
         float(np.sqrt(np.nanmean(off**2))) if np.isfinite(off).any() else float("nan"),
         cause,
-        float(np.mean(np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.greatest_opening)),
+        float(np.mean(np.abs(down["applied_valve"]).max(axis=1) >= bench.envelope.max_opening)),
         float(np.linalg.norm(point)),
     )
     return trial, attempt

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.config import with_new_names
 from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import (
     ControlSettings,
@@ -218,6 +219,7 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         dict[str, Any](),
         list[str](),
     )
+    configuration = with_new_names(configuration)
     for name, kind in _SETTINGS.items():
         given = configuration.get(name, {})
         recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)

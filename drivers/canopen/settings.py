@@ -24,6 +24,7 @@ class EncoderSettings:
     """Encoders after CiA 406, joints in the order shoulder, arm, wrist."""
 
     nodes: tuple[NodeNumber, NodeNumber, NodeNumber] = (1, 2, 3)
+    """Node numbers, joints in order."""
     vendor: Number32 = 0
     """1018h:1; 0 takes any."""
     product: Number32 = 0
@@ -37,10 +38,15 @@ class InputSettings:
     """Bits of 6000h:1 at the valve node; set: contact closed."""
 
     emergency_stop_clear: Bit = 0
+    """Bit of the emergency-stop circuit: whole."""
     guard_closed: Bit = 1
+    """Bit of the guard: closed."""
     guard_locked: Bit = 2
+    """Bit of the guard: locked."""
     local_reset: Bit = 3
+    """Bit of the button beside the robot."""
     ball_present: Bit = 4
+    """Bit of the ball on the tee."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +54,15 @@ class OutputSettings:
     """Bits of 6200h:1 at the valve node; set: energised."""
 
     supply_enable: Bit = 0
+    """Bit of the soft-start valve."""
     exhaust_closed: Bit = 1
+    """Bit that shuts the vents."""
     guard_release: Bit = 2
     """Lets go of the guard's lock, which is shut by a spring."""
     beacon: Bit = 3
+    """Bit of the beacon."""
     tee: Bit = 4
+    """Bit that raises the next ball."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +70,7 @@ class ValveNodeSettings:
     """The node of valves and interlocks after CiA 401."""
 
     node: NodeNumber = 10
+    """Node number."""
     vendor: Number32 = 0
     """1018h:1; 0 takes any."""
     product: Number32 = 0
@@ -108,6 +119,7 @@ class CanopenSettings:
     interface: str = "socketcan"
     """python-can's name of it; `local_socket` is a bus between processes of this machine."""
     channel: str = "can0"
+    """Channel as the interface names it; of "local_socket" a name, or the path of a folder."""
     bitrate: Annotated[int, Ge(10_000), Le(1_000_000)] = 1_000_000
     """bit/s; SocketCAN's own is set with the link, and this one must be the same."""
     master: NodeNumber = 127

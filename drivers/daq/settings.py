@@ -16,10 +16,15 @@ class InputLines:
     """Digital lines that are high when a contact is closed; without energy they must read low."""
 
     emergency_stop_clear: str = "port0/line0"
+    """Line of the emergency-stop circuit: whole."""
     guard_closed: str = "port0/line1"
+    """Line of the guard: closed."""
     guard_locked: str = "port0/line2"
+    """Line of the guard: locked."""
     local_reset: str = "port0/line3"
+    """Line of the button beside the robot."""
     ball_present: str = "port0/line4"
+    """Line of the ball on the tee."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +32,15 @@ class OutputLines:
     """Digital lines, high: energised."""
 
     supply_enable: str = "port0/line8"
+    """Line of the soft-start valve."""
     exhaust_closed: str = "port0/line9"
+    """Line that shuts the vents."""
     guard_release: str = "port0/line10"
     """Lets go of the guard's lock, which is shut by a spring."""
     beacon: str = "port0/line11"
+    """Line of the beacon."""
     tee: str = "port0/line12"
+    """Line that raises the next ball."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +48,7 @@ class DaqSettings:
     """One card and everything on it; channels are named as NI MAX does, without the device's name."""
 
     device: str = "Dev1"
+    """Name of the card in NI MAX."""
     serial: Annotated[int, Ge(0), Le(0xFFFFFFFF)] = 0
     """Serial number; 0 takes any."""
     counters: tuple[str, str, str] = ("ctr0", "ctr1", "ctr2")
@@ -69,6 +79,7 @@ class DaqSettings:
     """Digital output that rises in each tick and is wired to `sync_terminal`: one edge latches all three
     counters (hardware-timed single point); empty, or a card that cannot: read one after the other."""
     sync_terminal: str = "PFI12"
+    """Clock input of the counters, with `sync_line`."""
     watchdog_relay: str = ""
     """Name of an external relay that centres the valves when `watchdog_line` stops changing; empty: there is
     none, and a card that cannot fall back by itself is refused."""

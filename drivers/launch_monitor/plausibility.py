@@ -15,55 +15,54 @@ from drivers.launch_monitor.record import LaunchRecord
 class PlausibleFigures:
     """Bounds between which a launch of this bench can lie."""
 
-    least_speed: Annotated[float, Ge(0.0), Le(120.0)] = 5.0
+    min_speed: Annotated[float, Ge(0.0), Le(120.0)] = 5.0
     """m/s of the ball."""
-    greatest_speed: Annotated[float, Gt(0.0), Le(120.0)] = 100.0
-    greatest_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = 1.0472
+    max_speed: Annotated[float, Gt(0.0), Le(120.0)] = 100.0
+    """m/s of the ball."""
+    max_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = 1.0472
     """rad (60 deg); the least is just above 0, which is what misreads say."""
-    greatest_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = 0.5236
+    max_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = 0.5236
     """rad (30 deg) to either side."""
-    greatest_spin: Annotated[float, Gt(0.0), Le(2500.0)] = 1570.0
+    max_spin: Annotated[float, Gt(0.0), Le(2500.0)] = 1570.0
     """rad/s; 15,000 rpm."""
-    least_smash: Annotated[float, Ge(0.0), Le(1.6)] = 0.8
+    min_smash: Annotated[float, Ge(0.0), Le(1.6)] = 0.8
     """Ball speed over club speed."""
-    greatest_smash: Annotated[float, Gt(0.0), Le(2.0)] = 1.6
+    max_smash: Annotated[float, Gt(0.0), Le(2.0)] = 1.6
     """An elastic ball of 46 g off a club of 200 g leaves with 1.63 times its speed, one at the Rules' limit
     with 1.5."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a least exceeds its greatest."""
+        """Raise ValueError when a min is not below its max."""
         for name in ("speed", "smash"):
-            if getattr(self, f"least_{name}") >= getattr(self, f"greatest_{name}"):
-                raise ValueError(f"least_{name}: less than greatest_{name}")
+            if getattr(self, f"min_{name}") >= getattr(self, f"max_{name}"):
+                raise ValueError(f"min_{name}: less than max_{name}")
 
 
 def judged(record: LaunchRecord, bounds: PlausibleFigures, club_speed: float | None = None) -> LaunchRecord:
     """Return `record` with its doubts; `club_speed` (m/s) is the bench's own, else the monitor's serves."""
     doubts = [*record.doubts]
     speed, angle, direction, spin = record.speed, record.launch_angle, record.direction, record.spin
-    if speed is not None and not bounds.least_speed <= speed <= bounds.greatest_speed:
-        doubts.append(
-            f"ball speed {speed:.3g} m/s, expected {bounds.least_speed:g} to {bounds.greatest_speed:g}"
-        )
-    if angle is not None and not 0.0 < angle <= bounds.greatest_launch_angle:
+    if speed is not None and not bounds.min_speed <= speed <= bounds.max_speed:
+        doubts.append(f"ball speed {speed:.3g} m/s, expected {bounds.min_speed:g} to {bounds.max_speed:g}")
+    if angle is not None and not 0.0 < angle <= bounds.max_launch_angle:
         doubts.append(
             f"launch angle {degrees(angle):.3g} deg, expected above 0 to "
-            f"{degrees(bounds.greatest_launch_angle):.3g}"
+            f"{degrees(bounds.max_launch_angle):.3g}"
         )
-    if direction is not None and abs(direction) > bounds.greatest_direction:
+    if direction is not None and abs(direction) > bounds.max_direction:
         doubts.append(
-            f"direction {degrees(direction):.3g} deg, expected {degrees(bounds.greatest_direction):.3g} "
+            f"direction {degrees(direction):.3g} deg, expected {degrees(bounds.max_direction):.3g} "
             "at most to either side"
         )
-    if spin is not None and spin > bounds.greatest_spin:
-        doubts.append(f"spin {spin:.4g} rad/s, expected {bounds.greatest_spin:g} at most")
+    if spin is not None and spin > bounds.max_spin:
+        doubts.append(f"spin {spin:.4g} rad/s, expected {bounds.max_spin:g} at most")
     club = record.club.speed if club_speed is None else club_speed
     if speed is not None and club is not None and club > 0.0:
         smash = speed / club
-        if not bounds.least_smash <= smash <= bounds.greatest_smash:
+        if not bounds.min_smash <= smash <= bounds.max_smash:
             doubts.append(
-                f"ball speed {smash:.3g} times the club's, expected {bounds.least_smash:g} to "
-                f"{bounds.greatest_smash:g}"
+                f"ball speed {smash:.3g} times the club's, expected {bounds.min_smash:g} to "
+                f"{bounds.max_smash:g}"
             )
     once = tuple(dict.fromkeys(doubts))
     return record if once == record.doubts else replace(record, doubts=once)

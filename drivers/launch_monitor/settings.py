@@ -19,7 +19,9 @@ class SimulatorSettings:
     """GSPro, or what speaks as it does, that is told of our shots."""
 
     enabled: bool = False
+    """Pass shots on."""
     address: str = "127.0.0.1"
+    """Address where the simulator listens."""
     port: Port = 921
     """Open Connect's own."""
     longest_wait: Annotated[float, Gt(0.0), Le(600.0)] = 10.0
@@ -35,6 +37,7 @@ class LaunchMonitorSettings:
     """Open Connect has neither passwords nor encryption: it stays on this machine unless told otherwise."""
 
     enabled: bool = False
+    """Listen for a launch monitor."""
     address: str = "127.0.0.1"
     """Where we listen."""
     port: Port = 2921

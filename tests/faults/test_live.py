@@ -27,7 +27,7 @@ name = "{driver}"
 watchdog = 0.3
 [envelope]
 lost_time = 0.2
-greatest_gap = 0.3
+max_gap = 0.3
 [faults.sticking]
 signal = "shoulder valve"
 kind = "stuck"

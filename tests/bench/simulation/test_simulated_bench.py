@@ -196,7 +196,7 @@ def test_a_swing_becomes_a_row_of_the_shot_table(series: list[SwingResult]) -> N
 
 
 def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
-    lame = replace(robot, envelope=EnvelopeSettings(greatest_speed=(6.0, 6.0, 48.0)))
+    lame = replace(robot, envelope=EnvelopeSettings(max_speed=(6.0, 6.0, 48.0)))
     results = list(simulate_swings(lame, [Ball()] * 3))
     assert len(results) == 1
     result = results[0]

@@ -251,7 +251,7 @@ def test_the_network_is_for_named_clients_only() -> None:
     assert named.lets_in("192.0.2.7")
     assert not named.lets_in("127.0.0.1")
     assert LaunchMonitorSettings().lets_in("127.0.0.1")
-    assert LaunchMonitorSettings().plausible.greatest_direction == pytest.approx(pi / 6, abs=1e-4)
+    assert LaunchMonitorSettings().plausible.max_direction == pytest.approx(pi / 6, abs=1e-4)
 
 
 def test_who_is_not_named_is_turned_away(clock: Clock) -> None:

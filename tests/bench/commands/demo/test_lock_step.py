@@ -144,7 +144,7 @@ def test_a_swing_that_is_not_possible_here_is_refused_before_anything_is_written
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tmp_path / "own.toml"
-    own.write_text('base = "shipped"\n[envelope]\ngreatest_speed = [5.0, 6.0, 48.0]\n')
+    own.write_text('base = "shipped"\n[envelope]\nmax_speed = [5.0, 6.0, 48.0]\n')
     assert _demo("--config", str(own), str(tmp_path / "out")) == ExitCode.BAD_INPUT
     assert "at most 5 rad/s" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

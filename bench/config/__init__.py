@@ -1,0 +1,45 @@
+"""The configuration of a bench: its values, the files they come from, the rules they keep."""
+
+from bench.config.files import (
+    SHIPPED,
+    VARIANTS,
+    find_configuration,
+    load_configuration,
+    shipped_configuration,
+)
+from bench.config.renamed import with_new_names
+from bench.config.rules import (
+    DATABASE_FILE,
+    NAME,
+    contradictions,
+    database_url,
+    unheard_phases,
+)
+from bench.config.settings import (
+    BenchSettings,
+    Configuration,
+    DriverSettings,
+    LoopSettings,
+    NetworkSettings,
+    SwingSettings,
+)
+
+__all__ = [
+    "DATABASE_FILE",
+    "NAME",
+    "SHIPPED",
+    "VARIANTS",
+    "BenchSettings",
+    "Configuration",
+    "DriverSettings",
+    "LoopSettings",
+    "NetworkSettings",
+    "SwingSettings",
+    "contradictions",
+    "database_url",
+    "find_configuration",
+    "load_configuration",
+    "shipped_configuration",
+    "unheard_phases",
+    "with_new_names",
+]

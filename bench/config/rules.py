@@ -1,0 +1,347 @@
+"""Rules that several keys of a configuration must keep together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from ipaddress import ip_address
+from math import asin, ceil, hypot, pi
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.config.settings import Configuration
+from bench.control.settings import MODEL_PHASES, EnvelopeSettings, ModelSettings
+from bench.errors import BenchError
+from bench.from_toml import Leaf, Tree, format_value
+from drivers.base.ranges import short
+from sim.faults import LONGEST_DELAY
+from sim.plant import HISTORY
+
+if TYPE_CHECKING:
+    from sqlalchemy import URL
+
+LONGEST_SUBSTEP = 0.00025
+"""s; the plant's delivery is converged up to this internal step."""
+
+LONGEST_ANSWER = 0.7
+"""Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
+
+COST_OF_A_SYNC = 2.2
+"""Ticks without a sample when a SYNC is lost: its own, the next, whose sample might be the answer to it, and
+what a tick may be late."""
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
+"""Name of a person or machine in a certificate."""
+
+DATABASE_FILE = "golfbench.sqlite"
+
+
+def database_url(database: str, data_dir: Path) -> URL:
+    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
+
+    Raises:
+        BenchError: `database` is no URL of a database that several processes can open.
+    """
+    from sqlalchemy import URL, make_url  # slow to import, and needed only here
+    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+
+    if not database:
+        return URL.create("sqlite", database=str(data_dir / DATABASE_FILE))
+    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
+    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
+    try:
+        url = make_url(database)
+        url.get_dialect()
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise BenchError("bench.database", "no URL that SQLAlchemy knows", wanted, cure) from None
+    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
+        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
+    return url
+
+
+Mistake = tuple[str, str, str, str]
+"""Key, found, expected, cure."""
+
+
+def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", c.bench.id):
+        yield (
+            "bench.id",
+            format_value(c.bench.id),
+            "letters, digits, - and _, at most 63",
+            "It is part of addresses.",
+        )
+    if c.bench.database:
+        try:
+            database_url(c.bench.database, c.bench.data_dir)
+        except BenchError as error:
+            yield error.place, error.found, error.expected, error.cure
+    for key, entries in (("club", c.clubs), ("ball", c.balls)):
+        name = getattr(c.swing, key)
+        if name not in entries:
+            known = f"one of {', '.join(entries) or 'none'}"
+            yield f"swing.{key}", format_value(name), known, f"Choose one, or add [{key}s.{name}]."
+    drivers = sorted({entry.name for entry in entry_points(group="golfbench.drivers")})
+    if c.driver.name not in drivers:
+        cure = "Choose one, or install the plug-in that brings it."
+        yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", cure
+    if c.driver.name == "daq" and c.homing.method != "index":
+        cure = "The card's counters know no angle until the index has passed."
+        yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', cure
+    phases = EnvelopeSettings().following.keys()
+    for name in phases ^ c.envelope.following.keys():
+        found = "nothing" if name in phases else "an unknown phase"
+        yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
+    for kind in MODEL_PHASES:
+        watched = getattr(ModelSettings(), kind).keys()
+        for name in getattr(c.envelope.model, kind).keys() ^ watched:
+            found = "nothing" if name in watched else "an unknown phase"
+            expected = f"each of {', '.join(watched)} once"
+            yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."
+
+
+def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    network, inside = c.network, "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only"
+    beyond = "tls/HOST:PORT: commands in the clear would be anybody's beyond this machine"
+    places = (
+        ("endpoint", network.endpoint, f"{inside}, or {beyond}", _is_loopback, _is_secure),
+        ("beyond", network.beyond, f'"", or {beyond}', _is_empty, _is_secure),
+        ("router", network.router, f'"", {inside}, or {beyond}', _is_empty, _is_loopback, _is_secure),
+    )
+    for name, endpoint, wanted, *allowed in places:
+        if not any(allow(endpoint) for allow in allowed):
+            yield f"network.{name}", format_value(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
+        elif _is_secure(endpoint) and not network.identity:
+            found = f"none, with {name} = {format_value(endpoint)}"
+            cure = "Make them: golfbench certificates."
+            yield "network.identity", found, "path of certificate and key, without ending", cure
+    for role in ("viewers", "operators"):
+        for name in getattr(network, role):
+            if not NAME.fullmatch(name):
+                wanted = "names as in certificates: letters, digits, ., - and _, at most 63"
+                yield f"network.{role}", format_value(name), wanted, "Correct it."
+
+
+def _is_empty(endpoint: str) -> bool:
+    return endpoint == ""
+
+
+def _is_loopback(endpoint: str) -> bool:
+    form = re.fullmatch(r"tcp/(?:\[(?P<six>[0-9a-f:]+)\]|(?P<four>[0-9.]+)):(?P<port>[0-9]{1,5})", endpoint)
+    try:
+        return form is not None and ip_address(form["six"] or form["four"]).is_loopback and _is_port(form)
+    except ValueError:
+        return False
+
+
+def _is_secure(endpoint: str) -> bool:
+    form = re.fullmatch(r"tls/(?:\[[0-9a-f:]+\]|[A-Za-z0-9.-]+):(?P<port>[0-9]{1,5})", endpoint)
+    return form is not None and _is_port(form)
+
+
+def _is_port(form: re.Match[str]) -> bool:
+    return 1 <= int(form["port"]) <= 65535
+
+
+def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    for name in ("shoulder", "right_arm", "wrist"):
+        actuator, key = getattr(c.plant, name), f"plant.{name}"
+        if not actuator.lower < actuator.upper:
+            found = f"{short(actuator.lower)}, with upper {short(actuator.upper)}"
+            yield f"{key}.lower", found, "less than upper", "Correct one of the two."
+        friction = actuator.friction
+        if friction.static < friction.coulomb:
+            found = f"{short(friction.static)}, with coulomb {short(friction.coulomb)}"
+            yield f"{key}.friction.static", found, "at least coulomb", "Correct one of the two."
+        if actuator.pressure_rating < c.plant.supply.pressure:
+            found = f"{short(actuator.pressure_rating)} Pa"
+            least = f"at least the supply's {short(c.plant.supply.pressure)} Pa"
+            yield f"{key}.pressure_rating", found, least, "Lower plant.supply.pressure."
+        travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
+        if name != "right_arm" and travel >= 2 * pi:
+            found = f"{short(travel)} rad of travel with twice the cushions"
+            yield f"{key}.upper", found, "less than one turn, all that the encoder sees", "Narrow the range."
+
+
+def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    robot, arm, wrist = c.plant.robot, c.plant.right_arm, c.plant.wrist
+    shortest, longest = abs(robot.l62 - robot.l23) - robot.l56, robot.l62 + robot.l23 - robot.l56
+    low, high = max(0.0, shortest), min(robot.stroke, longest)
+    for end in ("lower", "upper"):
+        key, position = f"plant.right_arm.{end}", getattr(arm, end)
+        if not low <= position <= high:
+            wanted = f"{low:.4g} to {high:.4g} m: inside the rod's stroke and the linkage's reach"
+            yield key, f"{short(position)} m", wanted, "Correct it, or the robot's lengths."
+        leaf = _leaf(tree, key)
+        if leaf is not None and leaf.suffix:
+            yield key, format_value(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
+        # Thesis figure 11: the cylinder turns the wrist with lever d sin(beta), beta = theta3 - 3 pi / 2.
+        dead = asin(c.envelope.min_lever)
+        theta3 = getattr(wrist, end)
+        if not 1.5 * pi + dead <= theta3 <= 2.5 * pi - dead:
+            span = f"{270 + dead * 180 / pi:.1f} to {450 - dead * 180 / pi:.1f} deg"
+            cure = "Narrow the range; envelope.min_lever says how little lever may be left."
+            yield (
+                f"plant.wrist.{end}",
+                f"{theta3 * 180 / pi:.1f} deg",
+                f"{span}: where the lever turns it",
+                cure,
+            )
+
+
+def _leaf(tree: Tree, path: str) -> Leaf | None:
+    node: Any = tree
+    for part in path.split("."):
+        node = node.get(part, {})
+    return node if isinstance(node, Leaf) else None
+
+
+def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    substep = c.plant.tick / c.plant.substeps
+    if substep > LONGEST_SUBSTEP * (1 + 1e-9):
+        least = -(-c.plant.tick // LONGEST_SUBSTEP)
+        found = f"{c.plant.substeps}, internal steps of {1e3 * substep:.3g} ms at {short(c.loop.rate)} Hz"
+        wanted = (
+            f"at least {least:.0f}: steps of {1e3 * LONGEST_SUBSTEP:g} ms, up to which the plant is converged"
+        )
+        yield "plant.substeps", found, wanted, "Raise it."
+    longest = (HISTORY - 2) * substep
+    if c.plant.encoders.latency > longest:
+        found = f"{short(c.plant.encoders.latency)} s"
+        yield "plant.encoders.latency", found, f"at most {short(longest)} s with these substeps", "Lower it."
+    for name in ("lost_time", "max_gap"):
+        value = getattr(c.envelope, name)
+        if value <= c.plant.tick:
+            found, wanted = f"{short(value)} s", f"more than one tick, {short(c.plant.tick)} s"
+            yield f"envelope.{name}", found, wanted, "Raise it, or loop.rate."
+    lost, gap = c.envelope.lost_time, c.envelope.max_gap
+    if lost > gap:
+        wanted = f"at most envelope.max_gap, {short(gap)} s"
+        yield "envelope.lost_time", f"{short(lost)} s", wanted, "Lower it."
+
+
+def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    supply, least = c.plant.supply, c.envelope.min_supply_pressure
+    if not supply.atmosphere < least < supply.pressure:
+        wanted = (
+            f"more than the atmosphere's {short(supply.atmosphere)}, less than {short(supply.pressure)} Pa"
+        )
+        yield (
+            "envelope.min_supply_pressure",
+            f"{short(least)} Pa",
+            wanted,
+            "Correct it; pressures are Pa absolute.",
+        )
+    if c.envelope.max_supply_pressure <= supply.pressure:
+        found, wanted = (
+            f"{short(c.envelope.max_supply_pressure)} Pa",
+            f"more than {short(supply.pressure)} Pa",
+        )
+        yield "envelope.max_supply_pressure", found, wanted, "Correct it; pressures are Pa absolute."
+    if c.envelope.minimum_stop_margin > 1.0:
+        found = short(c.envelope.minimum_stop_margin)
+        yield "envelope.minimum_stop_margin", found, "0 to 1, a share of the cushions' travel", "Lower it."
+
+
+def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    site, robot = c.plant.site, c.plant.robot
+    lowest = site.ground + c.plant.ball.radius
+    if site.ball_y < lowest - 1e-6:
+        found, wanted = f"{short(site.ball_y)} m", f"at least {lowest:.4f} m, the ball's centre on the ground"
+        yield "plant.site.ball_y", found, wanted, "Raise it; y0 points up."
+    reach = robot.l12 + robot.l23 + robot.club.length_to_face
+    distance = hypot(site.ball_x, site.ball_y)
+    if distance > reach:
+        found, wanted = f"{distance:.3f} m from the shoulder axis", f"at most {reach:.3f} m, arm and club"
+        yield "plant.site.ball_y", found, wanted, "Move the ball nearer, or take a longer club."
+
+
+def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    if c.driver.name != "canopen":
+        return
+    from drivers.canopen.frames import GREATEST_LOAD, bus_load, greatest_rate
+
+    bus, period = c.canopen, 1.0 / c.loop.rate
+    load = bus_load(bus, period, c.driver.watchdog)
+    if load > GREATEST_LOAD:
+        found = f"{bus.bitrate} bit/s, a bus load of {load:.0%} at {short(c.loop.rate)} Hz"
+        slower = int(greatest_rate(bus, c.driver.watchdog))
+        yield (
+            "canopen.bitrate",
+            found,
+            f"at most {GREATEST_LOAD:.0%}",
+            f"Raise it, or set loop.rate to {slower} Hz.",
+        )
+    lost = c.envelope.lost_time
+    if lost < COST_OF_A_SYNC * period:
+        found = f"{short(lost)} s at {short(c.loop.rate)} Hz"
+        least, faster = short(COST_OF_A_SYNC * period), ceil(COST_OF_A_SYNC / lost)
+        wanted = f"at least {COST_OF_A_SYNC:g} ticks, {least} s: a lost SYNC costs two samples"
+        cure = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
+        yield "envelope.lost_time", found, wanted, cure
+    longest = LONGEST_ANSWER * period
+    if bus.answer_time > longest:
+        found = f"{short(bus.answer_time)} s"
+        yield "canopen.answer_time", found, f"at most {short(longest)} s, part of the period", "Lower it."
+
+
+def unheard_phases(configuration: Configuration) -> list[BenchError]:
+    """Return the faults that would never begin on a bench that runs: only a plant in step hears the phase."""
+    if configuration.driver.paced:
+        return []
+    place = ", ".join(map(str, configuration.files))
+    return [
+        BenchError(
+            f"{place}: faults.{name}.phase",
+            format_value(fault.phase),
+            '"any": a plant on its own clock knows no phase',
+            "Give time, or joint and angle, or run with --time paced.",
+        )
+        for name, fault in configuration.faults.items()
+        if fault.phase != "any"
+    ]
+
+
+_LOOPS_OWN = frozenset({"clock", "loop", "supervisor", "recorder", "lease", "launch monitor"})
+
+
+def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    """Faults belong to a simulated robot, and only to what a running bench can spoil of it."""
+    for name, fault in c.faults.items():
+        key = f"faults.{name}"
+        if c.is_machine or c.driver.name == "mock":
+            found, wanted = (
+                f"a fault, with driver {format_value(c.driver.name)}",
+                'none: faults are for driver "sim"',
+            )
+            yield key, found, f"{wanted} and simulated nodes", "Delete it, or set driver.name."
+        if fault.signal in _LOOPS_OWN:
+            cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
+            yield f"{key}.signal", format_value(fault.signal), "a signal or part of the simulated robot", cure
+        if fault.kind == "delayed" and fault.value > (longest := LONGEST_DELAY * c.plant.tick):
+            yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
+
+
+RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
+    _names,
+    _network,
+    _actuators,
+    _linkage,
+    _times,
+    _air,
+    _site,
+    _bus,
+    _faults,
+)
+"""Each yields the mistakes of a configuration; the tree is that of its files, empty if there is none."""
+
+
+def contradictions(configuration: Configuration) -> list[BenchError]:
+    """Return the contradictions in a configuration that was changed after it was loaded."""
+    place = ", ".join(map(str, configuration.files))
+    return [
+        BenchError(f"{place}: {key}", found, wanted, mend)
+        for rule in RULES
+        for key, found, wanted, mend in rule(configuration, {})
+    ]

@@ -1,0 +1,221 @@
+"""The configuration of a bench as values: its own settings, and those of plant, drivers and control."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, field, replace
+from math import isnan
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from bench.control.settings import (
+    ControlSettings,
+    EnvelopeSettings,
+    EstimatorSettings,
+    HomingSettings,
+    LifecycleSettings,
+)
+from bench.errors import BenchError
+from bench.from_toml import format_value
+from drivers.base.ranges import Range
+from drivers.canopen.settings import CanopenSettings
+from drivers.daq.settings import DaqSettings
+from drivers.launch_monitor.settings import LaunchMonitorSettings
+from sim.air import Air
+from sim.ball import Ball
+from sim.faults import Fault
+from sim.flight import Wind
+from sim.plant import PlantParameters
+from sim.robot import Club
+from sim.turf import Turf
+
+_PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """Who this bench is and where it stores things."""
+
+    id: str
+    """Name of this bench, part of every address on the network: letters, digits, - and _."""
+    data_dir: Path
+    """Folder of records, relative to the working directory."""
+    database: str = ""
+    """URL of the database; empty: SQLite in `data_dir`."""
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """The control loop."""
+
+    rate: Annotated[float, Range(100.0, 5000.0, "Hz")]
+    """Rate of the control loop; one tick of the simulated plant is its inverse."""
+    realtime: Literal["off", "prefer", "require"]
+    """Real-time scheduling: "off"; "prefer": ask for it; "require": refuse to run without."""
+    priority: Annotated[int, Range(1, 98, "")]
+    """Priority of SCHED_FIFO: above the kernel's threaded interrupts (50), below its watchdogs (99)."""
+    cpu: Annotated[int, Range(-1, 1023, "")]
+    """Core of the loop; -1: any."""
+
+
+@dataclass(frozen=True)
+class DriverSettings:
+    """What the loop drives."""
+
+    name: str
+    """Driver: "sim", the simulated plant; "canopen", "daq", hardware; "mock", whose valves move the joints at
+    once; or the name of a plug-in."""
+    time: Literal["wall", "paced"]
+    """Time of "sim": "wall", the plant on its own clock in its own process; "paced", with the ticks."""
+    watchdog: Annotated[float, Range(0.005, 0.5, "s")]
+    """Silence after which the device goes passive by itself (s)."""
+
+    @property
+    def paced(self) -> bool:
+        """Whether a simulated plant runs in step with the loop's ticks; else time is the wall's."""
+        return self.name == "sim" and self.time == "paced"
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """Where the daemon listens and clients connect, and who may do what from other machines."""
+
+    endpoint: str
+    """zenoh endpoint: of the daemon on its own machine; of a client elsewhere, the daemon's `beyond`."""
+    beyond: str = ""
+    """Where the daemon also listens, by TLS; empty: nowhere."""
+    router: str = ""
+    """zenoh router that the daemon connects to; empty: none."""
+    identity: str = ""
+    """Path, without ending, of this side's certificate (.pem) and key (.key); authority.pem beside them."""
+    viewers: tuple[str, ...] = ()
+    """Names in certificates of those who may read."""
+    operators: tuple[str, ...] = ()
+    """Names in certificates of those who may also command, a router included; stop and estop are open to
+    every certificate."""
+
+
+@dataclass(frozen=True)
+class SwingSettings:
+    """What is swung when a command does not say."""
+
+    profile: str
+    """Name of a profile that comes with golfbench, or a path."""
+    club: str
+    """Key of [clubs]."""
+    ball: str
+    """Key of [balls]."""
+
+
+def _clubs() -> dict[str, Club]:
+    return {club.name: club for club in (Club.driver(), Club.thesis())}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Configuration:
+    """A checked configuration, SI and radians."""
+
+    bench: BenchSettings
+    loop: LoopSettings
+    driver: DriverSettings
+    canopen: CanopenSettings = field(default_factory=CanopenSettings)
+    daq: DaqSettings = field(default_factory=DaqSettings)
+    launch_monitor: LaunchMonitorSettings = field(default_factory=LaunchMonitorSettings)
+    network: NetworkSettings
+    swing: SwingSettings
+    plant: PlantParameters = field(default_factory=PlantParameters)
+    """With the club and the ball of `swing` and the loop's period as its tick."""
+    control: ControlSettings = field(default_factory=ControlSettings)
+    lifecycle: LifecycleSettings = field(default_factory=LifecycleSettings)
+    homing: HomingSettings = field(default_factory=HomingSettings)
+    envelope: EnvelopeSettings = field(default_factory=EnvelopeSettings)
+    estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
+    clubs: dict[str, Club] = field(default_factory=_clubs)
+    balls: dict[str, Ball] = field(default_factory=lambda: {"tour": Ball(name="tour")})
+    air: Air = field(default_factory=Air)
+    wind: Wind = field(default_factory=Wind)
+    turf: Turf = field(default_factory=Turf)
+    faults: dict[str, Fault] = field(default_factory=dict)
+    """What breaks while the simulated robot runs, by name."""
+    files: tuple[Path, ...] = field(default=(), compare=False)
+    """Where it comes from, the base first."""
+
+    def plant_with(self, *, club: str | None = None, ball: str | None = None) -> PlantParameters:
+        """Return the plant with another club or ball of this configuration.
+
+        Raises:
+            BenchError: there is none of that name.
+        """
+        plant = self.plant
+        if club is not None:
+            plant = replace(plant, robot=replace(plant.robot, club=_choice(self, "clubs", club)))
+        return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
+
+    def with_driver(self, driver: DriverSettings) -> Configuration:
+        """Return the configuration with another driver, and what follows from it.
+
+        The model's limits are the simulated plant's: with any other driver that check is off, unless it is
+        asked for "always".
+        """
+        envelope = self.envelope
+        if driver.name != "sim" and envelope.model.check == "simulated":
+            envelope = envelope.with_model_check("off")
+        return replace(self, driver=driver, envelope=envelope)
+
+    def running(self) -> Configuration:
+        """Return the configuration of a bench that runs.
+
+        A plant on a clock of its own obeys some part of a tick earlier or later than the model has it, which
+        the model's limits do not allow for.
+        """
+        if self.driver.paced or self.envelope.model.check != "simulated":
+            return self
+        return replace(self, envelope=self.envelope.with_model_check("off"))
+
+    @property
+    def is_machine(self) -> bool:
+        """Whether something real moves; a bus of processes of this machine has only simulated nodes on it."""
+        if self.driver.name == "canopen":
+            return self.canopen.interface != "local_socket"
+        return self.driver.name not in {"sim", "mock"}
+
+    def driver_arguments(self) -> dict[str, Any]:
+        """Return the keyword arguments that the factory of the driver `driver.name` takes."""
+        settings = {"canopen": self.canopen, "daq": self.daq}.get(self.driver.name)
+        if settings is None:
+            return {}
+        return {
+            "settings": settings,
+            "period": 1.0 / self.loop.rate,
+            "watchdog": self.driver.watchdog,
+            "counts_per_revolution": self.plant.encoders.counts_per_revolution,
+        }
+
+    def effective(self) -> dict[str, Any]:
+        """Return all values nested as in the file, SI and radians, for records and reports; no password."""
+        shown_here = replace(self.bench, database=_PASSWORD.sub(r"\1***@", self.bench.database))
+        return {name: _plain(value) for name, value in asdict(replace(self, bench=shown_here)).items()}
+
+
+def _choice(c: Configuration, section: str, name: str) -> Any:
+    entries = getattr(c, section)
+    if name in entries:
+        return entries[name]
+    files = ", ".join(map(str, c.files))
+    raise BenchError(
+        f"{files}: {section}", f"no {format_value(name)}", f"one of {', '.join(entries)}", "Add or rename it."
+    )
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case dict():
+            return {key: _plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item) for item in value]
+        case Path():
+            return str(value)
+        case float() if isnan(value):
+            return None
+        case _:
+            return value

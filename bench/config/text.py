@@ -1,0 +1,155 @@
+"""A configuration as a complete file with comments: meaning, unit and bounds of every key."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+from bench.config.defaults import keys_of, plain
+from bench.config.settings import Configuration
+from bench.from_toml import expected, suffixes
+from drivers.base.ranges import short
+from sim.origins import ORIGINS
+
+_COLUMN = 34
+_WIDTH = 110
+_HEAD = """\
+# The complete configuration of golfbench as shipped: every key with its meaning, unit and bounds.
+# In a file that begins with `base = "shipped"` give only the keys you change.
+"""
+_KINDS = ("a finite number", "a whole number", "a text in quotes", "a path in quotes")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table of the file: dotted key, type, value and comment."""
+
+    path: str
+    kind: Any
+    value: Any
+    comment: str
+
+
+def configuration_text(configuration: Configuration) -> str:
+    """Return `configuration` as the text of a file without base, with comments.
+
+    The text loads as the same configuration, bit for bit.
+    """
+    lines = [_HEAD.rstrip()]
+    for table in _tables(_Table("", Configuration, configuration, "")):
+        keys = [*_keys(table)]
+        if keys or not is_dataclass(table.kind):
+            lines += ["", *_commented(f"[{table.path}]", table.comment), *keys]
+    return "\n".join(lines) + "\n"
+
+
+def _tables(table: _Table) -> Iterator[_Table]:
+    """Yield `table` and the tables in it, in the order of the fields."""
+    if table.path:
+        yield table
+    prefix = f"{table.path}." if table.path else ""
+    if not is_dataclass(table.kind):
+        kind = get_args(table.kind)[1]
+        for name, entry in table.value.items() if is_dataclass(kind) else ():
+            yield from _tables(_Table(f"{prefix}{name}", kind, entry, ""))
+        return
+    hints = get_type_hints(table.kind, include_extras=True)
+    for name in keys_of(table.kind, prefix):  # type: ignore[arg-type]
+        hint, path = hints[name], f"{prefix}{name}"
+        if is_dataclass(hint) or get_origin(hint) is dict:
+            docs = field_docs(table.kind).get(name) or (_first_line(hint) if is_dataclass(hint) else "")
+            comment = _with_origin(docs, path)
+            yield from _tables(_Table(path, hint, getattr(table.value, name), comment))
+
+
+def _keys(table: _Table) -> Iterator[str]:
+    """Yield the lines of the keys of `table` that are no tables."""
+    if not is_dataclass(table.kind):
+        if not is_dataclass(get_args(table.kind)[1]):
+            yield from (f"{name} = {_written(value)}" for name, value in table.value.items())
+        return
+    hints, docs = get_type_hints(table.kind, include_extras=True), field_docs(table.kind)
+    named = table.path.startswith(("clubs.", "balls.", "faults."))
+    for name in keys_of(table.kind, f"{table.path}."):  # type: ignore[arg-type]
+        hint = hints[name]
+        if is_dataclass(hint) or get_origin(hint) is dict or (named and name == "name"):
+            continue
+        key, value = _in_people_units(name, hint, plain(getattr(table.value, name), ""))
+        comment = _with_origin(docs.get(name, ""), f"{table.path}.{name}")
+        bounds = _bounds(hint, key.removeprefix(name).removeprefix("_"))
+        comment = "; ".join(part for part in (comment, bounds) if part)
+        yield from _commented(f"{key} = {_written(value)}", comment)
+
+
+def _in_people_units(name: str, hint: Any, value: Any) -> tuple[str, Any]:
+    """Return key and value in degrees or Hz where that is exact, else as they are."""
+    for suffix, factor in suffixes(hint).items():
+        if factor != 1.0 and isinstance(value, float) and not get_args(hint)[1].unit.count(","):
+            rounded = round(value / factor, 9)
+            if rounded * factor == value:
+                return f"{name}_{suffix}", rounded
+    return name, value
+
+
+def _bounds(hint: Any, suffix: str) -> str:
+    """Return in words what the key takes, unless that is any value of its kind."""
+    text = expected(hint, suffix)
+    if text.endswith("true or false") or " in brackets" in text:
+        return ""
+    for kind in _KINDS:
+        text = text.removeprefix(kind)
+    return text.removeprefix(",").strip().removeprefix("of ")
+
+
+def _with_origin(docs: str, path: str) -> str:
+    origin = ORIGINS.get(path.removeprefix("plant."), "") if path.startswith("plant.") else ""
+    return "; ".join(part for part in (" ".join(docs.split()).removesuffix("."), origin) if part)
+
+
+def _commented(line: str, comment: str) -> list[str]:
+    """Return `line` with `comment` behind it, or above it when that is too long."""
+    if not comment:
+        return [line]
+    whole = f"{line:<{_COLUMN - 1}} # {comment}"
+    if len(whole) <= _WIDTH:
+        return [whole]
+    return [*textwrap.wrap(comment, _WIDTH, initial_indent="# ", subsequent_indent="# "), line]
+
+
+def _written(value: Any) -> str:
+    """Return a value as TOML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_written, value))}]"
+    if isinstance(value, float):
+        brief = short(value)
+        return brief if "e" in brief and float(brief) == value else repr(value)
+    return json.dumps(str(value), ensure_ascii=False) if isinstance(value, str | Path) else repr(value)
+
+
+def _first_line(kind: Any) -> str:
+    return (inspect.getdoc(kind) or "").split("\n", 1)[0]
+
+
+def field_docs(kind: Any) -> dict[str, str]:
+    """Return the docstrings of the fields of dataclass `kind`, which stand below them in its source."""
+    names = {f.name for f in fields(kind)}
+    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    found = {}
+    body = getattr(definition, "body", [])
+    for node, below in pairwise(body):
+        match node, below:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str() as text)),
+            ) if name in names:
+                found[name] = text
+    return found
