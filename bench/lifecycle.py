@@ -80,6 +80,7 @@ class Refusal(IntEnum):
     READ_ONLY = 11
     SUPERVISOR = 12
     DEVICE = 13
+    MANIFOLD = 14
 
 
 REFUSAL_TEXT = {
@@ -97,6 +98,7 @@ REFUSAL_TEXT = {
     Refusal.READ_ONLY: "this bench was started to observe only",
     Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
     Refusal.DEVICE: "the device went passive by itself: reset first",
+    Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or shut off and vent the supply by hand",
 }
 """What the operator reads, with the cure."""
 
@@ -137,7 +139,10 @@ class Reaction(IntEnum):
 
 
 class Cause(IntEnum):
-    """Why the envelope stopped the robot; the first cause of a stop is kept."""
+    """Why the envelope stopped the robot.
+
+    The first cause of a stop is kept, unless an emergency or trapped pressure is found on top.
+    """
 
     NONE = 0
     EMERGENCY_STOP = 1
@@ -191,6 +196,7 @@ class Cause(IntEnum):
     SHOULDER_SENSOR = 49
     ARM_SENSOR = 50
     WRIST_SENSOR = 51
+    MANIFOLD = 52
 
 
 CAUSE_TEXT = {
@@ -246,6 +252,7 @@ CAUSE_TEXT = {
     Cause.SHOULDER_SENSOR: "one chamber of the shoulder alone does not fit the model: check its sensor",
     Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
     Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
+    Cause.MANIFOLD: "the supply manifold holds pressure with the supply shut: shut it off and vent it by hand",
 }
 """What the operator reads, with the cure where one is known."""
 
@@ -267,7 +274,7 @@ _S = State
 _CLEAR = "interlocks closed, readings trusted, lease held, supervisor alive"
 _GONE = f"cause gone, {_CLEAR}, local reset pressed"
 _STILL = "for the absolute method chambers proven empty"
-_ACCESSIBLE = "chambers proven empty, emergency stop circuit closed, lease held"
+_ACCESSIBLE = "chambers and manifold proven empty, emergency stop circuit closed, lease held"
 _MOVES = (_S.HOMING, _S.ARMED, _S.SWINGING, _S.RECOVERING)
 _LATCHES = (_S.SAFE, _S.HOMING, _S.READY, _S.ARMED, _S.SWINGING, _S.RECOVERING, _S.ACCESS)
 

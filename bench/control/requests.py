@@ -32,6 +32,18 @@ def note_local_reset(s: Any, pressed: bool, time: float) -> None:
 
 
 @compiled
+def manifold_is_full(p: Any, readings: Any) -> bool:
+    """Return whether the supply manifold shows pressure; one without a sensor shows none."""
+    return bool(readings[0].supply_pressure > p.vented_pressure)
+
+
+@compiled
+def _not_vented(p: Any, readings: Any) -> int:
+    """Return the refusal that names where the pressure may be."""
+    return Refusal.MANIFOLD.value if manifold_is_full(p, readings) else Refusal.NOT_VENTED.value
+
+
+@compiled
 def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
@@ -51,7 +63,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if request == Request.ACCESS:
         if interlock_cause(readings) == Cause.EMERGENCY_STOP:
             return Refusal.EMERGENCY_STOP
-        return Refusal.NONE if s.vented else Refusal.NOT_VENTED
+        return Refusal.NONE if s.vented else _not_vented(p, readings)
     if request == Request.SECURE:
         return Refusal.NONE if readings[0].guard_closed else Refusal.GUARD
     if request in (Request.ARM, Request.SWING, Request.RESET, Request.HOME):
@@ -72,9 +84,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         if (
             request == Request.HOME and not p.home_by_index
         ):  # the pose proves something of a robot without air only
-            return Refusal.NOT_VENTED
+            return _not_vented(p, readings)
         if request == Request.RESET and time - s.vent_start >= p.vent_time:
-            return Refusal.NOT_VENTED
+            return _not_vented(p, readings)
     # `not <=`: NaN refuses.
     if request == Request.RESET and p.local_reset and not time - s.reset_pressed <= p.local_reset_time:
         return Refusal.LOCAL_RESET

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.model import model_cause
+from bench.control.requests import manifold_is_full
 from bench.control.states import change_state, disarm, latch, resting_state
 from bench.lifecycle import Cause, State
 from drivers.base.compiled import compiled
@@ -16,11 +17,12 @@ _SECURING_TIME = 2.0
 
 
 @compiled
-def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
-    """Judge whether the chambers are empty; return True when they should be and are not.
+def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
+    """Judge whether chambers and manifold are empty; return the cause if they should be and are not.
 
-    A raised arm hangs on what little air is left and then sinks: before anybody goes near, it has to rest
-    for a while with empty chambers. Where the encoders cannot tell, for as long as sinking may take.
+    Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
+    on what little air is left and then sinks: before anybody goes near, it has to rest for a while with empty
+    chambers. Where the encoders cannot tell, for as long as sinking may take.
     """
     fitted = empty = True
     blind = s.lost != 0 or s.distrusted
@@ -30,7 +32,8 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
             fitted = False
         elif pressure > p.vented_pressure:
             empty = False
-    still = empty
+    shut = not manifold_is_full(p, readings)
+    still = empty and shut
     for i in range(3):
         if not blind and abs(e.velocity[i]) > p.still_speed[i]:
             still = False
@@ -39,8 +42,17 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> bool:
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time
-    s.vented = empty and rests and (fitted or late)
-    return late and not empty
+    s.vented = empty and shut and rests and (fitted or late)
+    if not late or (empty and shut):
+        return Cause.NONE.value
+    return Cause.MANIFOLD.value if empty else Cause.NOT_VENTED.value
+
+
+@compiled
+def _name_trapped(s: Any, trapped: int) -> None:
+    """Name trapped pressure in ESTOP and FAULT, too: it endangers whoever comes to clear the first cause."""
+    if trapped != 0 and s.cause not in (Cause.NOT_VENTED, Cause.MANIFOLD):
+        s.cause = s.latest_cause = trapped
 
 
 @compiled
@@ -66,7 +78,7 @@ def watch_standing(
 ) -> None:
     """Latch what must not be while the robot stands, and leave the states in which it stands."""
     s, p = state.control[0], parameters.control[0]
-    pressed = _watch_vent(p, s, state.estimator[0], readings, time)
+    trapped = _watch_vent(p, s, state.estimator[0], readings, time)
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     for i in range(3):
         if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
@@ -79,14 +91,18 @@ def watch_standing(
         if s.state != State.ESTOP:
             by_circuit = interlock == Cause.EMERGENCY_STOP
             latch(s, parameters, Cause.EMERGENCY_STOP if by_circuit else Cause.NETWORK_STOP, time)
+        else:
+            _name_trapped(s, trapped)
         return
     if s.state in (State.ESTOP, State.FAULT):
+        _name_trapped(s, trapped)
         return
     if not s.supervisor_alive or not s.device_operational:
         latch(s, parameters, Cause.DEVICE_PASSIVE if s.supervisor_alive else Cause.SUPERVISOR, time)
     elif s.state == State.ACCESS:
         if not s.vented:
-            latch(s, parameters, Cause.NOT_VENTED, time)
+            full = manifold_is_full(p, readings)
+            latch(s, parameters, Cause.MANIFOLD if full else Cause.NOT_VENTED, time)
         elif s.securing and interlock == 0:
             s.securing = False
             change_state(s, parameters, resting_state(s), time)
@@ -101,8 +117,8 @@ def watch_standing(
     elif s.state == State.READY and jumped != 0:
         s.homed, s.distrusted = False, True  # whatever turned there, it was not the joint
         latch(s, parameters, jumped, time)
-    elif pressed:
-        latch(s, parameters, Cause.NOT_VENTED, time)
+    elif trapped != 0:
+        latch(s, parameters, trapped, time)
     elif s.state == State.READY and not s.homed:
         change_state(s, parameters, State.SAFE, time)
     elif s.state == State.HOMING:

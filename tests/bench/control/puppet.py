@@ -35,6 +35,8 @@ COUNTS = PlantParameters().encoders.counts_per_revolution
 QUICK = ControlSettings(precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
 UNMODELLED = EnvelopeSettings(model=ModelSettings(check="off"))
 """These joints obey no law of motion."""
+SUPPLY, ATMOSPHERE = 8e5, 1.013e5
+"""Pa absolute."""
 GOOD = ("emergency_stop_clear", "guard_closed", "guard_locked")
 
 
@@ -83,7 +85,9 @@ class Puppet:
         r = self.readings
         for name in GOOD:
             r[name] = True
-        r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = 8e5, nan, 1
+        self.supply: float | None = None
+        """Pressure that the manifold always shows (Pa); None: it follows the supply valve."""
+        r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = ATMOSPHERE, nan, 1
         r["encoder_indexed"] = 1
 
     @property
@@ -110,6 +114,8 @@ class Puppet:
     def give(self, **values: Any) -> Puppet:
         """Set fields of the readings, or of what the step is told from outside."""
         for name, value in values.items():
+            if name == "supply_pressure":
+                self.supply = value
             record = self.readings if name in (READINGS.names or ()) else self.state.control
             record[name] = value
         return self
@@ -124,6 +130,8 @@ class Puppet:
         """Run one tick; the last answer stands until there is another."""
         self.time += self.period
         r = self.readings
+        if self.supply is None:
+            r["supply_pressure"] = SUPPLY if self.record["supply_enable"][0] else ATMOSPHERE
         seen = self.angle + self.offset
         r["time"], r["encoder_count"] = self.time, np.round(seen * COUNTS / (2 * pi)) % COUNTS
         valid = r["encoder_valid"][0] != 0

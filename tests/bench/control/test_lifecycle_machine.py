@@ -109,7 +109,8 @@ class Bench(RuleBasedStateMachine):
     def mend_and_reset(self) -> None:
         """Do what an operator does after a stop."""
         self.dropped, self.garbled, self.stuck = {}, False, False
-        self.puppet.give(encoder_valid=1, encoder_indexed=1, supply_pressure=8e5, device_operational=True)
+        self.puppet.give(encoder_valid=1, encoder_indexed=1, device_operational=True)
+        self.puppet.supply = None
         self.puppet.give(**dict.fromkeys(GOOD, True))
         self.puppet.give(lease_held=True, support_ready=True, supervisor_alive=True)
         self.puppet.offset[:] = 0.0
@@ -161,9 +162,10 @@ class Bench(RuleBasedStateMachine):
         self.puppet.give(local_reset=pressed)
         self.tick()
 
-    @rule(value=garbage | st.just(8e5))
-    def supply(self, value: float) -> None:
-        self.puppet.give(supply_pressure=value)
+    @rule(value=garbage | st.sampled_from([None, FULL]))
+    def supply(self, value: float | None) -> None:
+        """Let the manifold show `value`, or what the supply valve makes of it."""
+        self.puppet.supply = value
         self.tick()
 
     @rule(stuck=st.booleans())
@@ -348,12 +350,13 @@ class Bench(RuleBasedStateMachine):
             self.pressed_at = -inf  # one press, one reset
 
     def check_guard(self, after: Look, record: Any) -> None:
-        """The guard is unlocked in ACCESS only, with all chambers seen empty."""
+        """The guard is unlocked in ACCESS only, with manifold and all chambers seen empty."""
         if record["guard_lock"]:
             return
         assert after.state is State.ACCESS
         assert self.puppet.control["vented"]
         assert not self.fitted or self.pressure <= TIMES.vented_pressure
+        assert not self.puppet.readings["supply_pressure"][0] > TIMES.vented_pressure
 
 
 thorough = settings.get_current_profile_name() == "thorough"

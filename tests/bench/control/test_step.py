@@ -136,7 +136,7 @@ def test_charging_swings_the_spools_around_their_centre() -> None:
 
 def test_charging_is_watched_but_for_the_supply() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
-    puppet.readings["supply_pressure"] = 1e5
+    puppet.give(supply_pressure=1e5)
     puppet.run(10)
     puppet.run(200, Request.ARM)
     assert puppet.reaction is Reaction.NONE
@@ -588,7 +588,7 @@ def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
         puppet.angle = chance.uniform(-3, 3, 3)
         for name in GOOD:
             puppet.readings[name] = chance.random() < 0.5
-        puppet.readings["supply_pressure"] = chance.choice([nan, inf, 0.0, -1e9])
+        puppet.supply = chance.choice([nan, inf, 0.0, -1e9])
         puppet.tick()
         desired[k], applied[k] = puppet.control["desired"], puppet.record["valve"][0]
         if k == 0:

@@ -1,0 +1,119 @@
+"""Nobody is let in while any sensor shows pressure, and trapped pressure is named."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from bench.lifecycle import Cause, Phase, Refusal, Request, State
+from tests.bench.control.operating import TIMES, asked, full, reach
+from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
+
+EMPTY_AT = TIMES.vented_pressure
+LATCHED = (State.ESTOP, State.FAULT)
+FROM = (State.SAFE, State.READY, *LATCHED)
+each_source = pytest.mark.parametrize("source", FROM, ids=lambda state: state.name)
+
+
+def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
+    """Let the supply valve be stuck open: the manifold keeps `pressure` without a command."""
+    puppet.give(supply_pressure=pressure, chamber_pressure=(ATMOSPHERE,) * 6)
+
+
+@each_source
+def test_the_guard_is_not_released_before_a_full_manifold(source: State) -> None:
+    puppet = reach(source)
+    stick_open(puppet)
+    puppet.run(5)
+    if source in LATCHED:
+        assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
+    else:
+        assert asked(puppet, Request.ACCESS) is not Refusal.NONE
+    assert puppet.record["guard_lock"][0]
+    assert not puppet.control["vented"]
+
+
+@pytest.mark.parametrize("pressure", [EMPTY_AT + 1.0, SUPPLY, inf])
+def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
+    puppet = reach(State.READY, vent_time=5.0)
+    stick_open(puppet, pressure)
+    puppet.tick()
+    assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
+    puppet.give(supply_pressure=EMPTY_AT).run(2)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_after_a_swing_access_waits_for_the_manifold() -> None:
+    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05)
+    stick_open(puppet)
+    puppet.tick(Request.DISARM)
+    puppet.run(490)
+    assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
+    puppet.run(20)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.MANIFOLD)
+    assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
+    assert asked(puppet, Request.RESET) is Refusal.MANIFOLD
+    puppet.give(supply_pressure=ATMOSPHERE).run(60)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+
+
+@pytest.mark.parametrize("source", [State.SAFE, State.READY], ids=lambda state: state.name)
+def test_a_manifold_that_does_not_empty_is_a_fault_of_its_own(source: State) -> None:
+    puppet = reach(source)
+    stick_open(puppet)
+    puppet.run(30)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.MANIFOLD)
+
+
+def test_a_manifold_that_fills_while_somebody_is_inside_is_named() -> None:
+    puppet = reach(State.ACCESS)
+    puppet.run(5)
+    puppet.give(supply_pressure=SUPPLY).tick()
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.MANIFOLD)
+
+
+@pytest.mark.parametrize("source", LATCHED, ids=lambda state: state.name)
+@pytest.mark.parametrize("cause", [Cause.NOT_VENTED, Cause.MANIFOLD], ids=lambda cause: cause.name)
+def test_trapped_pressure_is_named_in_a_latched_state(source: State, cause: Cause) -> None:
+    puppet = reach(source)
+    assert puppet.cause not in (Cause.NOT_VENTED, Cause.MANIFOLD)
+    if cause is Cause.MANIFOLD:
+        stick_open(puppet)
+    else:
+        full(puppet)
+    puppet.run(40)
+    assert (puppet.bench, puppet.cause) == (source, cause)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(40)
+    assert (puppet.bench, puppet.cause) == (source, cause)
+
+
+def test_trapped_pressure_is_named_while_the_emergency_stop_is_pressed() -> None:
+    puppet = reach(State.ESTOP)
+    puppet.give(emergency_stop_clear=False)
+    stick_open(puppet)
+    puppet.run(40)
+    assert (puppet.bench, puppet.cause) == (State.ESTOP, Cause.MANIFOLD)
+
+
+def test_an_emergency_stays_one_when_trapped_pressure_is_named() -> None:
+    puppet = reach(State.ESTOP)
+    stick_open(puppet)
+    puppet.run(40)
+    assert puppet.control["emergency"]
+
+
+def test_a_manifold_without_a_sensor_is_judged_by_time() -> None:
+    puppet = reach(State.ARMED, vent_time=0.3)
+    puppet.give(supply_pressure=float("nan"))
+    puppet.tick(Request.DISARM)
+    puppet.run(290)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(20)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_an_armed_bench_is_not_judged_by_its_manifold() -> None:
+    puppet = reach(State.ARMED)
+    puppet.run(50)
+    assert (puppet.bench, puppet.phase, puppet.cause) == (State.ARMED, Phase.HOLD, Cause.NONE)
