@@ -98,7 +98,7 @@ REFUSAL_TEXT = {
     Refusal.READ_ONLY: "this bench was started to observe only",
     Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
     Refusal.DEVICE: "the device went passive by itself: reset first",
-    Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or shut off and vent the supply by hand",
+    Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
 }
 """What the operator reads, with the cure."""
 
@@ -252,7 +252,7 @@ CAUSE_TEXT = {
     Cause.SHOULDER_SENSOR: "one chamber of the shoulder alone does not fit the model: check its sensor",
     Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
     Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
-    Cause.MANIFOLD: "the supply manifold holds pressure with the supply shut: shut it off and vent it by hand",
+    Cause.MANIFOLD: "the manifold holds pressure with the supply shut: shut it off and vent it by hand",
 }
 """What the operator reads, with the cure where one is known."""
 
@@ -275,6 +275,7 @@ _CLEAR = "interlocks closed, readings trusted, lease held, supervisor alive"
 _GONE = f"cause gone, {_CLEAR}, local reset pressed"
 _STILL = "for the absolute method chambers proven empty"
 _ACCESSIBLE = "chambers and manifold proven empty, emergency stop circuit closed, lease held"
+_LEFT = "guard closed, then local reset pressed"
 _MOVES = (_S.HOMING, _S.ARMED, _S.SWINGING, _S.RECOVERING)
 _LATCHES = (_S.SAFE, _S.HOMING, _S.READY, _S.ARMED, _S.SWINGING, _S.RECOVERING, _S.ACCESS)
 
@@ -299,12 +300,12 @@ EDGES = (
     Edge(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
     Edge(_S.SAFE, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
     Edge(_S.READY, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.ACCESS, "secure", _S.SAFE, "guard closed, not homed", "lock the guard"),
-    Edge(_S.ACCESS, "secure", _S.READY, "guard closed, homed", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.SAFE, f"{_LEFT}; not homed", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.READY, f"{_LEFT}; homed", "lock the guard"),
     Edge(_S.ESTOP, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
     Edge(_S.FAULT, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.ACCESS, "secure", _S.ESTOP, "guard closed, its cause still latched", "lock the guard"),
-    Edge(_S.ACCESS, "secure", _S.FAULT, "guard closed, its cause still latched", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.ESTOP, f"{_LEFT}; its cause still latched", "lock the guard"),
+    Edge(_S.ACCESS, "secure", _S.FAULT, f"{_LEFT}; its cause still latched", "lock the guard"),
     *(Edge(s, "emergency stop", _S.ESTOP, "at standstill", "stopping table, then vent") for s in _LATCHES),
     *(Edge(s, "fault", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
     *(Edge(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),

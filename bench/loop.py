@@ -125,7 +125,7 @@ class Cycle:
         except Exception as error:  # a driver may fail in any way
             self.read_error = self.read_error or error
         r = self._readings
-        for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "local_reset", "ball_present"):
+        for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "ball_present"):
             r[name] = False
         r["encoder_valid"] = r["encoder_indexed"] = 0
         r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = ABSENT
@@ -150,6 +150,7 @@ class Cycle:
         control["reaction"], control["phase"] = Reaction.PASSIVE, Phase.STANDING
         control["state"] = State.ESTOP if control["emergency"][0] else State.FAULT
         control["state_since"] = control["vent_start"] = time
+        control["reset_pressed"] = -np.inf
         for name in ("swinging", "moving", "disarming", "air", "vented", "tee"):
             control[name] = False
         if decided:

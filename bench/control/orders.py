@@ -35,7 +35,7 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
         if change_state(s, parameters, State.ACCESS, time):
             s.securing = False
     elif request == Request.SECURE:
-        s.securing, s.state_since = True, time
+        s.securing, s.state_since, s.reset_pressed = True, time, -np.inf
     elif request == Request.TEE:
         s.tee = True
 

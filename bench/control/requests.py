@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from bench.control.envelope import interlock_cause
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.compiled import compiled
 
 
@@ -29,6 +31,29 @@ def note_local_reset(s: Any, pressed: bool, time: float) -> None:
         s.reset_was_low = False
     elif not pressed:
         s.reset_was_low = True
+
+
+@compiled
+def watch_local_reset(s: Any, readings: Any, time: float) -> None:
+    """Note a press of the local reset, and forget one that cannot speak for what is now.
+
+    Inputs that do not arrive read False: a low level counts only while the device answers and the emergency
+    stop circuit is seen closed, so that a stuck button gives no edge when a lost link comes back. A press
+    before an interlock opened is void: whoever gave it did not see what happened since.
+    """
+    r = readings[0]
+    note_local_reset(s, r.local_reset, time)
+    if not (s.device_operational and r.emergency_stop_clear):
+        s.reset_was_low = False
+    released = s.state == State.ACCESS
+    if not (r.emergency_stop_clear and r.guard_closed and (r.guard_locked or released)):
+        s.reset_pressed = -np.inf
+
+
+@compiled
+def _is_confirmed(p: Any, s: Any, time: float) -> bool:
+    """Return whether a person beside the robot has pressed the local reset, where there is one."""
+    return bool(not p.local_reset or time - s.reset_pressed <= p.local_reset_time)  # False with NaN
 
 
 @compiled
@@ -65,7 +90,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return Refusal.EMERGENCY_STOP
         return Refusal.NONE if s.vented else _not_vented(p, readings)
     if request == Request.SECURE:
-        return Refusal.NONE if readings[0].guard_closed else Refusal.GUARD
+        if not readings[0].guard_closed:
+            return Refusal.GUARD
+        return Refusal.NONE if _is_confirmed(p, s, time) else Refusal.LOCAL_RESET
     if request in (Request.ARM, Request.SWING, Request.RESET, Request.HOME):
         interlock = interlock_cause(readings)
         if interlock != 0:
@@ -87,8 +114,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return _not_vented(p, readings)
         if request == Request.RESET and time - s.vent_start >= p.vent_time:
             return _not_vented(p, readings)
-    # `not <=`: NaN refuses.
-    if request == Request.RESET and p.local_reset and not time - s.reset_pressed <= p.local_reset_time:
+    if request == Request.RESET and not _is_confirmed(p, s, time):
         return Refusal.LOCAL_RESET
     return Refusal.NONE
 

@@ -92,6 +92,7 @@ def watch_standing(
             by_circuit = interlock == Cause.EMERGENCY_STOP
             latch(s, parameters, Cause.EMERGENCY_STOP if by_circuit else Cause.NETWORK_STOP, time)
         else:
+            s.reset_pressed = -np.inf
             _name_trapped(s, trapped)
         return
     if s.state in (State.ESTOP, State.FAULT):

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from bench.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
 from drivers.base.compiled import compiled
 
@@ -31,6 +33,8 @@ def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
     p = parameters.control[0]
     if s.state < len(p.transitions) and p.transitions[s.state, state.value] != 0:
         s.state, s.state_since = state, time
+        if state in (State.ESTOP, State.FAULT, State.ACCESS):
+            s.reset_pressed = -np.inf  # a press of before does not speak for what happened now
         return True
     s.latest_cause = Cause.EXCEPTION
     if s.cause == 0:
@@ -38,6 +42,7 @@ def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
     if s.phase == Phase.STANDING:
         s.reaction, s.securing = Reaction.VENT, False
         s.state, s.state_since = State.ESTOP if s.emergency else State.FAULT, time
+        s.reset_pressed = -np.inf
     else:
         begin_reaction(s, parameters, p.reactions[s.phase, TRUSTED], time)
     return False

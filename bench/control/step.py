@@ -21,7 +21,7 @@ from bench.control.model import observe
 from bench.control.motion import follow
 from bench.control.orders import carry_out
 from bench.control.records import ControlParameters, ControlState
-from bench.control.requests import note_local_reset, take_request
+from bench.control.requests import take_request, watch_local_reset
 from bench.control.standing import watch_standing
 from bench.control.stops import watch_motion, watch_permission
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
@@ -95,7 +95,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
     """Answer the request, advance swing or move, monitor, change state, and set the desired openings."""
     s = state.control[0]
     interlock = interlock_cause(readings)
-    note_local_reset(s, readings[0].local_reset, time)
+    watch_local_reset(s, readings, time)
     request = take_request(state, parameters, readings, time)
     asked = Cause.NONE
     if request == Request.STOP:

@@ -130,7 +130,8 @@ CONDITIONS = (
         {"vented": False},
     ),
     Condition(
-        "button", Refusal.LOCAL_RESET, only(Request.RESET), "parameters", {"local_reset": True}
+        "button", Refusal.LOCAL_RESET, only(Request.RESET, Request.SECURE), "parameters",
+        {"local_reset": True},
     ),
 )  # fmt: skip
 """What forbids requests, in the order in which the operator is told of it."""

@@ -1,0 +1,176 @@
+"""The button beside the robot: only a press that a person gave after the stop, outside, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from bench.control.settings import SIMULATED
+from bench.lifecycle import Cause, Refusal, Request, State
+from bench.loop import Cycle
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base import Command, DriverError, Readings
+from drivers.base.compiled import new_record
+from tests.bench.control.operating import asked, press, reach
+from tests.bench.control.puppet import Puppet
+
+Act = Callable[[Puppet], None]
+
+
+def dip(**values: bool) -> Act:
+    """Return the act of changing inputs for three ticks."""
+
+    def act(puppet: Puppet) -> None:
+        puppet.give(**values).run(3)
+        puppet.give(**{name: not value for name, value in values.items()}).run(3)
+
+    return act
+
+
+STOPS: dict[str, Act] = {
+    "emergency stop": dip(emergency_stop_clear=False),
+    "network stop": lambda puppet: puppet.step(Request.EMERGENCY_STOP),
+    "guard opened": dip(guard_closed=False),
+    "guard unlocked": dip(guard_locked=False),
+    "supervisor dead": dip(supervisor_alive=False),
+    "device passive": dip(device_operational=False),
+}
+each_stop = pytest.mark.parametrize("name", STOPS)
+
+
+@each_stop
+@pytest.mark.parametrize("source", [State.READY, State.ARMED], ids=lambda state: state.name)
+def test_a_press_before_the_stop_does_not_count(name: str, source: State) -> None:
+    puppet = reach(source, local_reset=True)
+    press(puppet)
+    STOPS[name](puppet)
+    puppet.run(200)
+    assert puppet.bench in {State.ESTOP, State.FAULT}
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+
+
+@pytest.mark.parametrize("name", ["emergency stop", "network stop", "guard opened", "guard unlocked"])
+@pytest.mark.parametrize("state", [State.ESTOP, State.FAULT], ids=lambda state: state.name)
+def test_a_press_before_a_second_stop_does_not_count(name: str, state: State) -> None:
+    puppet = reach(state, local_reset=True)
+    press(puppet)
+    STOPS[name](puppet)
+    puppet.run(30)
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+
+
+def test_a_press_while_the_robot_brakes_does_not_count() -> None:
+    puppet = reach(State.SWINGING, local_reset=True)
+    puppet.give(emergency_stop_clear=False).run(3)
+    puppet.give(emergency_stop_clear=True).run(3)
+    press(puppet)
+    puppet.run(2000)
+    assert puppet.bench is State.ESTOP
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+
+
+def stuck() -> Puppet:
+    """Return a bench in FAULT whose button is stuck since before the stop."""
+    puppet = reach(State.READY, local_reset=True)
+    puppet.give(local_reset=True).run(10)
+    puppet.give(supervisor_alive=False).run(3)
+    puppet.give(supervisor_alive=True).run(10)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPERVISOR)
+    return puppet
+
+
+@pytest.mark.parametrize("ticks", [1, 5, 100])
+def test_a_stuck_button_gives_no_edge_when_the_link_comes_back(ticks: int) -> None:
+    """Inputs that do not arrive read False, as all without energy does."""
+    puppet = stuck()
+    silent = dict.fromkeys(("local_reset", "emergency_stop_clear", "guard_closed", "guard_locked"), False)
+    puppet.give(**silent).run(ticks)
+    puppet.give(**dict.fromkeys(silent, True)).run(5)
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+
+
+@pytest.mark.parametrize("ticks", [1, 5, 100])
+def test_a_stuck_button_gives_no_edge_when_the_device_comes_back(ticks: int) -> None:
+    puppet = stuck()
+    puppet.give(local_reset=False, device_operational=False).run(ticks)
+    puppet.give(local_reset=True, device_operational=True).run(5)
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+    puppet.give(local_reset=False).run(2)
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+
+
+class Away:
+    """A driver whose button is stuck and whose readings fail for some ticks."""
+
+    operational = True
+
+    def __init__(self, readings: Readings) -> None:
+        self.readings, self.fails = readings, False
+
+    def open(self) -> None: ...
+
+    def read(self, time: float) -> Readings:
+        if self.fails:
+            raise DriverError("no answer")
+        return self.readings._replace(time=time, encoder_time=(time,) * 3)
+
+    def write(self, command: Command) -> Command:
+        return command
+
+    def make_passive(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_a_stuck_button_gives_no_edge_when_reading_failed() -> None:
+    puppet = Puppet(lifecycle=SIMULATED)
+    good = Readings(
+        0.0, (0, 0, 0), (0.0,) * 3, (True,) * 3, (0.0,) * 3, True, True, True, 1e5, True, False, (1e5,) * 6
+    )  # fmt: skip
+    driver = Away(good)
+    cycle = Cycle(driver, puppet.parameters, lambda _: None, name="away")
+    before = float(cycle.state.control["reset_pressed"][0])
+    for k in range(30):
+        driver.fails = 10 <= k < 20
+        cycle.run_tick(1.0 + 1e-3 * k)
+    assert cycle.state.control["reset_pressed"][0] == before
+    assert new_record(CYCLE).dtype == cycle.record.dtype
+
+
+# Leaving ACCESS ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("source", [State.READY, State.ESTOP, State.FAULT], ids=lambda state: state.name)
+def test_access_ends_with_the_button_where_there_is_one(source: State) -> None:
+    """Whoever asks over the network does not see who is inside."""
+    puppet = reach(source, local_reset=True)
+    press(puppet)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    puppet.give(guard_locked=False, guard_closed=False).run(5)
+    press(puppet)
+    puppet.give(guard_closed=True).run(5)
+    assert asked(puppet, Request.SECURE) is Refusal.LOCAL_RESET
+    assert not puppet.record["guard_lock"][0]
+    press(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.NONE
+    puppet.give(guard_locked=True).run(3)
+    assert puppet.bench is source
+    if source is not State.READY:  # one press, one use
+        assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
+
+
+def test_access_ends_without_a_button_where_there_is_none() -> None:
+    puppet = reach(State.ACCESS)
+    assert asked(puppet, Request.SECURE) is Refusal.NONE
+
+
+def test_a_press_before_access_does_not_end_it() -> None:
+    puppet = reach(State.READY, local_reset=True)
+    press(puppet)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    puppet.give(guard_locked=False).run(5)
+    assert asked(puppet, Request.SECURE) is Refusal.LOCAL_RESET
