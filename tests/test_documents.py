@@ -164,6 +164,21 @@ def test_twenty_changes_name_their_files() -> None:
     assert [row for row in rows if not PATH_IN_TEXT.search(row)] == []
 
 
+def test_the_figures_of_the_fault_matrix_are_those_of_the_hazard_table() -> None:
+    found = re.search(
+        r"^(\d+) cases from (\d+) instants .*: (\d+) [^,]*, (\d+) [^,]*, (\d+) [^,]*, (\d+) unsafe; (\d+)",
+        (ROOT / "sim/FAULTS.md").read_text(),
+        re.MULTILINE,
+    )
+    assert found is not None
+    cases, instants, safe, harmless, undetected, unsafe, excluded = found.groups()
+    assert f"{unsafe} of {cases} fault cases" in (ROOT / "README.md").read_text()
+    text = " ".join((ROOT / "bench/faults/README.md").read_text().split())
+    assert f"{cases} cases from {instants} instants" in text
+    assert f"{safe} detected and safe, {harmless} without harm, {undetected} undetected" in text
+    assert f"{unsafe} unsafe; {excluded} pairs" in text
+
+
 def test_the_changelog_begins_with_this_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     first = re.search(r"^## (\S+)", (ROOT / ".github/CHANGELOG.md").read_text(), re.MULTILINE)
