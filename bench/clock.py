@@ -1,4 +1,4 @@
-"""Where a loop's ticks come from: time is tick times period, never a sum."""
+"""Clocks of a loop: time is tick times period, never a sum."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Gives the loop its ticks."""
+    """Source of the loop's ticks."""
 
     period: float
-    """s"""
+    """Time between two ticks, s."""
 
     def wait(self) -> float:
         """Wait for the next tick and return its time (s)."""
@@ -36,7 +36,7 @@ class FreeClock:
 
 
 class PacedClock:
-    """Virtual time at real speed: what the machine loses slips against the wall, and is counted."""
+    """Virtual time at real speed: delays of the machine make it slip against the wall, and are counted."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class PacedClock:
         self.slipped = 0.0
         """Time lost against the wall, s."""
         self.due = self.woke = 0
-        """When the tick was due after all slips, and when it began, ns of the wall's clock."""
+        """Due time of the tick after all slips, and its start, ns of the wall's clock."""
 
     def wait(self) -> float:
         """Sleep until the next tick is due and return its virtual time (s)."""
@@ -74,19 +74,19 @@ class PacedClock:
 
 
 LATE = 1_000_000
-"""ns after its due time from which on a tick counts as late."""
+"""Delay after which a tick counts as late, ns."""
 
 LONGEST_SPIN, SPIN_SHARE = 40_000, 0.04
-"""ns, and share of the period, for which at most the end of a wait is spun through: usual wake-up latencies
-pass in it, at two per cent of a core on average."""
+"""Max time (ns) and share of the period for busy waiting at the end of a wait: it covers usual wake-up
+latencies and takes two per cent of a core on average."""
 
 
 class GridClock:
     """Wall time: ticks on an absolute grid of CLOCK_MONOTONIC.
 
-    Sleeps until shortly before the grid point, then looks at the clock until it is there. A grid point that
-    has passed when the loop comes to wait is skipped and counted, never caught up: after a stall the loop
-    goes on with the next point ahead.
+    Sleeps until shortly before the grid point, then polls the clock. A grid point that has passed when the
+    loop begins to wait is skipped and counted, never caught up: after a stall the loop continues with the
+    next point ahead.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class GridClock:
         self.due = 0
         """Grid point of the current tick, ns of CLOCK_MONOTONIC; 0 before the first."""
         self.woke = 0
-        """When the current tick truly began, ns."""
+        """Measured start of the current tick, ns."""
         self.skipped = 0
         """Grid points without a tick."""
         self.late = 0
@@ -117,7 +117,7 @@ class GridClock:
             self.skipped += missed
             due += missed * self.period_ns
         self.due = due
-        while (woke := self._now()) < due - self._spin:  # again when a signal has ended the sleep
+        while (woke := self._now()) < due - self._spin:  # a signal may have ended the sleep
             self._sleep_until(due - self._spin)
         while woke < due:
             woke = self._now()

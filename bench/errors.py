@@ -1,4 +1,4 @@
-"""What a user's mistake looks like: the place, what was found, what was expected, what to do."""
+"""Errors for users: the place, what was found, what was expected, what to do."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ class ExitCode(IntEnum):
 
     OK = 0
     REFUSED = 1
-    """The command did its work and its answer is no."""
+    """The command ran, and the result is negative."""
     BAD_INPUT = 2
-    """Wrong usage, or a configuration, profile or file that does not hold."""
+    """Wrong usage, or an invalid configuration, profile or file."""
     DEVICE = 69
     """A device or a service the command needs cannot do its work."""
     INTERNAL = 70
-    """A mistake of golfbench itself."""
+    """An error in golfbench itself."""
     FILE = 74
     """A file or folder cannot be read or written."""
     NO_ANSWER = 75
@@ -28,12 +28,12 @@ class ExitCode(IntEnum):
 
 
 class BenchError(Exception):
-    """Something outside does not hold, told so that its owner can mend it. Exits with BAD_INPUT.
+    """Invalid external input, with what its owner needs to correct it. Exits with BAD_INPUT.
 
     Args:
-        place: where it stands: file and key, option, or device.
+        place: file and key, option, or device.
         found: the value found there.
-        expected: what would hold, with its unit.
+        expected: valid values, with their unit.
         cure: what to do.
     """
 
@@ -51,12 +51,12 @@ class BenchError(Exception):
 
 
 class Refused(BenchError):
-    """The input is well formed, but what it asks is not done: it is unsafe or its time is wrong."""
+    """Valid input whose action is refused: it is unsafe, or not possible now."""
 
     exit_code = ExitCode.REFUSED
 
 
 def did_you_mean(wanted: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the cure for an unknown name: the nearest of the `known` ones, or what to do `otherwise`."""
+    """Return the cure for an unknown name: the nearest of the `known` ones, else `otherwise`."""
     near = get_close_matches(wanted, list(known), n=1)
     return f"Did you mean {near[0]}?" if near else otherwise

@@ -1,8 +1,8 @@
-"""Frozen dataclasses from TOML tables: every key known, of its type, finite and in its range, or told.
+"""Frozen dataclasses from TOML tables; every key must be known, of its type, finite and in its range.
 
 A key is its field's name; the value is in the field's SI unit. Where people think in other units a suffix
-says so: `loft_deg` for a field in rad, `rate_hz` for one in Hz or rad/s. Mistakes are collected, not
-raised, so that one run names them all.
+says so: `loft_deg` for a field in rad, `rate_hz` for one in Hz or rad/s. Errors are collected, not
+raised, so that one run reports all of them.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from bench.errors import BenchError, did_you_mean
 from drivers.base.ranges import Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
-"""Suffix of a key -> unit of its field -> what the value is multiplied by."""
+"""Suffix of a key -> unit of its field -> factor on the value."""
 
 GREATEST = sys.float_info.max
-"""What any finite number lies within; NaN does not."""
+"""Max absolute value of a finite number; comparisons with it are false for NaN."""
 
 _SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
 _BAD = object()
 
 
 class Leaf(NamedTuple):
-    """A value as it stands in a file."""
+    """A value as written in a file."""
 
     value: Any
     file: Path
     path: str
-    """Its dotted key as written."""
+    """Dotted key as written."""
     suffix: str = ""
 
     @property
     def key(self) -> str:
-        """The last part of its key as written."""
+        """Last part of the key as written."""
         return self.path.rsplit(".", 1)[-1]
 
 
@@ -55,7 +55,7 @@ def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:
     """Return the parsed file.
 
     Raises:
-        BenchError: it is missing, cannot be read, or is no TOML; `expected` and `cure` go into the message.
+        BenchError: the file is missing, unreadable or not TOML; `expected` and `cure` go into the message.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -68,11 +68,11 @@ def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:
             str(path), f"a byte that is not UTF-8 at offset {error.start}", "UTF-8 text", "Save it as UTF-8."
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise BenchError(str(path), f"no TOML: {error}", "TOML", "Mend that line.") from None
+        raise BenchError(str(path), f"invalid TOML: {error}", "TOML", "Correct that line.") from None
 
 
 def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], path: str = "") -> Tree:
-    """Return `tables` of `file` with suffixes taken off; a value written twice is a fault."""
+    """Return `tables` of `file` without suffixes; a value written twice is a fault."""
     tree: Tree = {}
     for key, value in tables.items():
         if isinstance(value, dict):
@@ -89,7 +89,7 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
 
 
 def laid_over(base: Tree, over: Tree) -> Tree:
-    """Return `base` with what `over` says instead."""
+    """Return `base` with the values of `over` in place of its own."""
     merged = dict(base)
     for name, node in over.items():
         below = merged.get(name)
@@ -119,7 +119,7 @@ def _leaves(tree: Tree) -> Iterator[Leaf]:
 
 
 def format_value(value: Any) -> str:
-    """Return `value` about as a TOML file has it, cut when long."""
+    """Return `value` as TOML text, cut when long."""
     if isinstance(value, bool):
         return str(value).lower()
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
@@ -128,7 +128,7 @@ def format_value(value: Any) -> str:
 
 @dataclass
 class Builder:
-    """Builds values from one tree; `faults` collects what does not hold.
+    """Builds values from one tree and collects validation errors in `faults`.
 
     Fields whose dotted path is in `left_out` are no keys and keep their defaults; those with `optional` in
     their metadata may be left out.
@@ -136,18 +136,18 @@ class Builder:
 
     tree: Tree
     file: Path
-    """Named when something is missing."""
+    """Place of errors about missing keys."""
     cure: str
     add: str
-    """What to do about a missing key."""
+    """Cure of errors about missing keys."""
     left_out: frozenset[str] = frozenset()
     faults: list[BenchError] = field(default_factory=list)
 
     def build(self, kind: type[Any]) -> Any:
-        """Return the value of dataclass `kind`, or None when there were faults.
+        """Return the value of dataclass `kind`, or None if there were faults.
 
         Raises:
-            TypeError: a field's type has no form in TOML.
+            TypeError: a field's type cannot be written in TOML.
         """
         value = self._value(kind, self.tree, "")
         return None if self.faults else value
@@ -190,7 +190,7 @@ class Builder:
         try:
             return kind(**values)
         except ValueError as error:
-            return self._fault(path, "values that do not go together", str(error))
+            return self._fault(path, "contradictory values", str(error))
 
     def _named(self, hint: Any, node: Tree, path: str) -> Any:
         """Return a dictionary; an entry that is a dataclass gets its key as its `name`."""
@@ -223,7 +223,7 @@ class Builder:
         elif bare in (int, bool, str):
             ok = type(value) is bare
         else:
-            raise TypeError(f"{path}: {hint} has no form in TOML")
+            raise TypeError(f"{path}: {hint} cannot be written in TOML")
         if not ok:
             return self._fault(path, format_value(value), expected(hint, suffix))
         if bare is Path:
@@ -251,7 +251,7 @@ class Builder:
 
 
 def expected(hint: Any, suffix: str = "") -> str:
-    """Return in words what values `hint` allows, in the unit of `suffix`."""
+    """Return the values that `hint` allows in words, in the unit of `suffix`."""
     bare, marks = _parts(hint)
     if is_dataclass(bare) or get_origin(bare) is dict:
         return "a table"
@@ -280,7 +280,7 @@ def expected(hint: Any, suffix: str = "") -> str:
 
 
 def suffixes(hint: Any) -> Mapping[str, float]:
-    """Return the suffixes that `hint` may be written with, and their factors."""
+    """Return the suffixes that a value of type `hint` may have, and their factors."""
     unit = _unit(_parts(hint)[1])
     return {suffix: table[unit] for suffix, table in SUFFIXES.items() if unit in table}
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish that the work asks for, instead of an exception in the middle of a tick."""
+"""Ctrl-C and SIGTERM as a flag that the work polls, instead of an exception in the middle of a tick."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 
 class StopFlag:
-    """A wish to end, made in a signal's handler.
+    """Request to stop, set in a signal handler.
 
     Not a threading.Event: its `set` takes a lock that the interrupted `wait` of the same thread may hold, and
     then the process never ends.
@@ -20,15 +20,15 @@ class StopFlag:
         self._made = False
 
     def make(self, *_: object) -> None:
-        """Make it; what a signal calls its handler with is not looked at."""
+        """Set the flag; the arguments of a signal handler are ignored."""
         self._made = True
 
     def is_made(self) -> bool:
-        """Tell whether somebody wishes the end."""
+        """Return whether a stop was requested."""
         return self._made
 
     def wait(self, duration: float) -> bool:
-        """Sleep for `duration` (s), also when the wish comes meanwhile; tell whether it is made."""
+        """Sleep for `duration` (s), even if the flag is set meanwhile; return whether it is set."""
         if not self._made:
             time.sleep(duration)
         return self._made
@@ -36,10 +36,10 @@ class StopFlag:
 
 @contextmanager
 def deferred_interrupt() -> Iterator[StopFlag]:
-    """Yield a wish that Ctrl-C makes; at the block's end a Ctrl-C that came raises KeyboardInterrupt.
+    """Yield a flag that Ctrl-C sets; raise KeyboardInterrupt at the end of the block if it was set.
 
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
-    exit code 130. Outside the main thread, which gets no signals, the wish is never made.
+    exit code 130. Outside the main thread, which gets no signals, the flag is never set.
     """
     asked = StopFlag()
     if threading.current_thread() is not threading.main_thread():
@@ -56,11 +56,11 @@ def deferred_interrupt() -> Iterator[StopFlag]:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
-    """Yield a wish that SIGTERM and Ctrl-C make."""
-    wish = StopFlag()
-    kept = {number: signal.signal(number, wish.make) for number in (signal.SIGTERM, signal.SIGINT)}
+    """Yield a flag that SIGTERM and Ctrl-C set."""
+    flag = StopFlag()
+    kept = {number: signal.signal(number, flag.make) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        yield wish
+        yield flag
     finally:
         for number, handler in kept.items():
             signal.signal(number, handler)

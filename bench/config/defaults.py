@@ -18,7 +18,7 @@ DEFAULTS = "defaults"
 """Base of a configuration file that is laid over the defaults of the code."""
 
 DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
-"""Fields that follow from other keys, and are none themselves."""
+"""Fields that are derived from other keys, and are no keys themselves."""
 
 
 def default_tables() -> dict[str, Any]:

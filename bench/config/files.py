@@ -42,7 +42,7 @@ def find_configuration(wanted: Path | None = None) -> Path:
     Without it: `config.toml` in the working directory, else the shipped one.
 
     Raises:
-        BenchError: there is no such file.
+        BenchError: no file has that path or name.
     """
     if wanted is None:
         here = Path("config.toml")
@@ -85,8 +85,8 @@ def load_configuration(path: Path | None = None) -> Configuration:
     if configuration is not None:
         configuration = _with_derived(configuration, files)
         for rule in RULES:
-            for key, found, wanted, mend in rule(configuration, tree):
-                faults.append(BenchError(place_of(tree, file, key), found, wanted, mend))
+            for key, found, wanted, cure in rule(configuration, tree):
+                faults.append(BenchError(place_of(tree, file, key), found, wanted, cure))
     if faults:
         # Entries that are like another one repeat its mistakes.
         once = {str(fault): fault for fault in faults}

@@ -28,8 +28,8 @@ LONGEST_ANSWER = 0.7
 """Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
 
 COST_OF_A_SYNC = 2.2
-"""Ticks without a sample when a SYNC is lost: its own, the next, whose sample might be the answer to it, and
-what a tick may be late."""
+"""Ticks without a sample when a SYNC is lost: its own; the next, whose sample might answer the lost one; and
+the max delay of a tick."""
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Name of a person or machine in a certificate."""
@@ -41,7 +41,7 @@ def database_url(database: str, data_dir: Path) -> URL:
     """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
 
     Raises:
-        BenchError: `database` is no URL of a database that several processes can open.
+        BenchError: `database` is not the URL of a database that several processes can open.
     """
     from sqlalchemy import URL, make_url  # slow to import, and needed only here
     from sqlalchemy.exc import ArgumentError, NoSuchModuleError
@@ -54,7 +54,7 @@ def database_url(database: str, data_dir: Path) -> URL:
         url = make_url(database)
         url.get_dialect()
     except (ArgumentError, NoSuchModuleError, ValueError):
-        raise BenchError("bench.database", "no URL that SQLAlchemy knows", wanted, cure) from None
+        raise BenchError("bench.database", "not a URL that SQLAlchemy knows", wanted, cure) from None
     if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
         raise BenchError("bench.database", "SQLite without a file", wanted, cure)
     return url
@@ -87,7 +87,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         cure = "Choose one, or install the plug-in that brings it."
         yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", cure
     if c.driver.name == "daq" and c.homing.method != "index":
-        cure = "The card's counters know no angle until the index has passed."
+        cure = "The card's counters do not know the angle until the index has passed."
         yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', cure
     phases = EnvelopeSettings().following.keys()
     for name in phases ^ c.envelope.following.keys():
@@ -103,7 +103,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     network, inside = c.network, "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only"
-    beyond = "tls/HOST:PORT: commands in the clear would be anybody's beyond this machine"
+    beyond = "tls/HOST:PORT: beyond this machine commands must be encrypted"
     places = (
         ("endpoint", network.endpoint, f"{inside}, or {beyond}", _is_loopback, _is_secure),
         ("beyond", network.beyond, f'"", or {beyond}', _is_empty, _is_secure),
@@ -114,7 +114,7 @@ def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield f"network.{name}", format_value(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
         elif _is_secure(endpoint) and not network.identity:
             found = f"none, with {name} = {format_value(endpoint)}"
-            cure = "Make them: golfbench certificates."
+            cure = "Create them with `golfbench certificates`."
             yield "network.identity", found, "path of certificate and key, without ending", cure
     for role in ("viewers", "operators"):
         for name in getattr(network, role):
@@ -287,7 +287,7 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 
 def unheard_phases(configuration: Configuration) -> list[BenchError]:
-    """Return the faults that would never begin on a bench that runs: only a plant in step hears the phase."""
+    """Return the faults that would never begin on a running bench: only a plant in step knows the phase."""
     if configuration.driver.paced:
         return []
     place = ", ".join(map(str, configuration.files))
@@ -295,7 +295,7 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
         BenchError(
             f"{place}: faults.{name}.phase",
             format_value(fault.phase),
-            '"any": a plant on its own clock knows no phase',
+            '"any": a plant on its own clock does not know the phase',
             "Give time, or joint and angle, or run with --time paced.",
         )
         for name, fault in configuration.faults.items()
@@ -307,7 +307,7 @@ _LOOPS_OWN = frozenset({"clock", "loop", "supervisor", "recorder", "lease", "lau
 
 
 def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    """Faults belong to a simulated robot, and only to what a running bench can spoil of it."""
+    """Check faults: only for a simulated robot, and only of signals that a running bench can disturb."""
     for name, fault in c.faults.items():
         key = f"faults.{name}"
         if c.is_machine or c.driver.name == "mock":
@@ -334,14 +334,14 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
     _bus,
     _faults,
 )
-"""Each yields the mistakes of a configuration; the tree is that of its files, empty if there is none."""
+"""Each yields the mistakes of a configuration; the tree is that of its files, empty without files."""
 
 
 def contradictions(configuration: Configuration) -> list[BenchError]:
     """Return the contradictions in a configuration that was changed after it was loaded."""
     place = ", ".join(map(str, configuration.files))
     return [
-        BenchError(f"{place}: {key}", found, wanted, mend)
+        BenchError(f"{place}: {key}", found, wanted, cure)
         for rule in RULES
-        for key, found, wanted, mend in rule(configuration, {})
+        for key, found, wanted, cure in rule(configuration, {})
     ]

@@ -34,7 +34,7 @@ _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Who this bench is and where it stores things."""
+    """Name of the bench and its storage."""
 
     id: str
     """Name of this bench, part of every address on the network: letters, digits, - and _."""
@@ -60,7 +60,7 @@ class LoopSettings:
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """What the loop drives."""
+    """The driver, which connects the loop with robot or simulation."""
 
     name: str
     """Driver: "sim", the simulated plant; "canopen", "daq", hardware; "mock", whose valves move the joints at
@@ -72,18 +72,18 @@ class DriverSettings:
 
     @property
     def paced(self) -> bool:
-        """Whether a simulated plant runs in step with the loop's ticks; else time is the wall's."""
+        """Whether a simulated plant runs in step with the loop's ticks; otherwise in wall time."""
         return self.name == "sim" and self.time == "paced"
 
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """Where the daemon listens and clients connect, and who may do what from other machines."""
+    """Addresses of the daemon, and the rights of clients on other machines."""
 
     endpoint: str
     """zenoh endpoint: of the daemon on its own machine; of a client elsewhere, the daemon's `beyond`."""
     beyond: str = ""
-    """Where the daemon also listens, by TLS; empty: nowhere."""
+    """TLS endpoint for other machines; empty: none."""
     router: str = ""
     """zenoh router that the daemon connects to; empty: none."""
     identity: str = ""
@@ -97,7 +97,7 @@ class NetworkSettings:
 
 @dataclass(frozen=True)
 class SwingSettings:
-    """What is swung when a command does not say."""
+    """Profile, club and ball that are used unless a command names others."""
 
     profile: str
     """Name of a profile that comes with golfbench, or a path."""
@@ -124,7 +124,7 @@ class Configuration:
     network: NetworkSettings
     swing: SwingSettings
     plant: PlantParameters = field(default_factory=PlantParameters)
-    """With the club and the ball of `swing` and the loop's period as its tick."""
+    """The simulated plant, with club and ball of `swing` and the loop's period as its tick."""
     control: ControlSettings = field(default_factory=ControlSettings)
     lifecycle: LifecycleSettings = field(default_factory=LifecycleSettings)
     homing: HomingSettings = field(default_factory=HomingSettings)
@@ -136,15 +136,15 @@ class Configuration:
     wind: Wind = field(default_factory=Wind)
     turf: Turf = field(default_factory=Turf)
     faults: dict[str, Fault] = field(default_factory=dict)
-    """What breaks while the simulated robot runs, by name."""
+    """Faults of the simulated robot, by name."""
     files: tuple[Path, ...] = field(default=(), compare=False)
-    """Where it comes from, the base first."""
+    """Files it was read from, the base first."""
 
     def plant_with(self, *, club: str | None = None, ball: str | None = None) -> PlantParameters:
         """Return the plant with another club or ball of this configuration.
 
         Raises:
-            BenchError: there is none of that name.
+            BenchError: none has that name.
         """
         plant = self.plant
         if club is not None:
@@ -152,10 +152,10 @@ class Configuration:
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
 
     def with_driver(self, driver: DriverSettings) -> Configuration:
-        """Return the configuration with another driver, and what follows from it.
+        """Return the configuration with another driver, and its consequences.
 
         The model's limits are the simulated plant's: with any other driver that check is off, unless it is
-        asked for "always".
+        "always".
         """
         envelope = self.envelope
         if driver.name != "sim" and envelope.model.check == "simulated":
@@ -163,7 +163,7 @@ class Configuration:
         return replace(self, driver=driver, envelope=envelope)
 
     def running(self) -> Configuration:
-        """Return the configuration of a bench that runs.
+        """Return the configuration of a running bench.
 
         A plant on a clock of its own obeys some part of a tick earlier or later than the model has it, which
         the model's limits do not allow for.

@@ -1,4 +1,4 @@
-"""How pictures of shots and swings look, and figures as inline SVG that is the same for the same input."""
+"""Style of shot and swing pictures, and figures as reproducible inline SVG."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-"""Okabe and Ito's colours: told apart also by colour-blind readers; each ball has a marker of its own too."""
+"""Okabe and Ito's colours: safe for colour-blind readers; each ball has its own marker, too."""
 MARKERS = "os^Dvp"
 INK = "#1a1a1a"
 GREY = "#6b7280"

@@ -1,6 +1,6 @@
 """A swing's record as a shot: read from its file with plant and figures, for the viewer and exports.
 
-A series stores the shot's figures in the record's metadata. A record of the daemon has none: then the
+A series stores the shot's figures in the record's metadata. A record of the daemon has no figures: then the
 delivery is that of the estimated angles, launch and flight are what the models make of it, and they say so.
 """
 
@@ -36,7 +36,7 @@ Cycles = np.ndarray[Any, Any]
 
 @dataclass(frozen=True)
 class FlightConditions:
-    """What the ball flies through and lands on."""
+    """Air, wind and turf of a flight."""
 
     air: Air = field(default_factory=Air)
     wind: Wind = field(default_factory=Wind)
@@ -44,7 +44,7 @@ class FlightConditions:
 
 
 class RecordedShot(NamedTuple):
-    """What a record says."""
+    """Content of a record."""
 
     record: ShotRecord
     plant: PlantParameters
@@ -52,7 +52,7 @@ class RecordedShot(NamedTuple):
 
 
 def read_shot(path: Path, number: int = 1) -> RecordedShot:
-    """Return the shot in the record at `path`; `number` is its own when the record has none.
+    """Return the shot in the record at `path`; `number` is used if the record has no number.
 
     Raises:
         BenchError: the file is missing, damaged or no record.
@@ -89,7 +89,7 @@ def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
 
 
 def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
-    """Return the plant and the surroundings in a record's configuration, today's defaults where it has none.
+    """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each value that this program does not take.
@@ -109,7 +109,7 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         tree = laid_over(today, recorded)[name]
         built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
-        raise ExceptionGroup(f"{place} does not hold", faults)
+        raise ExceptionGroup(f"{place} has an invalid configuration", faults)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
 
 
@@ -117,7 +117,7 @@ def shot_from_json(given: Any, place: str) -> Shot:
     """Return the shot with the JSON object `given`: the names of the shot table.
 
     Raises:
-        BenchError: a column is missing or of another type, or the shot is none.
+        BenchError: a column is missing or of another type, or the shot is invalid.
     """
     cure = "Restore it, or use the version of golfbench that wrote it."
     if not isinstance(given, Mapping):
@@ -158,7 +158,7 @@ def shot_to_json(shot: Shot) -> dict[str, Any]:
 
 
 def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:
-    """Return the flight of the launch that `shot` states, None when it states none or none can be flown."""
+    """Return the flight of the launch in `shot`; None without a launch that can be flown."""
     given = (
         shot.ball_speed_mps,
         shot.launch_angle_deg,
@@ -176,9 +176,9 @@ def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> F
 def shot_of_cycles(
     cycles: Cycles, plant: PlantParameters, around: FlightConditions, *, number: int, time_utc: datetime
 ) -> ShotRecord:
-    """Return the shot that `cycles` tell of: the delivery as estimated, launch and flight as modelled.
+    """Return the shot in `cycles`: the delivery as estimated, launch and flight as modelled.
 
-    A ball flew when one was on the tee before the head crossed its place and none was after.
+    A ball flew if it was on the tee before the head crossed its place and not after.
     """
     trips = cycles["trip"][cycles["trip"] != 0]
     delivery = delivery_of_cycles(cycles, plant)
@@ -213,7 +213,7 @@ def shot_of_cycles(
 
 
 def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | None:
-    """Return how the estimated head comes to the ball's place; None when it does not."""
+    """Return the delivery of the estimated head at the ball's place; None if it does not arrive there."""
     estimated = cycles.copy()
     estimated["plant_angle"] = np.nan
     robot, site = plant.robot, plant.site
@@ -242,7 +242,7 @@ def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | Non
 
 
 def ball_struck(cycles: Cycles) -> bool:
-    """Tell whether a ball lay on the tee until the head came."""
+    """Return whether a ball was on the tee until the head arrived."""
     swung = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))
     after = cycles["phase"] == Phase.FOLLOW_THROUGH
     if not swung.any() or not after.any():

@@ -1,4 +1,4 @@
-"""One shot of a series: what was tried, what was measured, and where each figure comes from."""
+"""One shot of a series: its settings, its measurements, and the source of each figure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.impact import Delivery
 
 
 class ShotStatus(StrEnum):
-    """What became of a shot."""
+    """Status of a shot."""
 
     VALID = "valid"
     EXCLUDED = "excluded"
@@ -31,7 +31,7 @@ class Shot:
     Units stand in the names. Angles follow `sim/impact.py`: attack positive up, club path, face angle,
     direction and spin axis positive to the right of the target line, strike positive towards the toe
     and up from the centre of the face. A figure that was not measured is None, never zero; the sources
-    say how the delivery, launch and carry figures were come by ("" when there are none).
+    name the sources of the delivery, launch and carry figures ("" without figures).
     """
 
     shot: int
@@ -72,7 +72,7 @@ class Shot:
     attempt: int = 1
     """From 1; a shot that was not valid is repeated."""
     sample: int = 0
-    """Number of the physical ball; 0 when balls are not told apart."""
+    """Number of the physical ball; 0 if balls are not distinguished."""
     air_temperature_k: float | None = None
     air_pressure_pa: float | None = None
     relative_humidity: float | None = None

@@ -1,4 +1,4 @@
-"""Brings a shot's outcome and its record together: each is known first now and then."""
+"""Join of a shot's outcome and its record, which arrive in either order."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _MOST = 64
 
 
 class ShotJoin:
-    """Keeps what waits for the other; time is an argument."""
+    """Outcomes and records that wait for each other; time is an argument."""
 
     def __init__(self) -> None:
         self._records: dict[str, str] = {}
         self._waiting: list[tuple[float, dict[str, Any]]] = []
 
     def note_record(self, shot_id: str, path: str) -> None:
-        """Remember where the record of a shot is."""
+        """Add the path of a shot's record."""
         self._records[shot_id] = path
         for old in list(self._records)[:-_MOST]:
             del self._records[old]
 
     def note_outcome(self, message: Mapping[str, Any], now: float) -> None:
-        """Take an outcome as `bench.shot.shot_message` describes it, at `now` (s)."""
+        """Add an outcome as `bench.shot.shot_message` describes it, at `now` (s)."""
         self._waiting.append((now + LONGEST_WAIT, dict(message)))
 
     def take(self, now: float) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
-"""Swings and launches of a running bench, and what became of each: pure, time is an argument.
+"""Matching of swings and launches of a running bench: pure, time is an argument.
 
 A launch finds its swing by time (`drivers.launch_monitor.matching`); what comes of a match is a shot whose
-club is told by the encoders and whose ball is told by the monitor. Its flight is the model's.
+club is measured by the encoders and whose ball by the monitor. Its flight is the model's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NO_IMPACT = "no swing through the ball's place"
 NO_BALL = "no ball struck"
 NOT_TOLD = "the launch monitor saw no ball"
 _MOST_OPEN = 64
-"""Launches that may wait for their swing; beyond that the oldest are given up as nobody's."""
+"""Launches that may wait for their swing; beyond that the oldest are given up as unmatched."""
 
 
 class Told(NamedTuple):
@@ -36,13 +36,13 @@ class Told(NamedTuple):
     """Empty when no swing made the launch."""
     launch: LaunchRecord | None
     reason: str
-    """What speaks against it; empty when nothing does."""
+    """Objection to the launch; empty without one."""
     shot: Shot | None
     """Of a swing: its row, with all that is known of club and ball."""
 
 
 def told_figures(launch: LaunchRecord) -> dict[str, Any]:
-    """Return the columns of the shot table that `launch` knows; a monitor that saw no spin knows the rest."""
+    """Return the columns of the shot table that `launch` knows; without spin the other columns."""
     known = {
         "ball_speed_mps": (launch.speed, 1.0),
         "launch_angle_deg": (launch.launch_angle, degrees(1)),
@@ -55,7 +55,7 @@ def told_figures(launch: LaunchRecord) -> dict[str, Any]:
 
 
 class LaunchBook:
-    """Keeps what is not settled yet."""
+    """Matcher of swings and launches that are not settled yet."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class LaunchBook:
         self._open += (SwingImpact(swing.shot, swing.impact),)
 
     def note_launches(self, launches: list[LaunchRecord]) -> None:
-        """Take what the monitors told."""
+        """Add the launches of the monitors."""
         self._launches = (*self._launches, *launches)
 
     def settle(self, now: float) -> list[Told]:
@@ -111,7 +111,7 @@ class LaunchBook:
         self._told.append(self._of_swing(one, *of))
 
     def _of_swing(self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing) -> Told:
-        """Return what became of a swing."""
+        """Return the outcome of a swing."""
         plant, trips = self._plant, swing.cycles["trip"]
         delivery = delivery_of_cycles(swing.cycles, plant)
         launch = one.launch
@@ -134,10 +134,19 @@ class LaunchBook:
         elif launch is None and not (swing.struck and swing.impact is not None):
             status = ShotStatus.FAILED
         shot = Shot.from_measurements(
-            shot=number, block=1, position=1, club=plant.robot.club.name,
-            ball="" if launch is None else plant.ball.name, time_utc=time_utc, delivery=delivery,
-            launch=None, flight=flight, status=status, reason=why, carry_source="model",
-        )  # fmt: skip
+            shot=number,
+            block=1,
+            position=1,
+            club=plant.robot.club.name,
+            ball="" if launch is None else plant.ball.name,
+            time_utc=time_utc,
+            delivery=delivery,
+            launch=None,
+            flight=flight,
+            status=status,
+            reason=why,
+            carry_source="model",
+        )
         if launch is not None:
             shot = replace(shot, **told_figures(launch))
         return Told(one.outcome, one.shot, launch, reason, shot)

@@ -1,4 +1,4 @@
-"""What `golfbench/<id>/shot` carries, and how it is read again.
+"""Messages of `golfbench/<id>/shot`: their keys, writing and reading.
 
 JSON with `version` and, as far as they are known when it is sent:
 
@@ -6,8 +6,8 @@ JSON with `version` and, as far as they are known when it is sent:
 `record`    path of the swing's record on the bench's machine; null while it is not stored
 `shot`      the shot as a row of the shot table, null while nothing is known of the ball
 `outcome`   null until it is settled, then one of `drivers.launch_monitor.matching.MatchOutcome`
-`launch`    what the launch monitor told (SI, see `launch_to_json`), null when it told nothing
-`reason`    what speaks against the launch, or why there is none; empty when all is well
+`launch`    launch from the monitor (SI, see `launch_to_json`), null without one
+`reason`    objection to the launch, or why it is missing; empty without objection
 
 A bench without a launch monitor sends one message a swing, when its record is stored, and knows nothing of
 the ball. With one it sends a second message with the outcome, and one for every launch that belongs to no
@@ -30,13 +30,13 @@ from drivers.launch_monitor.record import SOURCE, ClubFigures, LaunchRecord
 SHOT_VERSION = 1
 
 _LONGEST_TEXT = 300
-"""Characters that are told of a reason."""
+"""Max length of a reason, characters."""
 _PLAIN = ("speed", "launch_angle", "direction", "spin", "spin_axis", "carry")
 _CURE = "Use the same golfbench for bench and command line."
 
 
 class ShotMessage(NamedTuple):
-    """A message that was read; what it does not tell is None or empty."""
+    """A message that was read; missing parts are None or empty."""
 
     shot_id: str
     record: Path | None
@@ -63,7 +63,7 @@ def launch_from_json(given: Any, place: str) -> LaunchRecord:
     """Return the launch with the JSON object `given`; `place` names it.
 
     Raises:
-        BenchError: a figure is missing, no number, or not finite.
+        BenchError: a figure is missing, not a number, or not finite.
     """
     if not isinstance(given, Mapping):
         raise BenchError(place, repr(given)[:60], "an object", _CURE)
@@ -87,10 +87,10 @@ def launch_from_json(given: Any, place: str) -> LaunchRecord:
 
 
 def read_shot_message(payload: bytes) -> ShotMessage:
-    """Return what a message of the key `shot` tells.
+    """Return the content of a message of the key `shot`.
 
     Raises:
-        BenchError: it is none of this version.
+        BenchError: the message is not of this version.
     """
     place = "shot message"
     try:
@@ -121,11 +121,11 @@ def _figure(value: Any) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise TypeError(f"{value!r} is no finite number")
+        raise TypeError(f"{value!r} is not a finite number")
     return float(value)
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise TypeError(f"{value!r} is no text")
+        raise TypeError(f"{value!r} is not a text")
     return value

@@ -47,7 +47,7 @@ def read_shot_table(path: Path) -> list[Shot]:
             missing = [name for name in _REQUIRED if name not in (table.fieldnames or ())]
             if missing:
                 raise BenchError(
-                    str(path), f"no column {missing[0]}", "a shot table with its header", "export it anew"
+                    str(path), f"no column {missing[0]}", "a shot table with its header", "export it again"
                 )
             return [_to_shot(path, table.line_num, row) for row in table]
     except (OSError, UnicodeDecodeError, csv.Error) as error:

@@ -1,4 +1,4 @@
-"""Swings as they go by in the ring: each with its id, its cycles and the instant of its impact."""
+"""Swings found in the ring: each with its id, its cycles and the instant of its impact."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class SwingWatch:
             if first == last:
                 continue
             if not swinging[first]:
-                if self._parts is not None:  # the cycle that ended it tells why
+                if self._parts is not None:  # the cycle that ended it gives the reason
                     self._parts.append(cycles[first : first + 1])
                     self._behind.append(behind)
                     ended.append(self._end(self._parts))

@@ -1,4 +1,4 @@
-"""How well a swing followed its reference: angles and errors against time, phases shaded."""
+"""Plot of a swing against its reference: angles and errors over time, phases shaded."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _since_start(cycles: np.ndarray[Any, Any]) -> np.ndarray:
 
 
 def _without_return(cycles: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return the cycles up to the slow return, all of them when they have none."""
+    """Return the cycles up to the slow return, all of them without one."""
     returning = np.flatnonzero(cycles["phase"] == Phase.RETURN)
     return cycles[: returning[0] + 1] if returning.size and returning[0] > 0 else cycles
 
@@ -48,8 +48,11 @@ def _shade(axes: Axes, cycles: np.ndarray[Any, Any]) -> None:
 
 def _phase_legend(figure: Figure, cycles: np.ndarray[Any, Any]) -> None:
     present = set(np.unique(cycles["phase"]).tolist())
-    patches = [Patch(facecolor=colour, edgecolor="#d1d5db", linewidth=0.5, label=name)
-               for phase, (name, colour) in _PHASES.items() if phase.value in present]  # fmt: skip
+    patches = [
+        Patch(facecolor=colour, edgecolor="#d1d5db", linewidth=0.5, label=name)
+        for phase, (name, colour) in _PHASES.items()
+        if phase.value in present
+    ]
     if patches:
         figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), fontsize=7)
 

@@ -43,7 +43,7 @@ class Correction:
                 f"correction of {profile.name}",
                 f"{len(self.angle)} samples",
                 f"{len(profile.angle)}, as the profile has",
-                "Learn it anew for this profile.",
+                "Learn it again for this profile.",
             )
         return replace(
             profile,

@@ -77,21 +77,25 @@ GOLFERS = {
         _golfer("tour-male", "average of the PGA Tour, 115 mph", 115, 0.80, 0.233),
         _golfer("tour-female", "average of the LPGA Tour, 96 mph", 96, 1.03, 0.267),
         Golfer(
-            "two-handicap", "the thesis' golfer: Hunt's functions as given, over 100 mph", 105 * _MPH,
-            BACKSWING_DURATION, DOWNSWING_DURATION, as_given=True,
+            "two-handicap",
+            "the thesis' golfer: Hunt's functions as given, over 100 mph",
+            105 * _MPH,
+            BACKSWING_DURATION,
+            DOWNSWING_DURATION,
+            as_given=True,
         ),
         _golfer("average-male", "USGA's average male, 93 mph", 93, 0.85, 0.26),
         _golfer("average-female", "USGA's average female, 72-79 mph", 75, 1.1, 0.30),
         _golfer("senior", "over 60 years, 80-90 mph", 82, 1.0, 0.30),
     )
-}  # fmt: skip
+}
 
 
 def find_golfer(name: str) -> Golfer:
     """Return the golfer with `name`.
 
     Raises:
-        BenchError: there is none; the text names the known ones.
+        BenchError: the name is unknown; the text lists the known ones.
     """
     if name in GOLFERS:
         return GOLFERS[name]
@@ -138,7 +142,7 @@ def free_wrist(
 
 
 def human_downswing(plant: PlantParameters, golfer: Golfer) -> HumanDownswing:
-    """Return the downswing of `golfer`, with the least amplitude that gives his or her speed at the ball.
+    """Return the downswing of `golfer`, with the smallest amplitude that reaches the speed at the ball.
 
     With more than some amplitude the wrist meets its stop before the ball, and the head is slow again. Where
     that comes first, the fastest downswing is returned; its `head_speed` says so.
@@ -217,6 +221,8 @@ def deviation(plant: PlantParameters, profile: Profile, human: HumanDownswing) -
         for point in human.head[:: max(len(human.head) // 50, 1)]
     )
     return Deviation(
-        float(joints[0]), float(joints[1]), float(joints[2]),
+        float(joints[0]),
+        float(joints[1]),
+        float(joints[2]),
         float(np.sqrt(np.mean(np.sum(head**2, axis=1)))) / across,
-    )  # fmt: skip
+    )

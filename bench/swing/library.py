@@ -8,7 +8,7 @@ from bench.errors import BenchError, did_you_mean
 
 PROFILES = Path(__file__).with_name("profiles")
 THESIS = "thesis"
-"""Name of the thesis' own experiment, which is simulated but is no profile."""
+"""Name of the thesis' own experiment, which is simulated but is not a profile."""
 
 
 def profile_names() -> list[str]:
@@ -20,7 +20,7 @@ def find_profile(name_or_path: str | Path) -> Path:
     """Return the file of a profile: one that comes with golfbench, by name, or any other by its path.
 
     Raises:
-        BenchError: there is none; the text names the known ones.
+        BenchError: no profile has that name or path; the text lists the known ones.
     """
     wanted = Path(name_or_path)
     if len(wanted.parts) == 1 and wanted.name in profile_names():
@@ -31,7 +31,7 @@ def find_profile(name_or_path: str | Path) -> Path:
     known = f"a path, or one of {', '.join(names)}" if names else "a path"
     if str(wanted) == THESIS:
         cure = f"It is an experiment, not a profile: golfbench swing simulate {THESIS}"
-        raise BenchError(f"profile {THESIS}", "no profile", known, cure)
+        raise BenchError(f"profile {THESIS}", "not a profile", known, cure)
     cure = did_you_mean(
         wanted.name.removesuffix(".toml"), names, "`golfbench swing list` shows the known ones."
     )

@@ -1,4 +1,4 @@
-"""A swing profile: what the robot is to do, tick by tick, and how it stops when it may not go on.
+"""A swing profile: the motion of the robot tick by tick, and blind stops from each instant.
 
 A profile is a short TOML file (who and what it is for, times, planned delivery, limits it was designed for)
 and its table beside it, a Parquet file (`bench.swing.profile_table`) whose digest the TOML file holds. The
@@ -69,7 +69,7 @@ class Profile:
     delivery: dict[str, float] = field(default_factory=dict)
     """Planned head_speed_mps, attack_angle_deg, shaft_lean_deg, ball_position; for people and checks."""
     limits: dict[str, float] = field(default_factory=dict)
-    """What it was designed for: supply_pressure_pa, greatest_opening, ..."""
+    """Limits of the design: supply_pressure_pa, greatest_opening, ..."""
 
     @property
     def duration(self) -> float:

@@ -72,7 +72,7 @@ def decode_table(content: bytes, blind_spacing: int) -> dict[str, Array]:
     """Return the tables in the Parquet file `content`, as `encode_table` takes them.
 
     Raises:
-        ValueError: `content` is not such a file; the text names what is wrong with it.
+        ValueError: `content` is not such a file; the text names the error.
     """
     import pyarrow as pa
     from pyarrow import parquet

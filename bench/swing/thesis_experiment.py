@@ -193,7 +193,7 @@ def find_friction(
     """Raise the friction from zero until swing and loop are quiet; return all trials, the last accepted.
 
     Raises:
-        ValueError: none up to `most` N m s/rad is accepted, or a parameter is out of range.
+        ValueError: no value up to `most` N m s/rad is accepted, or a parameter is out of range.
     """
     parameters = parameters or ThesisParameters()
     robot, swing = appendix_b_robot(), thesis_swing()
@@ -415,9 +415,18 @@ def _simulate(
     last = state.shape[0] - 1
     for n in range(last + 1):
         _rates(
-            r, state[n], reference[2 * n], gains, limits, friction, arm_torque, wrist_lever,
-            rate[0], demand[n], limit[n],
-        )  # fmt: skip
+            r,
+            state[n],
+            reference[2 * n],
+            gains,
+            limits,
+            friction,
+            arm_torque,
+            wrist_lever,
+            rate[0],
+            demand[n],
+            limit[n],
+        )
         if n == last:
             break
         for stage in range(1, 4):
@@ -425,9 +434,18 @@ def _simulate(
             for i in range(9):
                 x[i] = state[n, i] + 0.5 * ahead * step * rate[stage - 1, i]
             _rates(
-                r, x, reference[2 * n + ahead], gains, limits, friction, arm_torque, wrist_lever,
-                rate[stage], spare_demand, spare_limit,
-            )  # fmt: skip
+                r,
+                x,
+                reference[2 * n + ahead],
+                gains,
+                limits,
+                friction,
+                arm_torque,
+                wrist_lever,
+                rate[stage],
+                spare_demand,
+                spare_limit,
+            )
         for i in range(9):
             mean = (rate[0, i] + 2.0 * rate[1, i] + 2.0 * rate[2, i] + rate[3, i]) / 6.0
             state[n + 1, i] = state[n, i] + step * mean

@@ -27,7 +27,7 @@ _CURE = "Let bench and viewer run the same version of golfbench."
 
 
 class Batch(NamedTuple):
-    """What a message says."""
+    """Content of a message."""
 
     cycles: np.ndarray[Any, Any]
     """Records of CYCLE, `time` on the loop's clock."""
@@ -74,7 +74,7 @@ def decode_batch(message: bytes) -> Batch:
     """Return what `message` says; the cycles bit for bit.
 
     Raises:
-        BenchError: it is no such message, damaged, or of another version.
+        BenchError: the message is of another kind or version, or damaged.
     """
     if len(message) > _LONGEST_MESSAGE:
         raise _bad(f"{len(message)} bytes", f"at most {_LONGEST_MESSAGE}")

@@ -1,4 +1,4 @@
-"""Records on their way to the disk: the oldest first, tried again while the disk does not take them."""
+"""Queue of records to be stored: the oldest first, with retries while the disk fails."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.telemetry.swing_cutter import Cycles
 
 
 class QueuedRecord(NamedTuple):
-    """One record and where it is to stand."""
+    """One record and its path."""
 
     path: Path
     began: datetime
@@ -26,30 +26,30 @@ class QueuedRecord(NamedTuple):
 
 
 class RecordQueue:
-    """Holds at most `room` records; memory is bounded, so what does not fit is lost and counted."""
+    """Queue of at most `room` records; records that do not fit are lost and counted."""
 
     def __init__(self, room: int, pause: float) -> None:
-        """`pause`: s between two tries after a failure."""
+        """`pause`: s before a retry after a failure."""
         self._room, self._pause = room, pause
         self._waiting: deque[QueuedRecord] = deque()
         self._next_try = 0.0
         self.dropped = 0
-        """Records that had no room."""
+        """Number of records lost for want of room."""
         self.trouble = ""
-        """Why the last one could not be stored; empty when it could."""
+        """Reason why the last record was not stored; empty if it was."""
 
     def __len__(self) -> int:
-        """Return how many records wait."""
+        """Return the number of waiting records."""
         return len(self._waiting)
 
     @property
     def owed_after(self) -> int | None:
-        """The tick after which come all cycles of the swings that wait; None when none does."""
+        """Tick before the first cycle of the waiting swings; None if no swing waits."""
         firsts = [int(r.cycles["tick"][0]) for r in self._waiting if r.metadata["kind"] != "segment"]
         return min(firsts) - 1 if firsts else None
 
     def put(self, record: QueuedRecord) -> None:
-        """Take `record`; when there is no room, a continuous segment goes first, then the newcomer."""
+        """Queue `record`; without room drop a continuous segment first, else the new record."""
         if len(self._waiting) >= self._room:
             self.dropped += 1
             segment = next((r for r in self._waiting if r.metadata["kind"] == "segment"), None)
@@ -60,11 +60,11 @@ class RecordQueue:
         self._waiting.append(record)
 
     def due(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
-        """Return the oldest record, unless a pause is to be kept at `now` (s)."""
+        """Return the oldest record, unless a retry is not due at `now` (s)."""
         return self._waiting[0] if self._waiting and (at_once or now >= self._next_try) else None
 
     def store(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:
-        """Store what is due; return it when it is stored."""
+        """Store the record that is due; return it once stored."""
         record = self.due(now, at_once=at_once)
         if record is None:
             return None
@@ -85,7 +85,7 @@ def record_path(folder: Path, time_utc: datetime, number: int) -> Path:
 
 
 def folder_trouble(folder: Path, least_free: int) -> str:
-    """Return why a record may not find its place in `folder`, made if missing; empty when it should.
+    """Return why a record may not fit into `folder`, which is created; empty if it fits.
 
     `least_free` is in bytes. A cheap look every few seconds; the disk's own word is `RecordQueue.trouble`.
     """

@@ -1,7 +1,7 @@
 """The ring of cycle records between the loop and the processes that read it.
 
 One writer, any readers, records numbered from 1 on (`drivers.base.mapped_slots`). The writer never waits: a
-reader too slow loses the oldest records, knows exactly how many, and goes on with the oldest still there.
+reader too slow loses the oldest records, counts them, and continues with the oldest still there.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _ATTEMPTS = 16
 
 
 class NoRing(BenchError):
-    """The ring cannot be made, or there is none that this program can read."""
+    """The ring cannot be created, or no ring exists that this program can read."""
 
     exit_code = ExitCode.DEVICE
 
 
 class RingWriter:
-    """The loop's side: called with a cycle, it publishes it."""
+    """Writer, the loop's side: publishes the cycle it is called with."""
 
     def __init__(self, path: Path, capacity: int = CAPACITY) -> None:
         """Make the ring at `path` for `capacity` (a power of two) records, all of its memory reserved.
@@ -68,12 +68,12 @@ class RingReader:
         """Open the ring at `path` and start with the newest record, or with the oldest still there.
 
         Raises:
-            NoRing: there is none, or it is no ring, damaged, or of other code.
+            NoRing: the file is missing, damaged, not a ring, or written by other code.
         """
         with _refusing():
             self._slots = MappedSlots.open(path, _KIND, CYCLE, writable=False)
         self.lost = 0
-        """Records that were overwritten before this reader came to them."""
+        """Records that were overwritten before this reader read them."""
         oldest = self.head - self.capacity + 1 if from_oldest else self.head
         self._next = max(1, oldest)
         self._newest = b""
@@ -81,7 +81,7 @@ class RingReader:
 
     @property
     def capacity(self) -> int:
-        """Records the ring holds."""
+        """Capacity of the ring in records."""
         return self._slots.slots
 
     @property
@@ -130,7 +130,7 @@ class RingReader:
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Tell the bench's way what the mapped file could not."""
+    """Raise errors of the mapped file as NoRing."""
     try:
         yield
     except SharedMemoryError as error:

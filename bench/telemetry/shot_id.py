@@ -1,4 +1,4 @@
-"""The one id of a shot: the swing, its record and the launch that a monitor told carry it."""
+"""The one id of a shot: the swing, its record and the launch of a monitor carry it."""
 
 from __future__ import annotations
 

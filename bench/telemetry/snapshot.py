@@ -1,4 +1,4 @@
-"""The controller's memory at one tick: what a replay needs to begin with.
+"""Memory of the controller at one tick, from which a replay starts.
 
 The loop puts a snapshot into shared memory in each tick that accepts a request to move (home, arm, swing),
 after the step; a replay of the record sets it and goes on with the tick after it. In a record's metadata it
@@ -60,7 +60,7 @@ def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, An
     """Return the snapshot (one-element array of SNAPSHOT) in a record's `metadata`.
 
     Raises:
-        BenchError: there is none, it is damaged, or this program's controller has another memory; `place` is
+        BenchError: it is missing or damaged, or this program's controller has another memory; `place` is
             the record's path.
     """
     entry = metadata.get("snapshot")

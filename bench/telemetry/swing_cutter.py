@@ -3,7 +3,7 @@
 A record begins `lead` before the robot is armed or homed and ends `tail` after it stands again, so charging
 and the way to the address are seen, and a replay finds its snapshot. In a series, where the bench is armed
 again after each swing, the next record begins `lead` before its own swing. Kept is what held a swing, a stop
-or a fault; homing or arming that ended as asked leaves none.
+or a fault; homing or arming that ended as requested leaves no record.
 
 Memory is bounded: of a long hold at the address only the newer half of the room is kept, and what does not
 fit even so is cut into records that say that they go on.
@@ -35,21 +35,21 @@ class Cut(NamedTuple):
     kind: str
     """"swing", "stop" (no swing, but a stop or a fault) or "segment"."""
     lost: int
-    """Records that the ring lost between the first and the last of `cycles`."""
+    """Number of records that the ring lost within `cycles`."""
     ended: str = ""
-    """Why it ends before the robot stood; empty when it does not."""
+    """Reason why the record ends before standstill; empty if it does not."""
     continued: bool = False
     """The robot moved already when it begins: the record before was cut there, or nobody recorded."""
 
 
 @dataclass
 class _Part:
-    """A record in the making."""
+    """A record in progress."""
 
     begin: int
     """Number of its first cycle."""
     kind: str = ""
-    """Empty while there is no reason to keep it."""
+    """Kind of the record; empty while there is no reason to keep it."""
     series: bool = False
     """The bench was armed again by itself: the record is to begin at its swing."""
     trimmed: bool = False
@@ -59,7 +59,7 @@ class _Part:
 
 
 class SwingCutter:
-    """Takes the cycles as they come and gives the cut ones."""
+    """Cuts the stream of cycles into records."""
 
     def __init__(self, *, lead: float, tail: float, room: int) -> None:
         """`lead`, `tail` in s; `room` in cycles: all the memory there is."""
@@ -77,12 +77,12 @@ class SwingCutter:
 
     @property
     def moving(self) -> bool:
-        """Whether a record is in the making, its tail included."""
+        """Whether a record is in progress, its tail included."""
         return self._open is not None or bool(self._closing)
 
     @property
     def worth_waiting(self) -> bool:
-        """Whether one in the making will be kept."""
+        """Whether a record in progress will be kept."""
         return bool(self._closing) or (self._open is not None and bool(self._open.kind))
 
     @property
@@ -93,7 +93,7 @@ class SwingCutter:
         return self._past.tick(min(first, self._lead_from)) - 1 if self._past.end else 0
 
     def take(self, cycles: Cycles, lost: int = 0) -> list[Cut]:
-        """Take the next `cycles`, of which `lost` are missing before or between; return what is complete."""
+        """Add `cycles`, with `lost` missing before or between them; return the complete records."""
         cuts: list[Cut] = []
         self._missing += lost
         for begin in range(0, len(cycles), self._past.room // 4):
@@ -231,7 +231,7 @@ class _Past:
         return int(self._cycles["tick"][number % self.room])
 
     def number_at(self, begin: int, time: float) -> int:
-        """Return the number, from `begin` on, of the first cycle at `time` or later; `end` when none is."""
+        """Return the number, from `begin` on, of the first cycle at `time` or later, else `end`."""
         numbers = np.arange(begin, self.end)
         late = np.flatnonzero(self._cycles["time"][numbers % self.room] >= time)
         return begin + int(late[0]) if len(late) else self.end

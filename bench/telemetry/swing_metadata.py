@@ -1,4 +1,4 @@
-"""What stands beside the cycles in a record of the daemon: the keys of its JSON metadata.
+"""JSON metadata of a record of the daemon: its keys.
 
 Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 
@@ -6,7 +6,7 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 `bench`          id of the bench
 `run`            id of the bench's run, from its start on
 `number`         number of the record in it
-`shot_id`        id of the swing's shot, null when there is no beginning of a swing in it
+`shot_id`        id of the swing's shot, null without the beginning of a swing
 `time_utc`       first cycle, ISO 8601; names the file
 `begin`          s; the loop's time is the columns `time` and `encoder_time` + `begin`, exactly: `begin` is
                  the first cycle's time rounded down to 1/1024 s, so neither sum nor difference rounds
@@ -52,7 +52,7 @@ _LONGEST_PROFILE = 64 << 20
 
 @dataclass(frozen=True)
 class RunMetadata:
-    """What is the same for all records of one run; JSON-able, without NaN."""
+    """Values shared by all records of one run; JSON-able, without NaN."""
 
     bench: str
     run: str
@@ -66,7 +66,7 @@ class RunMetadata:
         """Return their keys of the metadata.
 
         Raises:
-            BenchError: something is no JSON, for example not a number.
+            BenchError: a value cannot be written as JSON, for example NaN.
         """
         given = {
             "bench": self.bench,
@@ -127,7 +127,7 @@ def swing_metadata(
 
 
 def begin_of(cycles: Cycles) -> float:
-    """Return what is taken off the times of `cycles`, s."""
+    """Return the time that is subtracted from the times of `cycles`, s."""
     return floor(float(cycles["time"][0]) * _GRID) / _GRID
 
 
@@ -168,7 +168,7 @@ def layout_of(dtype: np.dtype[Any]) -> str:
 
 
 def profile_entry(profile: Profile) -> dict[str, Any]:
-    """Return `profile` for the metadata: what people look for, and `data`, base64 of zlib of its JSON.
+    """Return `profile` for the metadata: the keys that people search, and `data`, base64 of zlib of its JSON.
 
     JSON keeps every bit of a number, the profile's TOML file rounds.
     """
@@ -189,7 +189,7 @@ def read_profile(metadata: Mapping[str, Any], place: str) -> Profile:
     """Return the profile in a record's `metadata`, bit for bit.
 
     Raises:
-        BenchError: there is none, or it is damaged; `place` is the record's path.
+        BenchError: the profile is missing or damaged; `place` is the record's path.
     """
     try:
         inflate = zlib.decompressobj()

@@ -13,10 +13,10 @@ from bench.interrupt import deferred_interrupt
 
 _STRUCK_EVERYWHERE = """
 import signal, sys
-from bench.interrupt import wish_to_end
+from bench.interrupt import stop_on_signals
 
 def struck_at(step):  # SIGTERM before the step-th line of StopFlag.wait and of all it calls
-    with wish_to_end() as wish:
+    with stop_on_signals() as wish:
         left = step
         def trace(frame, event, argument):
             nonlocal left

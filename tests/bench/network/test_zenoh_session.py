@@ -125,7 +125,7 @@ def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) ->
 def test_only_the_endpoint_must_be_given_and_only_it_may_be_without_tls(
     key: str, endpoint: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(ExceptionGroup, match="does not hold"):
+    with pytest.raises(ExceptionGroup, match="is not a valid configuration"):
         configured(tmp_path, **{key: endpoint})
 
 

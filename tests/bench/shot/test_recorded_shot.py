@@ -51,9 +51,18 @@ def test_a_shot_goes_through_json_and_back(make_records: Records) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"shot": "1"}, {"shot": True}, {"status": "good"}, {"time_utc": "now"}, {"carry_m": "far"},
-              {"time_utc": "2026-11-01T09:30:00"}, {"carry_m": float("nan")}, {"ball": None}],
-)  # fmt: skip
+    "wrong",
+    [
+        {"shot": "1"},
+        {"shot": True},
+        {"status": "good"},
+        {"time_utc": "now"},
+        {"carry_m": "far"},
+        {"time_utc": "2026-11-01T09:30:00"},
+        {"carry_m": float("nan")},
+        {"ball": None},
+    ],
+)
 def test_what_is_no_shot_is_told_with_its_place(wrong: dict[str, Any], make_records: Records) -> None:
     told = shot_to_json(make_records(1)[0].shot) | wrong
     with pytest.raises(BenchError, match="here"):
@@ -136,8 +145,10 @@ def test_a_series_is_a_folder_or_what_is_named(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     assert [p.name for p in record_files([tmp_path / "b", tmp_path / "a.parquet"])] == [
-        "1.parquet", "2.parquet", "a.parquet",
-    ]  # fmt: skip
+        "1.parquet",
+        "2.parquet",
+        "a.parquet",
+    ]
     with pytest.raises(BenchError, match="no such file"):
         record_files([tmp_path / "c"])
     with pytest.raises(BenchError, match="no record"):

@@ -14,16 +14,34 @@ from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 
 FULL = LaunchRecord(
-    12.5, "monitor", 7, 60.0, 0.2, -0.01, 300.0, 0.02, None, ClubFigures(speed=42.0),
-    (("carry", "not sent"),), ("ball speed 9 times the club's",),
-)  # fmt: skip
+    12.5,
+    "monitor",
+    7,
+    60.0,
+    0.2,
+    -0.01,
+    300.0,
+    0.02,
+    None,
+    ClubFigures(speed=42.0),
+    (("carry", "not sent"),),
+    ("ball speed 9 times the club's",),
+)
 
 
 def message(**changes: Any) -> bytes:
-    return json.dumps({
-        "version": 1, "shot_id": "r-1", "record": "/data/a.parquet", "shot": None,
-        "outcome": "matched", "launch": launch_to_json(FULL), "reason": "", **changes,
-    }).encode()  # fmt: skip
+    return json.dumps(
+        {
+            "version": 1,
+            "shot_id": "r-1",
+            "record": "/data/a.parquet",
+            "shot": None,
+            "outcome": "matched",
+            "launch": launch_to_json(FULL),
+            "reason": "",
+            **changes,
+        }
+    ).encode()
 
 
 def test_what_is_sent_is_read_again() -> None:
@@ -36,7 +54,11 @@ def test_what_is_sent_is_read_again() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"version": 2}, {"outcome": "won"}, {"record": 3}, {"shot_id": 5}, {"launch": []},
+        {"version": 2},
+        {"outcome": "won"},
+        {"record": 3},
+        {"shot_id": 5},
+        {"launch": []},
         {"launch": {**launch_to_json(FULL), "speed": "60"}},
         {"launch": {**launch_to_json(FULL), "speed": float("nan")}},
         {"launch": {**launch_to_json(FULL), "number": 1.5}},
@@ -44,7 +66,7 @@ def test_what_is_sent_is_read_again() -> None:
         {"launch": {**launch_to_json(FULL), "absent": [["spin"]]}},
         {"launch": {name: v for name, v in launch_to_json(FULL).items() if name != "spin"}},
     ],
-)  # fmt: skip
+)
 def test_what_is_no_shot_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(BenchError, match="shot"):
         read_shot_message(message(**changes))

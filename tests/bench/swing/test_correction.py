@@ -41,5 +41,5 @@ def test_openings_stay_within_the_valves_range() -> None:
 def test_a_correction_of_another_profile_is_refused() -> None:
     short = replace(PROFILE, angle=PROFILE.angle[:-5])
     zero = np.zeros_like(PROFILE.angle)
-    with pytest.raises(BenchError, match="Learn it anew"):
+    with pytest.raises(BenchError, match="Learn it again"):
         Correction(zero, zero, zero).applied_to(short)

@@ -240,5 +240,5 @@ def test_a_missing_file_and_no_toml_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"none\.toml: found no such file, expected a swing profile"):
         load_profile(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("angle_rad = [[1,\n2")
-    with pytest.raises(BenchError, match=r"bad\.toml: found no TOML: .*at end of document"):
+    with pytest.raises(BenchError, match=r"bad\.toml: found invalid TOML: .*at end of document"):
         load_profile(tmp_path / "bad.toml")

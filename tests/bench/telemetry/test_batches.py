@@ -111,7 +111,7 @@ def bad_messages() -> dict[str, tuple[bytes, str]]:
         "lost too great": (facts(lost=str(2**63)), "lost"),
         "time no number": (facts(time="now"), "Arrow IPC"),
         "time not finite": (facts(time="nan"), "time nan"),
-    }  # fmt: skip
+    }
 
 
 def _many() -> pa.RecordBatch:
