@@ -232,6 +232,7 @@ def test_the_command_ends_with_1_when_a_case_ends_unsafe(
     assert (tmp_path / "matrix.html").exists()
 
 
+@pytest.mark.live
 @pytest.mark.parametrize(
     ("number", "at_work"), [(signal.SIGKILL, False), pytest.param(signal.SIGTERM, True, marks=needs_speed)]
 )

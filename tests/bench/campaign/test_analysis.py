@@ -274,6 +274,7 @@ def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
     assert figure.blocks == 4
 
 
+@pytest.mark.slow
 def test_error_rates_coverage_and_power_on_known_truth() -> None:
     """The full check with 10,000 campaigns a case: `python -m tests.benchmarks campaign_statistics`."""
     for row in survey(300):

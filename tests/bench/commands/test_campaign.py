@@ -29,6 +29,7 @@ from bench.simulation.engine import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.whole_file import NotStored
+from tests.sampling import slow_except
 
 Call = Callable[..., Result]
 
@@ -223,6 +224,7 @@ def test_a_plan_changed_between_a_stop_and_resume_is_refused(
     assert "short" in user("list")[1]
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
     """The limit on a file's size makes the operating system itself refuse the write."""
     limited = (
@@ -265,7 +267,7 @@ def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path:
     require_free(tmp_path / "data", entry.bench)
 
 
-@pytest.mark.parametrize("name", campaign_names())
+@pytest.mark.parametrize("name", slow_except({"two-balls", "repeatability"}, campaign_names()))
 def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     """With two blocks; all of each: `python -m tests.benchmarks campaign_examples`."""
     shipped = load_configuration(Path("shipped"))

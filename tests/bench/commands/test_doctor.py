@@ -416,6 +416,7 @@ def test_an_absent_tool_names_its_package(monkeypatch: pytest.MonkeyPatch) -> No
 # The command -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_json_only() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "bench", "doctor", "--json"], capture_output=True, text=True, check=True

@@ -200,6 +200,7 @@ def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[Downswing
     return problem, solve_downswing(plant, problem, *_guess_from(bench.profile, state, 12), 12)
 
 
+@pytest.mark.slow
 def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParameters) -> None:
     demand = SwingDemand(head_speed=36.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
@@ -211,6 +212,7 @@ def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParamet
     assert np.arctan2(vy, vx) == pytest.approx(slope_of(demand.attack, plant.robot.lie), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) -> None:
     demand = SwingDemand(head_speed=58.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
@@ -223,6 +225,7 @@ def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) ->
     assert np.all(plan.carried <= np.array(problem.cushions) + 1e-3)
 
 
+@pytest.mark.slow
 def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
     monkeypatch.setattr("bench.design.designer._INTERVALS", 14)

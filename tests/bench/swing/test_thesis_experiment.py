@@ -166,6 +166,7 @@ def test_an_address_outside_the_stroke_is_refused() -> None:
         variants(ThesisParameters())
 
 
+@pytest.mark.slow
 def test_simulate_thesis_writes_picture_and_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
