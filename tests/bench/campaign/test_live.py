@@ -276,7 +276,7 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.network.live_swing.FEED", 0.1)
-    monkeypatch.setattr("bench.campaign.live.HOLD", 0.0)
+    monkeypatch.setattr("bench.campaign.live.REST", 0.0)
     bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
     taken = take(plan, bench, simulated=True)
     assert (taken.shot.status, taken.shot.reason) == (
