@@ -43,12 +43,14 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_the_readme_shows_what_the_campaign_prints(campaign: tuple[Path, str]) -> None:
     shown = README.read_text().partition("two-balls --sim\n")[2].partition("```")[0]
     assert " ".join(shown.split()) in " ".join(campaign[1].split())
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
     rows = _python(str(EXAMPLES / "campaign_tracking.py"), str(campaign[0])).splitlines()
     assert rows[1].split() == ["record", "shoulder", "arm", "wrist"]
