@@ -10,6 +10,7 @@ from math import asin, ceil, hypot, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.config.safety import Mistake, check_safety
 from bench.config.settings import Configuration
 from bench.control.settings import MODEL_PHASES, EnvelopeSettings, ModelSettings
 from bench.errors import BenchError
@@ -58,10 +59,6 @@ def database_url(database: str, data_dir: Path) -> URL:
     if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
         raise BenchError("bench.database", "SQLite without a file", wanted, cure)
     return url
-
-
-Mistake = tuple[str, str, str, str]
-"""Key, found, expected, cure."""
 
 
 def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -333,6 +330,7 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
     _site,
     _bus,
     _faults,
+    check_safety,
 )
 """Each yields the mistakes of a configuration; the tree is that of its files, empty without files."""
 

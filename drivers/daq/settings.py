@@ -67,6 +67,9 @@ class DaqSettings:
     """Analogue input; empty: not fitted."""
     chamber_pressures: tuple[str, str, str, str, str, str] = ("", "", "", "", "", "")
     """Analogue inputs, chambers in their usual order; empty: not fitted."""
+    vent_proof: str = ""
+    """What proves outside the bench that chambers are empty before the guard opens, such as pressure switches
+    in the guard's circuit; needed without chamber sensors."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
     """Pa absolute at 0 V."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6

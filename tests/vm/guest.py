@@ -43,6 +43,8 @@ name = "canopen"
 channel = "{channel}"
 service_time = 1.0
 answer_time = {answer_time!r}
+[lifecycle]
+local_reset = true
 [envelope]
 lost_time = {lost_time!r}
 [plant]

@@ -29,6 +29,7 @@ from bench.swing.profile import Profile, load_profile, save_profile
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.live.surroundings import SurroundingsWriter
 from tests.vm.guest import CARDS, CONFIGURATIONS, NODES_FOLDER, SYSTEM, UNITS, configuration, run, say
 
 UNIT = "golfbench@bench1"
@@ -180,8 +181,8 @@ class GuestBench:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"not at the address but {self.words()}")
             ask = {
-                State.ESTOP: self.client.reset,
-                State.FAULT: self.client.reset,
+                State.ESTOP: self.reset,
+                State.FAULT: self.reset,
                 State.SAFE: self.client.home,
                 State.READY: self.client.arm,
             }.get(state)
@@ -189,6 +190,14 @@ class GuestBench:
                 with suppress(CommandRefused):  # not vented yet, not at rest
                     ask()
             time.sleep(0.1)
+
+    def reset(self) -> None:
+        """Press the button beside the robot, then reset."""
+        with SurroundingsWriter(NODES_FOLDER) as hand:
+            for pressed in (False, True, False):
+                hand.change(local_reset=pressed)
+                time.sleep(0.1)
+        self.client.reset()
 
     def swing(self) -> None:
         """Swing as soon as it rests at its address, with a ball on the tee."""

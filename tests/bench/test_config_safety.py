@@ -1,0 +1,114 @@
+"""Values that a person's safety hangs on are bounded, with a real robot more tightly than in simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nextafter
+from pathlib import Path
+
+import pytest
+
+from bench.config.files import load_configuration
+from bench.config.safety import BOUNDS, Bound, check_safety
+from bench.config.settings import Configuration
+
+REAL = '[driver]\nname = "daq"\n[homing]\nmethod = "index"\n[lifecycle]\nlocal_reset = true\n'
+PROVEN = '[daq]\nvent_proof = "pressure switches PS1 to PS6 in the guard circuit"\n'
+Found = Callable[[Configuration], dict[str, str]]
+each_bound = pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.key)
+
+
+def load(folder: Path, text: str) -> Configuration:
+    path = folder / "mine.toml"
+    path.write_text(f'base = "shipped"\n{text}', encoding="utf-8")
+    return load_configuration(path)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
+    return load(tmp_path_factory.mktemp("simulated"), "")
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
+    return load(tmp_path_factory.mktemp("real"), REAL + PROVEN)
+
+
+def mistakes(c: Configuration) -> dict[str, str]:
+    """Return what was expected, by key."""
+    return {key: expected for key, _, expected, _ in check_safety(c, {})}
+
+
+def with_value(c: Configuration, bound: Bound, number: float) -> Configuration:
+    """Return `c` with one number of the bound's value changed."""
+    section = getattr(c, bound.section)
+    value = getattr(section, bound.name)
+    changed = (*value[:-1], number) if isinstance(value, tuple) else number
+    return replace(c, **{bound.section: replace(section, **{bound.name: changed})})
+
+
+def test_what_is_shipped_holds(simulated: Configuration, real: Configuration) -> None:
+    assert not simulated.is_machine
+    assert real.is_machine
+    assert mistakes(simulated) == mistakes(real) == {}
+
+
+@each_bound
+@pytest.mark.parametrize("kind", ["simulated", "real"])
+def test_each_bound_is_kept_at_both_ends(
+    bound: Bound, kind: str, simulated: Configuration, real: Configuration
+) -> None:
+    c = simulated if kind == "simulated" else real
+    allowed = bound.allowed(is_machine=c.is_machine)
+    for end, beyond in ((allowed.low, -inf), (allowed.high, inf)):
+        assert mistakes(with_value(c, bound, end)) == {}
+        if end not in (beyond, 0.0):
+            wrong = mistakes(with_value(c, bound, nextafter(end, beyond)))
+            assert bound.reason in wrong[bound.key]
+
+
+@each_bound
+def test_a_real_robot_is_bounded_at_least_as_tightly(bound: Bound) -> None:
+    assert bound.simulated[0] <= bound.real[0] < bound.real[1] <= bound.simulated[1]
+    assert bound.real != bound.simulated
+    assert bound.real[1] < inf
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("lifecycle.vented_pressure", 9e5),
+        ("envelope.max_gap", 100.0),
+        ("control.still_speed", 1e3),
+        ("control.brake_time", 1e-6),
+        ("control.address_tolerance", 3.0),
+    ],
+)
+def test_values_that_make_no_sense_are_refused_in_simulation_too(
+    name: str, value: float, simulated: Configuration
+) -> None:
+    bound = next(bound for bound in BOUNDS if bound.key == name)
+    assert set(mistakes(with_value(simulated, bound, value))) == {name}
+
+
+def test_a_real_robot_has_its_button_and_its_warning(real: Configuration) -> None:
+    lifecycle = replace(real.lifecycle, local_reset=False, warning_time=0.0)
+    found = mistakes(replace(real, lifecycle=lifecycle))
+    assert set(found) == {"lifecycle.local_reset", "lifecycle.warning_time"}
+
+
+def test_without_chamber_sensors_the_card_needs_another_proof(real: Configuration) -> None:
+    assert set(mistakes(replace(real, daq=replace(real.daq, vent_proof="")))) == {"daq.chamber_pressures"}
+    sensors = ("ai1", "ai2", "ai3", "ai4", "ai5", "ai6")
+    assert not mistakes(replace(real, daq=replace(real.daq, vent_proof="", chamber_pressures=sensors)))
+
+
+@pytest.mark.parametrize("interface", ["local_socket", "socketcan"])
+def test_nodes_of_this_machine_are_no_real_robot(interface: str, simulated: Configuration) -> None:
+    c = replace(
+        simulated,
+        driver=replace(simulated.driver, name="canopen"),
+        canopen=replace(simulated.canopen, interface=interface),
+    )
+    assert ("lifecycle.local_reset" in mistakes(c)) == (interface == "socketcan")
