@@ -81,6 +81,7 @@ class Refusal(IntEnum):
     SUPERVISOR = 12
     DEVICE = 13
     MANIFOLD = 14
+    STOPPED = 15
 
 
 REFUSAL_TEXT = {
@@ -98,6 +99,7 @@ REFUSAL_TEXT = {
     Refusal.READ_ONLY: "this bench was started to observe only",
     Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
     Refusal.DEVICE: "the device went passive by itself: reset first",
+    Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
 }
 """What the operator reads, with the cure."""
@@ -272,7 +274,7 @@ class Edge(NamedTuple):
 
 _S = State
 _CLEAR = "interlocks closed, readings trusted, lease held, supervisor alive"
-_GONE = f"cause gone, {_CLEAR}, local reset pressed"
+_GONE = f"cause gone, {_CLEAR}, local reset pressed after the stop"
 _STILL = "for the absolute method chambers proven empty"
 _ACCESSIBLE = "chambers and manifold proven empty, emergency stop circuit closed, lease held"
 _LEFT = "guard closed, then local reset pressed"
@@ -290,7 +292,13 @@ EDGES = (
     Edge(_S.READY, "home", _S.HOMING, f"{_CLEAR}, {_STILL}"),
     Edge(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
     Edge(_S.HOMING, "disarm, or lease lost", _S.SAFE, "", "brake, vent"),
-    Edge(_S.READY, "arm", _S.ARMED, f"{_CLEAR}, recorder alive", "warn, charge, go to address"),
+    Edge(
+        _S.READY,
+        "arm",
+        _S.ARMED,
+        f"no stop a moment ago, {_CLEAR}, recorder alive",
+        "warn, charge, go to address",
+    ),
     Edge(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),
     Edge(_S.ARMED, "disarm, time-out, lease or recorder lost", _S.READY, "at rest", "vent"),
     Edge(_S.ARMED, "disarm, lease or recorder lost", _S.RECOVERING, "on the way to address", "brake"),

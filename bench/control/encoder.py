@@ -146,6 +146,8 @@ def decode_encoders(
         if r.encoder_valid[i] == 0:
             s.verdict[i] = INVALID
             continue
+        if s.sample_time[i] > time + p.greatest_age[i]:
+            s.started[i] = 0  # the clock went back: no sample of before says how far the joint can have come
         if s.started[i] and sample_time <= s.sample_time[i]:
             s.verdict[i] = REPEATED
             continue

@@ -44,8 +44,8 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
 def _reset(s: Any, parameters: Any, time: float) -> None:
     if change_state(s, parameters, State.READY if s.homed else State.SAFE, time):
         s.cause = s.latest_cause = 0
-        s.emergency = s.distrusted = False
-        s.reaction, s.reset_pressed = Reaction.NONE, -np.inf
+        s.emergency = False
+        s.reaction, s.reset_pressed, s.stopped_at = Reaction.NONE, -np.inf, -np.inf
 
 
 @compiled

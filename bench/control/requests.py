@@ -10,6 +10,10 @@ from bench.control.envelope import interlock_cause
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.compiled import compiled
 
+STOP_HOLDS = 1.5
+"""s after a stop in which nothing that moves begins: requests on their way when it came are older than it.
+The command plane does no request that waited for longer than a second."""
+
 
 @compiled
 def near_address(parameters: Any, estimator: Any) -> bool:
@@ -101,6 +105,8 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return Refusal.READINGS
         if not s.supervisor_alive:
             return Refusal.SUPERVISOR
+        if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
+            return Refusal.STOPPED
     if request in (Request.ARM, Request.SWING):
         if not s.support_ready:
             return Refusal.SUPPORT
@@ -128,6 +134,8 @@ def take_request(state: Any, parameters: Any, readings: Any, time: float) -> int
     s.asked = request
     if request == 0:
         return 0
+    if request in (Request.STOP, Request.EMERGENCY_STOP):
+        s.stopped_at = time
     # A stop comes past the numbered requests: the answer to the last one may not have been read yet.
     if request in (Request.STOP, Request.EMERGENCY_STOP) and s.answered_number == s.request_number != 0:
         return int(request)

@@ -43,6 +43,8 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time
     s.vented = empty and shut and rests and (fitted or late)
+    if s.vented and s.cause == 0:
+        s.distrusted = False  # not by the reset: chambers may still be full then
     if not late or (empty and shut):
         return Cause.NONE.value
     return Cause.MANIFOLD.value if empty else Cause.NOT_VENTED.value
@@ -109,6 +111,8 @@ def watch_standing(
             change_state(s, parameters, resting_state(s), time)
         elif s.securing and time - s.state_since >= _SECURING_TIME:
             latch(s, parameters, Cause.GUARD, time)
+    elif s.tick > 1 and not s.measured_step > 0.0:
+        latch(s, parameters, Cause.TICK_GAP, time)
     elif interlock != 0:
         latch(s, parameters, interlock, time)
     elif asked != 0 and s.state == State.HOMING:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
+import numpy as np
+
 from bench.control.air import observe_air
 from bench.control.braking import brake, brake_blind, wait_passive
 from bench.control.encoder import decode_encoders
@@ -28,22 +30,31 @@ from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
+LONGEST_STEP = 60.0
+"""s that the filters are predicted over at most; a longer jump leaves no digits to their covariances."""
+
 
 @compiled
 def estimate_tick(state: ControlState, parameters: ControlParameters, readings: Any, time: float) -> None:
     """Judge the READINGS at `time` (s); estimate angles, velocities and the club head from them."""
     s, e = state.control[0], state.estimator[0]
-    if not s.started:
-        s.vent_start = time
-    s.measured_step = time - s.time if s.started else 0.0
-    s.started, s.time = True, time
     s.tick += 1
+    if np.isfinite(time):
+        if not s.started:
+            s.vent_start = time
+        s.measured_step = time - s.time if s.started else 0.0
+        s.started, s.time = True, time
+    else:
+        # A fault in this tick; the next step counts from the last finite time.
+        s.measured_step, time = 0.0, s.time
+    elapsed = min(max(s.measured_step, 0.0), LONGEST_STEP)
+    _restart_filters(s, e)
     decode_encoders(state.encoder, parameters.encoder, readings, time)
     for i in range(3):
         s.zero_shift[i] = 0.0
         if state.encoder[0].zero_set[i] != 0 and state.encoder[0].fresh[i] != 0:
             # The angle counts from another zero; the joint went on as before.
-            begun = state.encoder[0].angle[i] - e.velocity[i] * s.measured_step
+            begun = state.encoder[0].angle[i] - e.velocity[i] * elapsed
             s.zero_shift[i] = begun - e.angle[i]
             e.angle[i] = begun
     estimate(
@@ -52,7 +63,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
         state.encoder[0].angle,
         state.encoder[0].age,
         state.encoder[0].fresh,
-        s.measured_step,
+        elapsed,
         s.phase == Phase.IMPACT,
     )
     s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
@@ -67,7 +78,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             readings,
             s.applied,
             s.reference,
-            s.measured_step,
+            elapsed,
         )
     if parameters.control[0].feed_forward == PNEUMATIC:
         observe_air(
@@ -77,7 +88,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             state.estimator,
             readings,
             s.applied,
-            s.measured_step,
+            elapsed,
             s.phase != Phase.IMPACT,
         )
     s.lost = readings_cause(parameters.envelope, state.estimator)
@@ -94,6 +105,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
 def decide_tick(state: ControlState, parameters: ControlParameters, readings: Any, time: float) -> None:
     """Answer the request, advance swing or move, monitor, change state, and set the desired openings."""
     s = state.control[0]
+    if not np.isfinite(time):
+        time = s.time
     interlock = interlock_cause(readings)
     watch_local_reset(s, readings, time)
     request = take_request(state, parameters, readings, time)
@@ -157,6 +170,17 @@ def step(
     estimate_tick(state, parameters, readings, time)
     decide_tick(state, parameters, readings, time)
     limit_tick(state, parameters, readings, command, cycle)
+
+
+@compiled
+def _restart_filters(s: Any, e: Any) -> None:
+    """Let a filter whose estimate is not finite begin again, once that has stopped the robot."""
+    for i in range(3):
+        total = e.angle[i] + e.velocity[i] + e.acceleration[i]
+        for k in range(6):
+            total += e.covariance[i, k]
+        if s.phase == Phase.STANDING and not np.isfinite(total):
+            e.started[i] = 0
 
 
 @compiled

@@ -22,6 +22,7 @@ from bench.control.pid import PID_STATE
 from bench.control.records import CONTROL_STATE, ControlState, new_control_state
 from bench.errors import BenchError
 from bench.telemetry.swing_metadata import layout_of
+from drivers.base.compiled import new_record
 
 SNAPSHOT = np.dtype(
     [
@@ -39,6 +40,24 @@ SNAPSHOT = np.dtype(
 """A ControlState after the step of `tick` at `time` (s, the loop's)."""
 
 _KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
+
+_ADDED: Mapping[str, frozenset[str]] = {"control": frozenset({"stopped_at"})}
+"""Fields that the controller's memory did not have in records of before; there they are as at power-up."""
+
+
+def _before_added() -> np.dtype[Any]:
+    """Return SNAPSHOT without the fields of _ADDED."""
+
+    def remaining(name: str) -> np.dtype[Any]:
+        dtype = SNAPSHOT[name]
+        kept = [(field, dtype[field]) for field in dtype.names or () if field not in _ADDED.get(name, ())]
+        return np.dtype(kept, align=True)
+
+    return np.dtype([("tick", "i8"), ("time", "f8"), *((n, remaining(n)) for n in _KEPT)], align=True)
+
+
+_LAYOUTS = {layout_of(dtype): dtype for dtype in (SNAPSHOT, _before_added())}
+"""Layouts that can be read."""
 
 
 def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
@@ -69,7 +88,8 @@ def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, An
         raise BenchError(
             place, "none", "the controller's memory before the first tick to replay", "Replay another record."
         )
-    if entry.get("layout") != layout_of(SNAPSHOT):
+    dtype = _LAYOUTS.get(str(entry.get("layout")))
+    if dtype is None:
         raise BenchError(
             place,
             f"a controller's memory of layout {entry.get('layout')}",
@@ -79,11 +99,24 @@ def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, An
     # A damaged text may promise any length: no more is unpacked than belongs there.
     inflate = zlib.decompressobj()
     try:
-        data = inflate.decompress(base64.b64decode(entry["data"], validate=True), SNAPSHOT.itemsize + 1)
+        data = inflate.decompress(base64.b64decode(entry["data"], validate=True), dtype.itemsize + 1)
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         data, found = b"", f"not readable: {error}"
     else:
         found = f"{len(data)} bytes"
-    if len(data) != SNAPSHOT.itemsize or not inflate.eof:
-        raise BenchError(place, found, f"{SNAPSHOT.itemsize} bytes", "Restore the record from a copy.")
-    return np.frombuffer(bytearray(data), SNAPSHOT)
+    if len(data) != dtype.itemsize or not inflate.eof:
+        raise BenchError(place, found, f"{dtype.itemsize} bytes", "Restore the record from a copy.")
+    return _completed(np.frombuffer(bytearray(data), dtype))
+
+
+def _completed(read: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return `read` as SNAPSHOT; a field that it does not have is as at power-up."""
+    if read.dtype == SNAPSHOT:
+        return read
+    snapshot = new_record(SNAPSHOT)
+    pack_snapshot(new_control_state(), snapshot)
+    snapshot["tick"], snapshot["time"] = read["tick"], read["time"]
+    for name in _KEPT:
+        for field in read.dtype[name].names or ():
+            snapshot[name][field] = read[name][field]
+    return snapshot

@@ -1,0 +1,121 @@
+"""A clock that gives no number, jumps or runs backwards is a fault in its tick, and no more after a reset."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
+from tests.bench.control.operating import asked, press, reach
+from tests.bench.control.puppet import ADDRESS, Puppet
+
+each_wrong = pytest.mark.parametrize("wrong", [nan, inf, -inf])
+
+
+def tell(puppet: Puppet, time: float) -> None:
+    """Run one tick at `time` on the clock; the one after it is where it would be without."""
+    true = puppet.time
+    puppet.time = time - puppet.period
+    puppet.tick()
+    puppet.time = true + puppet.period
+
+
+def is_well(puppet: Puppet) -> bool:
+    e = puppet.state.estimator[0]
+    finite = np.isfinite([*e["angle"], *e["velocity"], *e["acceleration"], *e["covariance"].ravel()]).all()
+    return bool(finite and np.abs(e["angle"] - puppet.angle).max() < 2e-3)
+
+
+def reset(puppet: Puppet) -> Refusal:
+    press(puppet)
+    return asked(puppet, Request.RESET)
+
+
+@each_wrong
+def test_standing_a_tick_without_a_time_is_a_fault_and_a_reset_recovers(wrong: float) -> None:
+    puppet = reach(State.READY)
+    tell(puppet, wrong)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.TICK_GAP)
+    puppet.run(50)
+    assert is_well(puppet)
+    assert reset(puppet) is Refusal.NONE
+    puppet.run(50)
+    assert puppet.bench is State.READY
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+    puppet.run(420)
+    assert (puppet.bench, puppet.phase) == (State.ARMED, Phase.HOLD)
+
+
+@each_wrong
+@pytest.mark.parametrize("source", [State.ARMED, State.SWINGING], ids=lambda state: state.name)
+def test_moving_a_tick_without_a_time_is_passive_at_once_and_a_reset_recovers(
+    wrong: float, source: State
+) -> None:
+    puppet = reach(source)
+    tell(puppet, wrong)
+    assert (puppet.reaction, puppet.cause) == (Reaction.PASSIVE, Cause.TICK_GAP)
+    assert puppet.is_without_energy() or not puppet.record["supply_enable"][0]
+    puppet.run(2000)
+    assert puppet.bench is State.FAULT
+    assert reset(puppet) is Refusal.NONE
+    assert puppet.bench is State.READY
+
+
+@each_wrong
+def test_no_value_of_the_record_is_lost_to_a_tick_without_a_time(wrong: float) -> None:
+    puppet = reach(State.READY)
+    for _ in range(3):
+        tell(puppet, wrong)
+        for name in ("time", "measured_step", "angle", "velocity", "angle_variance", "head_position"):
+            assert np.isfinite(puppet.cycle[name]).all(), name
+
+
+@each_wrong
+@pytest.mark.parametrize("state", [State.STARTING, State.ESTOP, State.FAULT], ids=lambda state: state.name)
+def test_a_latched_bench_can_be_reset_after_it(wrong: float, state: State) -> None:
+    puppet = reach(state)
+    tell(puppet, wrong)
+    puppet.give(warm=True).run(60)
+    assert is_well(puppet)
+    assert reset(puppet) is Refusal.NONE
+
+
+@pytest.mark.parametrize("jump", [-0.5, -50.0, 1e300, -1e300, 3600.0])
+def test_a_clock_that_jumps_and_comes_back_leaves_the_encoders_readable(jump: float) -> None:
+    puppet = reach(State.READY)
+    tell(puppet, puppet.time + jump)
+    puppet.run(300)
+    assert puppet.bench is State.FAULT
+    assert is_well(puppet)
+    assert reset(puppet) is Refusal.NONE
+    puppet.run(20)
+    assert puppet.bench is State.READY
+
+
+@pytest.mark.parametrize("jump", [-5.0, -3600.0, 3600.0])
+def test_a_clock_that_jumps_and_stays_there_leaves_the_encoders_readable(jump: float) -> None:
+    puppet = reach(State.READY)
+    puppet.time += jump
+    puppet.run(300)
+    assert is_well(puppet)
+    if puppet.bench is State.FAULT:
+        assert reset(puppet) is Refusal.NONE
+    assert puppet.bench is State.READY
+
+
+@pytest.mark.parametrize("name", ["angle", "velocity", "acceleration", "covariance"])
+def test_an_estimate_that_is_no_number_begins_again_at_rest(name: str) -> None:
+    puppet = reach(State.FAULT)
+    puppet.state.estimator[name][0, 1] = nan
+    puppet.run(50)
+    assert is_well(puppet)
+    assert reset(puppet) is Refusal.NONE
+
+
+def test_a_steady_clock_is_no_fault() -> None:
+    puppet = reach(State.READY)
+    puppet.angle = ADDRESS + [1e-4, 0.0, 0.0]
+    puppet.run(50)
+    assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
