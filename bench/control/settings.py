@@ -135,7 +135,7 @@ class LifecycleSettings:
     armed_time: Positive = 120.0
     """Holding the address for longer disarms, s."""
     vented_pressure: Positive = 1.3e5
-    """Chambers below it are empty, Pa absolute."""
+    """Chambers and manifold below it are empty, Pa absolute."""
     vent_time: Positive = 10.0
     """In which they are to be empty; without chamber sensors the proof itself, s."""
     vented_still: NotNegative = 2.0
@@ -143,9 +143,9 @@ class LifecycleSettings:
     vented_blind: NotNegative = 10.0
     """The same where encoders cannot tell: as long as a raised arm may take to sink, s."""
     local_reset: bool = False
-    """A reset also takes the button beside the robot; true with hardware."""
+    """Reset and secure also take the button beside the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
-    """How long a press of it counts, s."""
+    """How long a press of it counts for one reset or secure, s."""
     series: bool = False
     """After a swing hold the address for the next one instead of venting."""
     supervisor_time: Positive = 0.5
