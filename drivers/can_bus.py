@@ -2,9 +2,9 @@
 
 Every participant listens on a Unix socket of its own in one folder and connects to those of all others; a
 frame goes to each of them as a Linux `struct can_frame` of 16 bytes. Nothing leaves the machine, and the
-folder belongs to one user alone. What a wire has and this has not: bit times, arbitration, acknowledgement.
-A participant that does not read loses frames (about 280 of each other one wait for it) and delays nobody. All
-get the frames in the order in which they were sent: behind each stands when that was (CLOCK_MONOTONIC, ns).
+folder belongs to one user alone. Unlike a wire, the bus has no bit timing, arbitration or acknowledgement.
+A participant that does not read loses frames (about 280 of each sender are queued) and delays no other. All
+receive the frames in the order of sending: each carries its send time (CLOCK_MONOTONIC, ns).
 
     can.Bus(interface="local_socket", channel="bench1")
 
@@ -39,21 +39,21 @@ EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000
 
 _STAMP = 8
 _WIRE = FRAME.size + _STAMP
-"""Bytes of a frame and of its time behind it."""
+"""Bytes of a frame and its time stamp."""
 
-LONGEST_NAME = 100
-"""Bytes of a socket's path: Linux takes 107."""
+MAX_PATH_LENGTH = 100
+"""Maximum length of a socket path in bytes; Linux accepts 107."""
 
 _DOWN = "down"
 _SETTLED = 50_000_000
-"""ns after a folder's last change from which on its time of change tells of every further one."""
+"""ns after a folder's last change from which its modification time shows every further change."""
 _BACKLOG = 64
 
 
 class LocalSocketBus(can.BusABC):
     """One participant of a local bus; classic frames only.
 
-    `overruns` counts frames that another participant had no room for.
+    `overruns` counts frames dropped because a receiver's queue was full.
     """
 
     def __init__(
@@ -63,11 +63,11 @@ class LocalSocketBus(can.BusABC):
         receive_own_messages: bool = False,
         **others: object,
     ) -> None:
-        """Join the bus of `channel`; `others` (bit rate and the like) mean nothing here.
+        """Join the bus of `channel`; `others` (bit rate and the like) are ignored.
 
         Raises:
-            can.CanInitializationError: the folder cannot be made, is not this user's alone, or its path is
-                too long.
+            can.CanInitializationError: the folder cannot be created, does not belong to this user alone, or
+                its path is too long.
         """
         self.overruns = 0
         self.folder = folder_of(channel)
@@ -81,16 +81,16 @@ class LocalSocketBus(can.BusABC):
         self._filter: list[tuple[int, int]] = []
         self._folder = str(self.folder)
         path, made = self.folder / self._name, self.folder / f".{self._name}"
-        if len(os.fsencode(made)) > LONGEST_NAME:
+        if len(os.fsencode(made)) > MAX_PATH_LENGTH:
             raise can.CanInitializationError(
-                f"local_socket: {made} is longer than {LONGEST_NAME} bytes; take a shorter channel"
+                f"local_socket: {made} is longer than {MAX_PATH_LENGTH} bytes; choose a shorter channel"
             )
         try:
             make_folder(self.folder)
             self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
             self._listener.bind(str(made))
             self._listener.listen(_BACKLOG)
-            made.rename(path)  # only now: nobody is to find a socket that does not listen yet
+            made.rename(path)  # only now: others must not find a socket that does not listen yet
         except OSError as error:
             raise can.CanInitializationError(f"local_socket: {self.folder}: {error}", error.errno) from error
         self._readable = [self._listener]
@@ -100,10 +100,10 @@ class LocalSocketBus(can.BusABC):
     # Raw frames ----------------------------------------------------------------------------------
 
     def send_frame(self, frame: bytes) -> float:
-        """Send `frame` (FRAME) to all others; never waits. Return when that was, s of CLOCK_MONOTONIC.
+        """Send `frame` (FRAME) to all others without blocking; return the send time (s, CLOCK_MONOTONIC).
 
         Raises:
-            OSError: ENETDOWN, the bus is switched off.
+            OSError: ENETDOWN when the bus is switched off.
         """
         if self._listed != os.stat(self._folder).st_mtime_ns:
             self._look()
@@ -116,23 +116,23 @@ class LocalSocketBus(can.BusABC):
                 peer.send(stamped)
             except BlockingIOError:
                 self.overruns += 1
-            except OSError:  # it has gone
+            except OSError:  # it disconnected
                 self._peers.pop(name).close()
         if self._own:
             self._waiting.append(stamped)
         return 1e-9 * now
 
     def receive_frame(self, timeout: float | None) -> bytes | None:
-        """Return the next frame (FRAME) that passes the filters; None when there is none for `timeout` s."""
+        """Return the next frame (FRAME) that passes the filters, or None after `timeout` s."""
         stamped = self._next(timeout)
         return None if stamped is None else stamped[: FRAME.size]
 
     def sync_time(self, sent: float) -> float:
-        """Return `sent`: a frame waits for nothing here."""
+        """Return `sent`: frames are delivered without delay."""
         return sent
 
     def _next(self, timeout: float | None) -> bytes | None:
-        """Return the next frame with its stamp."""
+        """Return the next frame with its time stamp, or None after `timeout` s."""
         waiting, begin = self._waiting, time.monotonic() if timeout else 0.0
         left = timeout
         while not waiting:
@@ -152,21 +152,21 @@ class LocalSocketBus(can.BusABC):
         return waiting.popleft()
 
     def _take(self, peer: socket.socket) -> bytes | None:
-        """Return the next stamped frame of `peer`: None when there is none, empty when it is not wanted."""
+        """Return the next stamped frame of `peer`: None if none is queued, empty if filtered out."""
         try:
             stamped = peer.recv(_WIRE)
         except BlockingIOError:
             return None
         except OSError:
             stamped = b""
-        if not stamped:  # it has gone
+        if not stamped:  # it disconnected
             self._readable.remove(peer)
             peer.close()
             return None
         return stamped if len(stamped) == _WIRE and self._passes(stamped) else b""
 
     def _merge(self, peers: list[socket.socket]) -> None:
-        """Take in all that `peers` have sent, in the order of sending."""
+        """Queue everything received from `peers` in the order of sending."""
         taken: list[bytes] = []
         for peer in peers:
             while (stamped := self._take(peer)) is not None:
@@ -175,7 +175,7 @@ class LocalSocketBus(can.BusABC):
         self._waiting += filter(None, taken)
 
     def _passes(self, frame: bytes) -> bool:
-        """Whether the filters let `frame` in; error frames always pass, as in the kernel."""
+        """Whether `frame` passes the filters; error frames always do, as in the kernel."""
         if not self._filter:
             return True
         identifier = int.from_bytes(frame[:4], sys.byteorder)
@@ -189,14 +189,14 @@ class LocalSocketBus(can.BusABC):
                 self._readable.append(peer)
 
     def _look(self) -> None:
-        """Connect to those who have come, and see whether the bus is switched on."""
+        """Connect to new participants and update whether the bus is switched on."""
         changed = os.stat(self._folder).st_mtime_ns
         names = os.listdir(self._folder)
         self._down = _DOWN in names
         for name in names:
             if name.endswith(".sock") and name[0] != "." and name != self._name and name not in self._peers:
                 self._connect(name)
-        # A change within the clock's own step would not show: look again until the folder is at rest.
+        # A change within one step of the file system's clock is invisible: rescan until the folder settles.
         self._listed = changed if time.time_ns() - changed > _SETTLED else -1
 
     def _connect(self, name: str) -> None:
@@ -204,7 +204,7 @@ class LocalSocketBus(can.BusABC):
         try:
             peer.connect(f"{self._folder}/{name}")
             self._peers[name] = peer
-        except ConnectionRefusedError:  # left by a process that was killed
+        except ConnectionRefusedError:  # left over from a killed process
             peer.close()
             with suppress(OSError):
                 os.unlink(f"{self._folder}/{name}")
@@ -244,7 +244,7 @@ class LocalSocketBus(can.BusABC):
         self._filter = chosen
 
     def shutdown(self) -> None:
-        """Leave the bus. Allowed twice."""
+        """Leave the bus. May be called twice."""
         super().shutdown()
         with suppress(OSError):
             os.unlink(f"{self._folder}/{self._name}")
@@ -255,7 +255,7 @@ class LocalSocketBus(can.BusABC):
 
 
 def message_of(frame: bytes, channel: str, timestamp: float = 0.0) -> can.Message:
-    """Return `frame` (FRAME) as python-can has it, `timestamp` in s of time.time."""
+    """Return `frame` (FRAME) as a python-can message; `timestamp` is in s of time.time."""
     identifier, length, data = FRAME.unpack(frame)
     return can.Message(
         timestamp=timestamp,
@@ -270,7 +270,7 @@ def message_of(frame: bytes, channel: str, timestamp: float = 0.0) -> can.Messag
 
 
 def folder_of(channel: str | os.PathLike[str]) -> Path:
-    """Return the folder of a bus: `channel` itself if it is a path, else a folder of that name."""
+    """Return the folder of a bus: `channel` itself if it is a path, else a runtime folder of that name."""
     path = Path(channel)
     if len(path.parts) != 1:
         return path
@@ -279,10 +279,10 @@ def folder_of(channel: str | os.PathLike[str]) -> Path:
 
 
 def make_folder(folder: Path) -> None:
-    """Make `folder`, or see that the one there is this user's alone.
+    """Create `folder`, or check that the existing one belongs to this user alone.
 
     Raises:
-        OSError: it cannot be made, or others may write to it: they could command the robot.
+        OSError: it cannot be created, or others may write to it: they could command the robot.
     """
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
@@ -292,7 +292,7 @@ def make_folder(folder: Path) -> None:
 
 
 def switch(channel: str | os.PathLike[str], *, on: bool) -> None:
-    """Switch the bus of `channel` on or off, as `ip link set can0 up` or `down`; off, all sending fails."""
+    """Switch the bus of `channel` on or off, as `ip link set can0 up` or `down`; off makes sending fail."""
     mark = folder_of(channel) / _DOWN
     if on:
         mark.unlink(missing_ok=True)

@@ -1,11 +1,11 @@
 """A driver without a device: the joints' state follows the command at once.
 
 A valve opening is a joint speed, `full_speed` at opening 1, as long as the supply is on and the vents are
-shut; the joints stop at the ends of their travel. No mass, no air, no noise: the same calls give the
+closed; the joints stop at their end stops. No mass, no air, no noise: the same calls give the
 same readings, bit for bit. It exercises the cycle and the lifecycle, not the control.
 
 The public attributes of `MockDriver` are its surroundings: a test sets them to press the e-stop, open
-the guard, press the local reset, lose an encoder or take the ball away.
+the guard, press the local reset, disconnect an encoder or remove the ball.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Travel = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 class MockDriver:
-    """See the module's text; angles in rad, speeds in rad/s, pressures in Pa absolute."""
+    """Driver without a device; angles in rad, speeds in rad/s, pressures in Pa absolute."""
 
     def __init__(
         self,
@@ -51,29 +51,29 @@ class MockDriver:
 
     @property
     def operational(self) -> bool:
-        """Always: there is no device that could let go."""
+        """Always true: there is no device that could go passive by itself."""
         return True
 
     def open(self) -> None:
-        """Start with the passive command; a device already open is refused with DriverError."""
+        """Start with the passive command; DriverError if already open."""
         if self._is_open:
-            raise DriverError("mock driver: open() found it open already; call close() first")
+            raise DriverError("mock driver: open() while already open; call close() first")
         self.applied = PASSIVE
         self._time = None
         self._is_open = True
 
     def read(self, time: float) -> Readings:
-        """Move the joints on to `time` (s) and return the readings.
+        """Advance the joints to `time` (s) and return the readings.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         self._require_open("read")
         before = time if self._time is None else self._time
         if not (math.isfinite(time) and time >= before):
             raise DriverError(
-                f"mock driver: read() found time {time} s, expected a finite one from {before} s on; "
-                "give it the loop's monotonic time"
+                f"mock driver: read() at invalid time {time} s, expected finite and at least {before} s; "
+                "pass the loop's monotonic time"
             )
         self._move(time - before)
         self._time = time
@@ -118,10 +118,10 @@ class MockDriver:
 
     def _require_open(self, call: str) -> None:
         if not self._is_open:
-            raise DriverError(f"mock driver: {call}() found it closed, expected it open; call open() first")
+            raise DriverError(f"mock driver: {call}() while closed; call open() first")
 
     def _move(self, duration: float) -> None:
-        """Turn the joints for `duration` (s) at the commanded speeds, within their travel."""
+        """Turn the joints for `duration` (s) at the commanded speeds, within their end stops."""
         if not (self.applied.supply_enable and self.applied.exhaust_closed):
             return
         first, second, third = (
@@ -133,7 +133,7 @@ class MockDriver:
         self._angle = (first, second, third)
 
     def _sample(self, time: float) -> None:
-        """Take a new sample on each valid encoder; a lost one keeps its last count and time."""
+        """Sample each valid encoder; an invalid one keeps its last count and time."""
         per_radian = self._counts_per_revolution / (2.0 * math.pi)
         counts = list(self._encoder_count)
         times = list(self._encoder_time)

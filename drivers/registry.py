@@ -1,6 +1,6 @@
-"""The drivers that are installed, found by entry point `golfbench.drivers`.
+"""Find the installed drivers by entry point `golfbench.drivers`.
 
-A plug-in that does not load is listed with its reason and takes no other one with it.
+A plug-in that fails to load is listed with the reason and does not affect the others.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ DriverFactory = Callable[..., Driver]
 
 @dataclass(frozen=True)
 class BrokenDriver:
-    """A driver that is installed but cannot be used, and why."""
+    """An installed driver that cannot be used."""
 
     name: str
     origin: str
-    """What the entry point refers to, and the distribution that installed it."""
+    """Target of the entry point and the distribution that installed it."""
     reason: str
+    """Why it cannot be used."""
 
 
 def find_drivers(entries: Iterable[EntryPoint] | None = None) -> dict[str, DriverFactory | BrokenDriver]:
-    """Return every installed driver by name, in the order of names; `entries` replaces the installed ones."""
+    """Return every installed driver by name, sorted by name; `entries` replaces the installed ones."""
     found: dict[str, DriverFactory | BrokenDriver] = {}
     origins: dict[str, str] = {}
     for entry in sorted(entry_points(group=GROUP) if entries is None else entries, key=lambda e: e.name):
@@ -45,10 +46,10 @@ def find_drivers(entries: Iterable[EntryPoint] | None = None) -> dict[str, Drive
 
 
 def choose_driver(name: str, drivers: Mapping[str, DriverFactory | BrokenDriver]) -> DriverFactory:
-    """Return the factory of the driver called `name`.
+    """Return the factory of driver `name`.
 
     Raises:
-        DriverError: there is none of that name, or it is broken; the text says which and what to do.
+        DriverError: it is not installed or broken; the message names the cause and the action.
     """
     driver = drivers.get(name)
     if driver is None:
@@ -60,7 +61,7 @@ def choose_driver(name: str, drivers: Mapping[str, DriverFactory | BrokenDriver]
 
 
 def _load(entry: EntryPoint, origin: str) -> DriverFactory | BrokenDriver:
-    """Return what `entry` refers to, or why that is no driver."""
+    """Return the target of `entry`, or why it is not a driver."""
     try:
         loaded = entry.load()
     except Exception as error:  # a plug-in may fail in any way

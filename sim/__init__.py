@@ -1,1 +1,1 @@
-"""The robot, its air, the ball and its flight, as numbers."""
+"""Simulation of robot, pneumatics, impact and ball flight."""

@@ -13,7 +13,7 @@ from drivers.base.compiled import compiled
 
 
 class Aerodynamics(IntEnum):
-    """The coefficient models to choose from; the number travels into compiled code."""
+    """Coefficient models; compiled code gets the number."""
 
     LIBGOLF = 0
     """libgolf's default: `include/DefaultAerodynamicModel.hpp` and `docs/aerodynamic_model.md` of

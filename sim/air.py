@@ -1,4 +1,4 @@
-"""The air a ball flies through: density and viscosity from what a weather station reads.
+"""Air for the ball flight: density and viscosity from weather data.
 
 Density: CIPM-2007 (Picard et al., Metrologia 45 (2008) 149) with 400 ppm CO2; stated range 600-1100 hPa
 and 15-27 degrees C, smooth and within 0.1 % well beyond it. Viscosity: Sutherland's law for dry air.

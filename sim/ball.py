@@ -1,4 +1,4 @@
-"""The golf ball, as the impact and the flight see it."""
+"""Golf ball model for impact and flight."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Ball:
     """A ball model. Defaults: the heaviest and smallest ball the Rules allow, average surface.
 
     `inertia_factor` is I/(m r2), 0.4 for a uniform sphere. The factors multiply the club's restitution
-    and the aerodynamic model's drag and lift coefficient: they tell one ball model from another.
+    and the aerodynamic model's drag and lift coefficient: they distinguish ball models.
     A value outside its physical range raises ValueError.
     """
 
@@ -27,7 +27,7 @@ class Ball:
     restitution_factor: Annotated[float, Range(0.3, 1.2, "")] = 1.0
     """Factor on the club's restitution."""
     friction: Annotated[float, Range(0.0, 2.0, "")] = 0.4
-    """Coulomb coefficient of cover on club face; sliding starts only far above a driver's loft."""
+    """Coulomb friction coefficient of cover on club face; sliding starts only far above a driver's loft."""
     drag_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
     """Factor on the flight model's drag."""
     lift_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0

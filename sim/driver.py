@@ -1,6 +1,6 @@
-"""The plant behind the driver contract, in lock-step: it moves only when it is read, to the time it is given.
+"""The plant behind the driver contract, in lock-step: `read` advances it to the given time.
 
-Time is counted in ticks of the plant, never added up and never read from a clock, so the same calls give
+Time is counted in ticks of the plant, never accumulated and never read from a clock, so the same calls give
 the same readings, bit for bit.
 """
 
@@ -41,11 +41,11 @@ from sim.plant import Plant, PlantParameters, advance, build_plant, initial_stat
 from sim.truth import Contact, contact_in, note_truth
 
 _NEAR = 1e-6
-"""Share of a tick by which a time may fall short of it, for rounding."""
+"""Rounding tolerance of a time, as a share of a tick."""
 
 
 def joint_travel(parameters: PlantParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and the highest joint angles (3,) rad between the stops."""
+    """Return the min and max joint angles (3,) rad between the end stops."""
     robot = parameters.robot
     short, long = (
         float(theta2_from_right_arm(robot, robot.l56 + extension))
@@ -58,19 +58,19 @@ def joint_travel(parameters: PlantParameters) -> tuple[NDArray[np.float64], NDAr
 
 
 def hanging_pose(parameters: PlantParameters) -> NDArray[np.float64]:
-    """Return the joint angles (3,) rad of least potential energy inside the stops."""
+    """Return the joint angles (3,) rad of minimum potential energy within the end stops."""
     robot = parameters.robot
     lower, upper = joint_travel(parameters)
     angle: NDArray[np.float64] = (lower + upper) / 2
-    for _ in range(400):  # steepest descent; the gradient is what gravity asks of the actuators
+    for _ in range(400):  # steepest descent; the gradient is the gravity load
         angle = np.clip(angle - 0.02 * bias_forces(robot, angle, np.zeros(3)), lower, upper)
     return angle
 
 
 class SimDriver:
-    """A bench made of software: `read` moves the plant on, with the command that was written last.
+    """Simulated bench: `read` advances the plant with the last command written.
 
-    `plant_state` (PLANT_STATE) is open to tests.
+    `plant_state` (PLANT_STATE) is public for tests.
     """
 
     def __init__(
@@ -82,13 +82,13 @@ class SimDriver:
         watchdog: float = 0.02,
         seed: int = 1,
     ) -> None:
-        """Stand vented at joint angles `angle` (3,) rad, by default as the robot hangs.
+        """Start vented at joint angles `angle` (3,) rad, by default hanging.
 
-        `faults` are put between plant and bench, with the device's `watchdog` (s); their time counts from
-        the first reading, their phases from `phase`, which whoever runs the loop sets before a tick.
+        `faults` act between plant and bench, with the device's `watchdog` (s); their time counts from
+        the first reading, their phases follow `phase`, which the caller sets before each tick.
 
         Raises:
-            ValueError: `angle` is not three finite numbers, or a fault cannot be.
+            ValueError: `angle` is not three finite numbers, or a fault is invalid.
         """
         self.plant = plant if isinstance(plant, Plant) else build_plant(plant or PlantParameters())
         self.faults: Faults | None = None
@@ -96,33 +96,33 @@ class SimDriver:
             self.plant = own_records(self.plant)
             self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
         self.phase = -1
-        """Of the bench, for faults that begin with one; -1: not told."""
+        """Phase of the bench, for faults with an onset by phase; -1 if unknown."""
         start = np.asarray(hanging_pose(self.plant.parameters) if angle is None else angle, dtype=float)
         if start.shape != (3,) or not np.all(np.isfinite(start)):
             raise ValueError(f"sim driver: start angles are {angle!r}, expected three finite numbers in rad")
         self.plant_state = initial_state(self.plant, start)
         self.applied = PASSIVE
-        """The command in force."""
+        """Command in force."""
         self._period = self.plant.parameters.tick
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
         pack_command(PASSIVE, self._command)
         self._first_time: float | None = None
-        """Loop's time of the first reading after opening."""
+        """Loop time of the first reading after opening, s."""
         self._offset = 0.0
-        """Loop's time less plant's."""
+        """Loop time minus plant time, s."""
         self._ticks = self._written = 0
-        """Ticks since the first reading, and of them the one of the last command."""
+        """Ticks since the first reading, and the tick of the last command."""
         self._is_open = False
 
     @property
     def operational(self) -> bool:
-        """Unless a fault silenced the link for too long: the plant moves only when it is read."""
+        """Whether the device follows commands; false only after a fault silenced the link too long."""
         return self.faults is None or not self.faults.device["passive"][0]
 
     def open(self) -> None:
-        """Start with the passive command where the plant stands; DriverError when it is open already."""
+        """Start with the passive command at the present plant state; DriverError if already open."""
         if self._is_open:
-            raise DriverError("sim driver: open() found it open already; call close() first")
+            raise DriverError("sim driver: open() while already open; call close() first")
         self._apply(PASSIVE)
         self._first_time, self._ticks = None, 0
         self._is_open = True
@@ -130,10 +130,10 @@ class SimDriver:
             revive(self.faults)
 
     def read(self, time: float) -> Readings:
-        """Move the plant on to the last whole tick at or before `time` (s) and return what its sensors show.
+        """Advance the plant to the last whole tick at or before `time` (s) and return its readings.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         self._require_open("read")
         if self._first_time is None and math.isfinite(time):
@@ -143,8 +143,8 @@ class SimDriver:
         part = (time - first) / self._period + _NEAR
         if not self._ticks <= part < math.inf:
             raise DriverError(
-                f"sim driver: read() found time {time} s, expected a finite one from "
-                f"{first + self._ticks * self._period} s on; give it the loop's monotonic time"
+                f"sim driver: read() at invalid time {time} s, expected finite and at least "
+                f"{first + self._ticks * self._period} s; pass the loop's monotonic time"
             )
         due = int(part)
         if self.faults is None:
@@ -155,15 +155,15 @@ class SimDriver:
             self._read_faulty(self.faults, due)
         self._ticks = due
         readings = unpack_readings(self._readings)
-        return readings if self._offset == 0.0 else _moved(readings, self._offset)
+        return readings if self._offset == 0.0 else _shifted_times(readings, self._offset)
 
     def _read_faulty(self, faults: Faults, due: int) -> None:
-        """Move the plant on to tick `due` with its faults, and read through them."""
+        """Advance the plant to tick `due` and read it, both with its faults."""
         robot, plant, _ = self.plant.records
         if due == 0:
             notice_onsets(faults, plant, self.plant_state, self.phase)
         for k in range(self._ticks, due):
-            # A tick for which nothing was written is one in which the bench said nothing.
+            # Without a write in a tick, the bench was silent in it.
             deliver_command(faults, plant, self._command, k == self._written)
             break_parts(faults, robot, plant, self.plant_state)
             advance(*self.plant.records, self.plant_state, faults.sent)
@@ -171,7 +171,7 @@ class SimDriver:
         deliver_readings(faults, plant, self.plant_state, self._readings)
 
     def write(self, command: Command) -> Command:
-        """Apply `command` within the device's limits from here on and return what is applied.
+        """Apply `command` within the device's limits and return the applied one.
 
         Raises:
             DriverError: not open.
@@ -184,7 +184,7 @@ class SimDriver:
         self._apply(PASSIVE)
 
     def close(self) -> None:
-        """Leave the device passive and closed, in any state."""
+        """Make the device passive and close it, in any state."""
         self.make_passive()
         self._is_open = False
 
@@ -194,7 +194,7 @@ class SimDriver:
 
     @property
     def contact(self) -> Contact | None:
-        """How the ball that was last on the tee was struck; None when it was not."""
+        """Contact with the last ball on the tee; None if it was not struck."""
         return contact_in(self.plant_state)
 
     def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
@@ -209,10 +209,10 @@ class SimDriver:
 
     def _require_open(self, call: str) -> None:
         if not self._is_open:
-            raise DriverError(f"sim driver: {call}() found it closed, expected it open; call open() first")
+            raise DriverError(f"sim driver: {call}() while closed; call open() first")
 
 
-def _moved(readings: Readings, offset: float) -> Readings:
-    """Return `readings` with their times moved by `offset` s."""
+def _shifted_times(readings: Readings, offset: float) -> Readings:
+    """Return `readings` with times shifted by `offset` s."""
     a, b, c = readings.encoder_time
     return readings._replace(time=readings.time + offset, encoder_time=(a + offset, b + offset, c + offset))

@@ -1,9 +1,10 @@
-"""Faults of signals and parts as data: what breaks, how, and from when on.
+"""Faults of signals and parts as data: what fails, how, and when.
 
-One vocabulary for everything between plant and bench, and for parts of the plant itself. `Fault` says it,
-`new_faults` turns it into records, and compiled pure functions apply them, tick by tick: `notice_onsets`,
-`deliver_readings`, `told_time`, `deliver_command`, `break_parts`, in this order around `sense`, the bench's
-step and `advance`. Without faults none of them is called. The same seed gives the same faults, bit for bit.
+One vocabulary for all signals between plant and bench, and for parts of the plant. `Fault` defines a fault,
+`new_faults` turns faults into records, and compiled pure functions apply them, tick by tick: `notice_onsets`,
+`deliver_readings`, `faulty_time`, `deliver_command`, `break_parts`, in this order around `sense`, the
+bench's step and `advance`. Without faults none of them is called. The same seed gives the same faults, bit
+for bit.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ SIGNALS = (
     "lease",
     "launch monitor",
 )
-"""Signals and parts that can break."""
+"""Signals and parts that can fail."""
 
 PHASES = (
     "standing",
@@ -62,7 +63,7 @@ PHASES = (
     "follow_through",
     "return",
 )
-"""Names of the phases for onsets, by number; a test holds them equal to the bench's."""
+"""Names of the phases for onsets, by number; a test keeps them equal to the bench's."""
 
 _ANALOGUE: tuple[Kind, ...] = (
     "off",
@@ -80,19 +81,19 @@ _SWITCH: tuple[Kind, ...] = ("off", "stuck", "garbage", "delayed", "intermittent
 MEANINGS: dict[str, dict[Kind, str]] = {
     "encoder": {
         "off": "no valid reading",
-        "stuck": "the count stands still, its time goes on",
+        "stuck": "the count freezes, its time stamp advances",
         "garbage": "any count",
         "offset": "`value` rad too much",
-        "scale": "from here on `value` times the true way",
+        "scale": "from the onset on, `value` times the true change",
         "slow": "follows with a time constant of `value` s",
-        "delayed": "`value` s late, its time stamp a lie",
+        "delayed": "`value` s late, with a wrong time stamp",
         "intermittent": "no valid reading in the share `value` of ticks",
         "drifting": "`value` rad/s away from the truth",
     },
     "valve": {
-        "off": "without energy: the spring centres the spool",
+        "off": "de-energised: the spring centres the spool",
         "stuck": "the spool stays at `value`, or where it stands",
-        "garbage": "any opening, anew in each tick",
+        "garbage": "a random opening in each tick",
         "offset": "opens by `value` too much",
         "scale": "opens `value` times as far",
         "slow": "follows with a time constant of `value` s",
@@ -106,15 +107,15 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "stuck": "the soft-start valve stays open (`value` 1) or shut (0)",
         "scale": "regulates to `value` times its pressure",
         "drifting": "its pressure changes by `value` Pa/s",
-        "delayed": "the soft-start valve obeys `value` s late",
+        "delayed": "the soft-start valve responds `value` s late",
         "intermittent": "shut in the share `value` of ticks",
     },
     "vents": {
-        "off": "without energy: they open after their delay",
+        "off": "de-energised: they open after their delay",
         "stuck": "stay shut (`value` 1) or open (0)",
     },
     "switch": {
-        "off": "reads as without energy",
+        "off": "reads as de-energised",
         "stuck": "stays as it is, or at `value` (1 or 0)",
         "garbage": "on or off at random",
         "delayed": "`value` s late",
@@ -124,7 +125,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     "pressure": {
         "off": "no reading",
         "stuck": "stays where it is",
-        "garbage": "anything up to twice the supply",
+        "garbage": "a random value up to twice the supply pressure",
         "offset": "`value` Pa too much",
         "scale": "`value` times the truth",
         "slow": "follows with a time constant of `value` s",
@@ -135,34 +136,34 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     "club head": {"off": "comes off"},
     "link": {
         "off": "nothing passes",
-        "stuck": "inputs stand still with their time stamps, outputs pass",
+        "stuck": "inputs freeze with their time stamps, outputs pass",
         "delayed": "everything passes `value` s late",
         "intermittent": "nothing passes in the share `value` of ticks",
     },
     "clock": {
-        "off": "gives no number",
+        "off": "gives NaN",
         "stuck": "stands still",
         "offset": "jumps by `value` s",
         "scale": "runs `value` times as fast",
         "garbage": "jumps by up to 20 ms either way in each tick",
     },
     "loop": {
-        "off": "never decides again",
-        "delayed": "stands still for `value` s",
+        "off": "stops for good",
+        "delayed": "stalls for `value` s",
         "intermittent": "misses the share `value` of ticks",
     },
     "process": {"off": "is gone"},
     "launch monitor": {
         "off": "tells nothing",
-        "stuck": "tells the last shot again",
+        "stuck": "repeats the last shot",
         "garbage": "tells nonsense",
         "offset": "speeds `value` m/s too high",
         "scale": "speeds `value` times the truth",
-        "delayed": "tells `value` s late",
+        "delayed": "reports `value` s late",
         "intermittent": "misses the share `value` of shots",
     },
 }
-"""What each kind means, by sort of signal; a pair that is not here has no meaning."""
+"""Meaning of each kind, by sort of signal; a missing pair is invalid."""
 
 _SORTS = dict.fromkeys(
     ("emergency stop", "guard closed", "guard locked", "local reset", "ball sensor"), "switch"
@@ -180,34 +181,34 @@ def sort_of(signal: str) -> str:
     return _SORTS.get(signal, signal)
 
 
-LONGEST_DELAY = 63
-"""Ticks."""
+MAX_DELAY = 63
+"""Maximum delay in ticks."""
 _NEEDS_VALUE = frozenset({"offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking"})
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that breaks. Its onset: when all that is given has come true, and `after` has passed."""
+    """One fault. Its onset: `after` s after all given conditions are met."""
 
     name: str
     signal: str
     """One of SIGNALS."""
     kind: Kind
     value: float = field(default=nan, metadata={"optional": True})
-    """What `MEANINGS` says of it; NaN for "where it stands"."""
+    """Value as described in `MEANINGS`; NaN for the present value."""
     time: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
-    """Since the plant's start."""
+    """Earliest onset since the plant's start, s."""
     phase: str = field(default="any", metadata={"optional": True})
-    """One of PHASES; known in lock-step and to a plant in step with the loop."""
+    """Phase of the onset, one of PHASES; only in lock-step or paced time."""
     joint: Literal["none", "shoulder", "arm", "wrist"] = field(default="none", metadata={"optional": True})
     angle: Annotated[float, Range(-7.0, 7.0, "rad")] = field(default=0.0, metadata={"optional": True})
-    """Which `joint` passes, either way."""
+    """Angle that `joint` must pass in either direction, rad."""
     after: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
     duration: Annotated[float, Range(0.0, 1e6, "s")] = field(default=0.0, metadata={"optional": True})
-    """0: to the end."""
+    """Duration of the fault, s; 0 is unlimited."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when there is no such signal or phase, or the fault has no meaning."""
+        """Raise ValueError if signal, phase, kind or value is invalid."""
         if self.signal not in SIGNALS:
             raise ValueError(f"signal: one of {', '.join(SIGNALS)}")
         kinds = MEANINGS[sort_of(self.signal)]
@@ -226,7 +227,7 @@ class Fault:
 
     @property
     def meaning(self) -> str:
-        """What becomes of the signal, in words."""
+        """Effect on the signal as text."""
         return MEANINGS[sort_of(self.signal)][self.kind]
 
 
@@ -258,15 +259,15 @@ FAULT_MEMORY = np.dtype(
         ("held", "f8"),
         ("filtered", "f8"),
         ("unwrapped", "i8"),
-        ("ring", "f8", (LONGEST_DELAY + 1,)),
+        ("ring", "f8", (MAX_DELAY + 1,)),
         ("ring_index", "i8"),
         ("filled", "i8"),
         ("random", "u8"),
     ],
     align=True,
 )
-"""What a fault remembers: on which side of its angle the joint was, since when its conditions are met and it
-acts; whether it has met the signal yet (`begun`), the signal then, filtered, unwrapped and its last values;
+"""State of a fault: the side of its angle on which the joint was, since when its conditions are met and it
+acts; whether it has seen the signal (`begun`), the signal then, filtered, unwrapped and its last values;
 its stream of random numbers."""
 
 DEVICE = np.dtype(
@@ -286,9 +287,9 @@ DEVICE = np.dtype(
     ],
     align=True,
 )
-"""The valve electronics and the link: s since the start; silence (s) after which the device goes passive by
-itself, silence so far, s without inputs; whether it went passive, whether anything of the bench was heard
-yet; what is up in this tick; the link's delay (ticks) and the newest of its `late` records."""
+"""State of valve electronics and link: time since the start (s); watchdog time (s), silence so far, time
+without inputs (s); whether it went passive, whether a command has been received; what is up in this tick; the
+link's delay (ticks) and the newest of its `late` records."""
 
 _OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING = range(10)
 _ENCODER, _VALVE = 0, 3
@@ -298,15 +299,15 @@ _SUPPLY, _VENTS, _E_STOP, _GUARD_CLOSED, _GUARD_LOCKED, _LOCAL_RESET, _BALL, _TE
 _CHAMBER = 15
 _HEAD, _LINK, _CLOCK, _LOOP = 21, 22, 23, 24
 SUPERVISOR, RECORDER, LEASE = 25, 26, 27
-"""Numbers of signals that are the bench's own to apply."""
+"""Numbers of the signals whose faults the bench applies."""
 
 _INTERLOCKS_LOST = 0.06
-"""s without inputs after which switches read as without energy: three messages of the valve node."""
+"""Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
 _CLOCK_JUMP = 0.02
 
 
 class Faults(NamedTuple):
-    """Faults of one plant and what they remember, as records they change in place."""
+    """Faults of one plant with their state, as records changed in place."""
 
     faults: Any
     memory: Any
@@ -315,23 +316,23 @@ class Faults(NamedTuple):
     healthy_plant: Any
     sensed: Any
     sent: Any
-    """The COMMAND that reaches the plant."""
+    """COMMAND that reaches the plant."""
     late_readings: Any
     late_commands: Any
 
 
 def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.02, seed: int = 1) -> Faults:
-    """Return `faults` of `plant` at its start; `watchdog` is the device's (s).
+    """Return `faults` of `plant` at its start; `watchdog` is the device's watchdog time (s).
 
-    The plant's records of robot and parameters are changed while parts are broken: give it some of its own.
+    Faults of parts change the plant's records of robot and parameters: pass a plant with its own records.
 
     Raises:
-        ValueError: a delay is longer than is remembered.
+        ValueError: a delay is longer than MAX_DELAY.
     """
     made, memory = new_record(FAULT, len(faults)), new_record(FAULT_MEMORY, len(faults))
     for k, fault in enumerate(faults):
         if fault.kind == "delayed" and fault.signal != "loop":
-            longest = LONGEST_DELAY * plant.parameters.tick
+            longest = MAX_DELAY * plant.parameters.tick
             if fault.value > longest:
                 raise ValueError(f"{fault.name}: found a delay of {fault.value:g} s, at most {longest:g} s")
         made[k] = (
@@ -352,7 +353,7 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
     device["link_up"] = device["inputs_up"] = device["loop_up"] = True
     sent = new_record(COMMAND)
     sent["guard_lock"] = True
-    late = LONGEST_DELAY + 1
+    late = MAX_DELAY + 1
     return Faults(
         made,
         memory,
@@ -367,13 +368,13 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
 
 
 def own_records(plant: Plant) -> Plant:
-    """Return `plant` with records of its own, for parts that may break."""
+    """Return `plant` with its own copies of the records, for faults of parts."""
     return Plant(plant.parameters, plant.robot.copy(), plant.plant.copy(), plant.impact.copy())
 
 
 @compiled
 def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
-    """Begin a tick: see which faults act in it, in the bench's `phase` (-1: not known), on PLANT_STATE."""
+    """Begin a tick: determine the active faults from the bench's `phase` (-1: unknown) and PLANT_STATE."""
     d, s = faults.device[0], state[0]
     d.elapsed += plant[0].tick
     now = d.elapsed + 1e-9
@@ -409,7 +410,7 @@ def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
 
 @compiled
 def is_broken(faults: Faults, signal: int) -> int:
-    """Return 1 when a fault of `signal` acts now, 0 when one does not act, -1 when there is none."""
+    """Return 1 if a fault of `signal` is active, 0 if inactive, -1 if there is none."""
     found = -1
     for k in range(len(faults.faults)):
         if faults.faults[k].signal == signal:
@@ -421,13 +422,13 @@ def is_broken(faults: Faults, signal: int) -> int:
 def _wrong(
     f: Any, m: Any, true: float, low: float, high: float, about_onset: bool, now: float, tick: float
 ) -> float:
-    """Return what becomes of the analogue value `true`; called in each tick, as the past counts.
+    """Return the faulty value of the analogue value `true`; call in each tick, as the history matters.
 
-    Garbage lies between `low` and `high`. A scale counts from the value at the onset, or from zero.
+    Garbage lies between `low` and `high`. A scale refers to the value at the onset, or to zero.
     """
-    m.ring_index = (m.ring_index + 1) % (LONGEST_DELAY + 1)
+    m.ring_index = (m.ring_index + 1) % (MAX_DELAY + 1)
     m.ring[m.ring_index] = true
-    m.filled = min(m.filled + 1, LONGEST_DELAY + 1)
+    m.filled = min(m.filled + 1, MAX_DELAY + 1)
     if not m.active:
         return true
     if not m.begun:
@@ -451,7 +452,7 @@ def _wrong(
         return filtered
     if f.kind == _DELAYED:
         back = min(int(f.value / tick + 0.5), m.filled - 1)
-        late: float = m.ring[(m.ring_index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)]
+        late: float = m.ring[(m.ring_index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)]
         return late
     if f.kind == _DRIFTING:
         drifted: float = true + f.value * (now - m.since)
@@ -461,13 +462,13 @@ def _wrong(
 
 @compiled
 def _is_out(f: Any, m: Any) -> bool:
-    """Tell whether the signal gives nothing in this tick."""
+    """Return whether the signal is missing in this tick."""
     return bool(m.active and (f.kind == _OFF or (f.kind == _INTERMITTENT and uniform(m) < f.value)))
 
 
 @compiled
 def _switched(f: Any, m: Any, true: bool, now: float, tick: float) -> bool:
-    """Return what becomes of a switch."""
+    """Return the faulty value of a switch."""
     out = _is_out(f, m)
     wrong = _wrong(f, m, 1.0 if true else 0.0, 0.0, 1.0, False, now, tick)
     return bool(wrong > 0.5 and not out)
@@ -475,7 +476,7 @@ def _switched(f: Any, m: Any, true: bool, now: float, tick: float) -> bool:
 
 @compiled
 def _spoil_encoder(f: Any, m: Any, p: Any, out: Any, i: int, now: float) -> None:
-    """Spoil encoder `i`."""
+    """Apply the fault to encoder `i`."""
     span = p.encoder_counts
     if m.filled == 0:
         m.unwrapped = out.encoder_count[i]
@@ -496,7 +497,7 @@ def _spoil_encoder(f: Any, m: Any, p: Any, out: Any, i: int, now: float) -> None
 
 @compiled
 def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
-    """Spoil the READINGS record `out` as the sensors' faults have it."""
+    """Apply the sensors' faults to the READINGS record `out`."""
     p, now, r = plant[0], faults.device[0].elapsed, out[0]
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
@@ -557,21 +558,19 @@ def _copy_command(source: Any, target: Any) -> None:
 
 @compiled
 def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> None:
-    """Sense PLANT_STATE `state`, spoil it, and bring it over the link into the bench's `readings`.
+    """Sense PLANT_STATE `state`, apply faults, and transmit it over the link into the bench's `readings`.
 
-    Inputs that do not come leave what was there, with its time stamps; after a while switches read off.
+    Missing inputs keep their last values and time stamps; after a while switches read off.
     """
     d = faults.device[0]
     sense(plant, state, faults.sensed)
     spoil_readings(faults, plant, faults.sensed)
-    d.index = (d.index + 1) % (LONGEST_DELAY + 1)
-    d.filled = min(d.filled + 1, LONGEST_DELAY + 1)
+    d.index = (d.index + 1) % (MAX_DELAY + 1)
+    d.filled = min(d.filled + 1, MAX_DELAY + 1)
     _copy_readings(faults.sensed[0], faults.late_readings[d.index])
     if d.inputs_up:
         back = min(d.delay, d.filled - 1)
-        _copy_readings(
-            faults.late_readings[(d.index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)], readings[0]
-        )
+        _copy_readings(faults.late_readings[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], readings[0])
         d.deafness = 0.0
     else:
         d.deafness += plant[0].tick
@@ -581,8 +580,8 @@ def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> N
 
 
 @compiled
-def told_time(faults: Faults, time: float) -> float:
-    """Return what the clock tells at `time` (s)."""
+def faulty_time(faults: Faults, time: float) -> float:
+    """Return the faulty clock reading at `time` (s)."""
     told = time
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
@@ -602,9 +601,9 @@ def _make_passive(c: Any) -> None:
 
 @compiled
 def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> None:
-    """Bring the bench's `command` (COMMAND; `spoken` in this tick) to the device and its valves, into `sent`.
+    """Transmit the bench's `command` (COMMAND; `spoken`: sent in this tick) to the device, into `sent`.
 
-    Without a command for the watchdog's time the device goes passive, and stays so: see `revive`.
+    Without a command for the watchdog time the device goes passive and stays so until `revive`.
     """
     d, sent, p = faults.device[0], faults.sent[0], plant[0]
     arrives = spoken and d.link_up
@@ -614,7 +613,7 @@ def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> N
     elif arrives:
         d.heard, d.silence = True, 0.0
         back = min(d.delay, max(d.filled - 1, 0))
-        _copy_command(faults.late_commands[(d.index - back + LONGEST_DELAY + 1) % (LONGEST_DELAY + 1)], sent)
+        _copy_command(faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], sent)
     elif d.heard:
         d.silence += p.tick
         if d.silence >= d.watchdog - 1e-9:
@@ -636,14 +635,14 @@ def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> N
 
 @compiled
 def revive(faults: Faults) -> None:
-    """Set a device that went passive by itself to work again, as a reset of the bench does."""
+    """Reactivate a device that went passive by its watchdog, as a reset of the bench does."""
     d = faults.device[0]
     d.passive, d.heard, d.silence = False, False, 0.0
 
 
 @compiled
 def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
-    """Change the plant's records (in place) as the faults of its parts have it."""
+    """Apply the faults of parts to the plant's records (in place)."""
     r, p, s, h = robot[0], plant[0], state[0], faults.healthy_plant[0]
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
@@ -661,12 +660,12 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
             m.begun = True
             _take_head(r, p, faults.healthy_robot[0])
         if f.signal == _HEAD and m.active:
-            s.ball_present = False  # nothing is left to meet it
+            s.ball_present = False  # no head is left to meet it
 
 
 @compiled
 def _take_head(r: Any, p: Any, h: Any) -> None:
-    """Take the head's point mass off the club (body C), or off the flexible shaft's end."""
+    """Remove the head's point mass from the club (body C), or from the end of the flexible shaft."""
     if p.flexible:
         p.head_mass, p.head_stiffness, p.head_damping = 1e-6, 1e-6 * p.head_stiffness / p.head_mass, 0.0
         return

@@ -32,8 +32,8 @@ GRAVITY = 9.80665
 STEP = 0.005
 """Integration step (s); a tenfold finer one changes a carry by millimetres (tests)."""
 
-_LONGEST_FLIGHT = 60.0
-_MOST_BOUNCES = 25
+_MAX_FLIGHT_TIME = 60.0
+_MAX_BOUNCES = 25
 _LOWEST_BOUNCE = 0.3  # m/s upwards: below this the ball rolls
 
 
@@ -81,11 +81,11 @@ FLIGHT = np.dtype(
     ],
     align=True,
 )
-"""What `fly_many` returns for each launch; names and units as in `Flight`."""
+"""Record of `fly_many` for each launch; names and units as in `Flight`."""
 
 
 class _Settings(NamedTuple):
-    """What a flight depends on besides its launch, for compiled code."""
+    """Parameters of a flight except its launch, for compiled code."""
 
     model: int
     lift_and_drag: float
@@ -151,10 +151,10 @@ def fly(
     settings = _settings(air or Air(), ball, wind, turf, aerodynamics, start_height, step)
     launches = _checked(np.array([launch], dtype=float))
     result = new_record(FLIGHT)
-    path = np.empty((int(2 * _LONGEST_FLIGHT / step) + 4 * _MOST_BOUNCES, 4))
+    path = np.empty((int(2 * _MAX_FLIGHT_TIME / step) + 4 * _MAX_BOUNCES, 4))
     rows = _fly(launches[0], settings, result, path)
     if not isfinite(result["carry"][0]):
-        raise ValueError(f"the ball is still in the air after {_LONGEST_FLIGHT:g} s; check wind and factors")
+        raise ValueError(f"the ball is still in the air after {_MAX_FLIGHT_TIME:g} s; check wind and factors")
     values = {name: float(result[name][0]) for name in FLIGHT.names or ()}
     surface = f"{turf.name} ({turf.model})"
     return Flight(**values, path=path[:rows].copy(), aerodynamics=aerodynamics.name, turf=surface)
@@ -338,7 +338,7 @@ def _airborne(
     """Fly until the ball falls to height 0 (or the time limit); return state, time, apex and path row."""
     h = settings.step
     apex = state[1]
-    while t < _LONGEST_FLIGHT:
+    while t < _MAX_FLIGHT_TIME:
         following = _advanced(state, axis, h, settings)
         if state[4] > 0.0 and following[4] <= 0.0:
             apex = max(apex, _advanced(state, axis, _event_time(state, axis, h, settings, 4), settings)[1])
@@ -378,7 +378,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
     r.apex = s.start_height
     if state[4] > 0.0 or state[1] > 0.0:
         state, t, r.apex, row = _airborne(state, axis, t, settings, path, row)
-    if t >= _LONGEST_FLIGHT:
+    if t >= _MAX_FLIGHT_TIME:
         r.carry = r.carry_side = r.total = r.total_side = r.apex = r.time = r.total_time = np.nan
         r.landing_angle = r.landing_speed = r.landing_spin = np.nan
         return row
@@ -391,7 +391,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
 
     velocity = (state[3], state[4], state[5])
     spin = (state[6] * axis[0], state[6] * axis[1], state[6] * axis[2])
-    for _ in range(_MOST_BOUNCES):
+    for _ in range(_MAX_BOUNCES):
         if velocity[1] < 0.0:
             velocity, spin = bounce(
                 velocity, spin, s.radius, s.turf_friction, s.turf_tilt, s.turf_restitution

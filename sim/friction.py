@@ -1,9 +1,9 @@
 """Dry friction of three coupled joints: its bound, and what bounded impulses do to the speeds.
 
-Coulomb friction obeys a principle, not a formula: it gives what stops the sliding if it can, otherwise all
-it has against the sliding (Moreau, "Unilateral contact and dry friction in finite freedom dynamics",
-1988). With coupled joints that is a linear complementarity problem with a symmetric positive definite
-matrix, so it has one solution; friction obeying it never adds energy.
+Coulomb friction obeys a principle, not a formula: it stops the sliding if its bound allows, otherwise it acts
+with its full bound against the sliding (Moreau, "Unilateral contact and dry friction in finite freedom
+dynamics", 1988). With coupled joints that is a linear complementarity problem with a symmetric positive
+definite matrix, so it has one solution; friction obeying it never adds energy.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ IMPACT = np.dtype(
     ],
     align=True,
 )
-"""Everything a collision needs, for compiled code (`impact_parameters`)."""
+"""Parameters of a collision, for compiled code (`impact_parameters`)."""
 
 
 def impact_parameters(club: Club, ball: Ball, lie: float) -> Array:
@@ -226,7 +226,7 @@ def strike_point(
 
 @compiled
 def meets_face(strike_x: float, strike_y: float) -> bool:
-    """Tell whether a strike at (toe, high) m lies on the face; beyond it the club misses the ball."""
+    """Return whether a strike at (toe, high) m lies on the face; beyond it the club misses the ball."""
     return (strike_x / FACE_HALF_WIDTH) ** 2 + (strike_y / FACE_HALF_HEIGHT) ** 2 <= 1.0
 
 
@@ -411,12 +411,12 @@ def impact_in_plane(
 
 @dataclass(frozen=True)
 class Delivery:
-    """How the club comes to the ball: at contact, at the face's geometric centre, golf frame, SI.
+    """Club delivery: at contact, at the face's geometric centre, golf frame, SI.
 
     Angles: `face_angle` positive open (right), `dynamic_loft` above the horizontal, `shaft_lean` positive
     with the head ahead of the hands, `toe_tilt` the heel-toe line's turn about the normal, toe up positive.
     Strike (m): `strike_x` + toe, `strike_y` + high; `in_plane_error` is the number both project, NaN where
-    the source has two independent ones. `source` tells where the figures come from.
+    the source has two independent ones. `source` names the origin of the figures.
     """
 
     velocity: Vector

@@ -1,6 +1,6 @@
 """Kane's dynamical equations of the robot, evaluated numerically (thesis section 2.3, Eqs. 11-38).
 
-For each of the five bodies the method asks for partial angular velocities, partial velocities of the
+For each of the five bodies the method needs partial angular velocities, partial velocities of the
 centre of mass, and the inertia force and torque; their dot products, summed, are three equations
 F_r* + F_r = 0. Here they are evaluated with numbers instead of symbols: hours become 0.1 us
 (erratum 11). Vectors are written in frame 1, which turns with the shoulder link, so that theta1

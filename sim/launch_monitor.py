@@ -1,8 +1,8 @@
-"""A launch monitor that sees the plant's balls and tells of them over GSPro's Open Connect, with its faults.
+"""Simulated launch monitor: reports the plant's balls over GSPro's Open Connect, with configurable faults.
 
-It is a client of the bench's own server and written from the protocol's description alone. What real ones do
-can be switched on: noise, misread figures, spin not seen, shots told twice or not at all, numbers as text,
-other spellings, messages in pieces. Of one seed and shot number always the same comes.
+It is a client of the bench's own server and written from the protocol's description alone. Faults of real
+monitors can be enabled: noise, misread figures, missing spin, repeated or missing shots, numbers as text,
+other spellings, fragmented messages. The same seed and shot number give the same messages.
 """
 
 from __future__ import annotations
@@ -23,82 +23,82 @@ from drivers.base.ranges import Range, check_ranges
 MPH, RPM = 0.44704, pi / 30.0
 """m/s; rad/s."""
 HEARTBEAT, RECONNECT = 2.0, 5.0
-"""s between two heartbeats, and between two attempts to connect."""
+"""Heartbeat period and reconnection period, s."""
 _PIECE = 200
-"""Bytes of a piece, about, where messages are sent in pieces."""
+"""Approximate bytes of a fragment."""
 
 Share = Annotated[float, Range(0.0, 1.0, "")]
 
 
 @dataclass(frozen=True)
 class MonitorParameters:
-    """How well the monitor measures and how badly it behaves; shares are of shots.
+    """Noise and faults of the monitor; shares are of shots.
 
-    The noise is a good radar's or camera's; assumption, there are no published figures. Faults are off.
+    The noise is that of a good radar or camera (assumption, no published figures). Faults are off by default.
     """
 
     speed_noise: Annotated[float, Range(0.0, 0.2, "")] = 0.005
-    """Standard deviation as a share of the speed."""
+    """Standard deviation of the speed, as a share of the speed."""
     angle_noise: Annotated[float, Range(0.0, 0.2, "rad")] = 0.0035
-    """Of launch angle and direction."""
+    """Standard deviation of launch angle and direction, rad."""
     spin_noise: Annotated[float, Range(0.0, 0.5, "")] = 0.02
-    """As a share of the spin."""
+    """Standard deviation of the spin, as a share of the spin."""
     axis_noise: Annotated[float, Range(0.0, 0.5, "rad")] = 0.017
     delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.6
-    """From impact to message."""
+    """Minimum time from impact to message, s."""
     delay_spread: Annotated[float, Range(0.0, 30.0, "s")] = 0.2
-    """More than that at most, evenly spread."""
+    """Width of the uniformly distributed additional delay, s."""
     missing: Share = 0.0
-    """Not told at all."""
+    """Share of shots not reported."""
     dropped: tuple[int, ...] = ()
-    """Numbers of balls, from 1, that are not told either."""
+    """Numbers of further balls, from 1, that are not reported."""
     double: Share = 0.0
-    """Told a second time as a shot of its own, measured anew."""
+    """Share of shots reported a second time as a new shot with new noise."""
     repeated: Share = 0.0
-    """The same message sent again."""
+    """Share of shots whose message is sent twice."""
     misread: Share = 0.0
-    """One figure is wrong: a launch angle of 0, ten times the speed, a spin of thousands too much."""
+    """Share of shots with one wrong figure: launch angle 0, ten times the speed, or far too much spin."""
     no_spin: Share = 0.0
     club: bool = False
-    """Also tells of the club, as dearer ones do; with the noise of the ball's speed and angles."""
+    """Whether club figures are reported, with the noise of the ball's speed and angles."""
     ghost: Share = 0.0
-    """After the shot one that nobody hit, half a minute later."""
+    """Share of shots followed by a false shot half a minute later."""
     text_numbers: bool = False
-    """Numbers as text, and components of the spin only."""
+    """Whether numbers are sent as text, and spin as components only."""
     other_spelling: bool = False
     pieces: bool = False
     seed: int = 1
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a value leaves its range."""
+        """Raise ValueError if a value is out of range."""
         check_ranges(self)
 
 
 class ClubMotion(NamedTuple):
-    """How the club came, as far as a monitor tells."""
+    """Club figures that a monitor reports."""
 
     speed: float
-    """m/s"""
+    """Club head speed, m/s."""
     attack_angle: float
-    """rad"""
+    """Attack angle, rad."""
 
 
 class Planned(NamedTuple):
-    """A message and when it goes out, s after the impact."""
+    """A message and its send time, s after the impact."""
 
     delay: float
     message: bytes
 
 
-def messages_of(
+def monitor_messages(
     launch: Launch, number: int, p: MonitorParameters, club: ClubMotion | None = None
 ) -> list[Planned]:
-    """Return what the monitor tells of ball `number` that left with `launch`, in the order of time.
+    """Return the monitor's messages about ball `number` with `launch`, in order of time.
 
-    `club` is what struck it; None: the monitor did not see it.
+    `club` is the club motion at impact, None if not measured.
     """
     chance = np.random.default_rng([p.seed, number])
-    # One draw for each question, so that switching one fault on moves no other.
+    # One draw per fault, so that enabling one fault does not change another.
     missing, double, repeated, misread, no_spin, ghost = chance.random(6)
     delays = p.delay + p.delay_spread * np.sort(chance.random(3))
     figures = [_measured(launch, p, chance) for _ in range(2)]
@@ -133,7 +133,9 @@ def _measured(launch: Launch, p: MonitorParameters, chance: np.random.Generator)
 def _club_seen(club: ClubMotion | None, number: int, p: MonitorParameters) -> ClubMotion | None:
     if club is None or not p.club:
         return None
-    a, b = np.random.default_rng([p.seed, number, 1]).standard_normal(2)  # moves no draw of the ball's
+    a, b = np.random.default_rng([p.seed, number, 1]).standard_normal(
+        2
+    )  # separate stream: does not change the ball's draws
     return ClubMotion(club.speed * (1.0 + p.speed_noise * a), club.attack_angle + p.angle_noise * b)
 
 
@@ -195,14 +197,14 @@ class _Outgoing(NamedTuple):
 
 
 class SimulatedMonitor:
-    """The monitor at work: `see` what is struck, `step` often. It never waits and has no thread."""
+    """A running monitor: call `see` for each ball and `step` often. It never blocks and has no thread."""
 
     def __init__(self, parameters: MonitorParameters, address: str, port: int) -> None:
         self.parameters = parameters
         self.answers = b""
-        """What the server answered, the newest 64 KiB."""
+        """Newest 64 KiB of the server's answers."""
         self.sent = 0
-        """Messages of shots that went out whole."""
+        """Number of shot messages sent completely."""
         self._place = (address, port)
         self._waiting: list[_Outgoing] = []
         self._number = 0
@@ -213,31 +215,31 @@ class SimulatedMonitor:
 
     @property
     def connected(self) -> bool:
-        """Whether the server has taken the connection."""
+        """Whether the server has accepted the connection."""
         return self._connected
 
     @property
     def waiting(self) -> int:
-        """Messages that have still to go out."""
+        """Number of messages not yet sent."""
         return len(self._waiting) + bool(self._unsent)
 
     def see(self, launch: Launch, time: float, club: ClubMotion | None = None) -> None:
-        """Notice a ball that leaves with `launch` at `time` (s, the clock of `step`), and the `club`."""
+        """Measure a ball with `launch` at `time` (s, the clock of `step`), and the `club`."""
         self._number += 1
-        planned = messages_of(launch, self._number, self.parameters, club)
+        planned = monitor_messages(launch, self._number, self.parameters, club)
         self._waiting += [_Outgoing(time + delay, message) for delay, message in planned]
         self._waiting.sort(key=lambda outgoing: outgoing.due)
 
     def step(self, time: float) -> None:
-        """Do what is due at `time`: connect, send, take answers."""
+        """Do what is due at `time` (s): connect, send, receive answers."""
         try:
             self._step(time)
-        except OSError:  # not there, or gone: again later
+        except OSError:  # not reachable or disconnected: retry later
             self.close()
             self._next_attempt = time + RECONNECT
 
     def close(self) -> None:
-        """Hang up. Allowed in any state; a later `step` connects anew."""
+        """Disconnect. Allowed in any state; a later `step` reconnects."""
         if self._connection is not None:
             self._connection.close()
         self._connection, self._connected = None, False

@@ -1,14 +1,14 @@
 """The plant between events: robot, air, shaft and ground as differential equations, and one step of them.
 
 State vector `y`, `STATES` numbers: three joint angles (rad) and speeds (rad/s), six chamber pressures and
-the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s), the energy that each end
-stop has taken (J), and the air that the regulator has let in (as m R T, J).
+the manifold's (Pa), the head's deflection across the shaft (m) and its rate (m/s), the energy absorbed by
+each end stop (J), and the air supplied by the regulator (as m R T, J).
 
 Dry friction is no regularised force, which would let a loaded joint crawl. For the length of a step each
 joint has a mode, `slip`: it slides in one direction (+1, -1; friction is then a smooth force) or is held
-(0; it has no acceleration, so it stays where it is to the last bit). A held joint is let go when its load
-exceeds the static bound. A joint whose speed went through zero within the step had friction pushing on
-for the rest of it; that is taken back by a bounded impulse, after which the joint rests or slides back
+(0; it has no acceleration, so it stays where it is to the last bit). A held joint is released when its load
+exceeds the static bound. If a joint's speed crossed zero within the step, friction acted in the wrong
+direction for the rest of it; a bounded impulse corrects that, after which the joint rests or slides back
 (`sim.friction`). This keeps second order through reversals.
 """
 
@@ -72,7 +72,7 @@ def head_jacobian(r: Any, p: Any, q2: float, q3: float, flex: float) -> Head:
 
 @compiled
 def stop_depth(p: Any, i: int, position: float) -> float:
-    """Return how far joint coordinate i (rad, rod m) is pressed into its upper (+) or lower (-) stop."""
+    """Return the depth (rad, rod m) of joint coordinate i in its upper (+) or lower (-) stop."""
     depth: float = max(position - p.upper[i], 0.0) - max(p.lower[i] - position, 0.0)
     return depth
 
@@ -100,7 +100,7 @@ def _relief(p: Any, pressure: float) -> float:
 def chambers(
     p: Any, i: int, y: Any, dy: Any, opening: float, position: float, speed: float, vent: float
 ) -> tuple[float, float]:
-    """Write actuator i's pressure rates; return its force (N, N m) and what it takes from the supply (W)."""
+    """Write actuator i's pressure rates; return its force (N, N m) and its supply flow (m' R T, W)."""
     a, b = 6 + 2 * i, 7 + 2 * i
     pa, pb, supply, atmosphere = y[a], y[b], y[12], p.atmosphere
     area_a, area_b, dead = p.area_a[i], p.area_b[i], p.dead_volume[i]
@@ -135,7 +135,7 @@ def _derivative(
     dy: Any,
     terms: Any,
 ) -> None:
-    """Write dy/dt of `y` into `dy`, and into `terms` what the events of friction need.
+    """Write dy/dt of `y` into `dy`, and the terms for friction events into `terms`.
 
     `x` are the spools' openings, `feed` the conductance from the regulator (zero: the manifold is dumped),
     `vent` that of each chamber's vent. `terms`: mass matrix (m11 m12 m13 m22 m23 m33), generalised forces
@@ -165,7 +165,7 @@ def _derivative(
     f1 = force1 - p.viscous[0] * u1 + stop1 - h1
     f2 = (force2 - p.viscous[1] * arm_speed + stop2) * arm_lever - h2
     f3 = (force3 - p.viscous[2] * wrist_speed) * wrist_lever + stop3 - h3
-    # What a stop gives back in the rebound is not taken off.
+    # Energy returned in the rebound is not subtracted.
     dy[15], dy[16], dy[17] = max(-stop1 * u1, 0.0), max(-stop2 * arm_speed, 0.0), max(-stop3 * u3, 0.0)
     supply = y[12]
     if feed > 0.0:
@@ -229,7 +229,7 @@ def _derivative(
     terms[12], terms[13], terms[14] = across1, across2, across3
     terms[15], terms[16], terms[17] = force1, force2, force3 * wrist_lever
 
-    # A held joint's friction gives whatever keeps it from moving.
+    # A held joint's friction is the force that keeps it at rest.
     if slip[0] == 0.0:
         m12 = m13 = f1 = 0.0
     if slip[1] == 0.0:
@@ -245,8 +245,8 @@ def _derivative(
 
 
 @compiled
-def _let_go(terms: Any, dy: Any, slip: Any) -> bool:
-    """Set `slip` of the held joints whose load exceeds their static friction; tell whether there are any."""
+def _release(terms: Any, dy: Any, slip: Any) -> bool:
+    """Set `slip` of the held joints whose load exceeds their static friction; return whether any did."""
     m11, m12, m13, m22, m23, m33 = terms[0], terms[1], terms[2], terms[3], terms[4], terms[5]
     f1, f2, f3 = terms[6], terms[7], terms[8]
     a1, a2, a3 = dy[3], dy[4], dy[5]
@@ -259,7 +259,7 @@ def _let_go(terms: Any, dy: Any, slip: Any) -> bool:
         and (slip[2] != 0.0 or abs(m13 * a1 + m23 * a2 + m33 * a3 - f3) <= bound3)
     ):
         return False
-    # Which joints move and where to: the same problem as for impulses, one derivative higher.
+    # Which joints move in which direction: the same problem as for impulses, one derivative higher.
     a1, a2, a3 = solve_symmetric(m11, m12, m13, m22, m23, m33, f1, f2, f3)
     a1, a2, a3 = friction_impulse(m11, m12, m13, m22, m23, m33, a1, a2, a3, bound1, bound2, bound3)
     slip[0] = _sign(a1) if slip[0] == 0.0 else slip[0]
@@ -275,7 +275,7 @@ def _sign(value: float) -> float:
 
 @compiled
 def _wrong_impulse(slip: float, before: float, after: float, bound: float, interval: float) -> float:
-    """Return the largest impulse (N m s) friction can give back to a joint that turned round."""
+    """Return the maximum impulse (N m s) by which friction can correct a joint that reversed."""
     if slip == 0.0:
         return inf
     if slip * after >= 0.0:
@@ -285,7 +285,7 @@ def _wrong_impulse(slip: float, before: float, after: float, bound: float, inter
 
 @compiled
 def _turn_round(y: Any, out: Any, slip: Any, terms: Any, interval: float) -> None:
-    """Correct the speeds in `out` of joints whose speed went through zero on the way from `y`."""
+    """Correct the speeds in `out` of joints whose speed crossed zero since `y`."""
     if slip[0] * out[3] >= 0.0 and slip[1] * out[4] >= 0.0 and slip[2] * out[5] >= 0.0:
         return
     u1, u2, u3 = friction_impulse(
@@ -349,7 +349,7 @@ def move(
         at = begin + _PART[stage] * (end - begin)
         x1, x2, x3 = _between(nodes, 0, at), _between(nodes, 1, at), _between(nodes, 2, at)
         _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms)
-        if stage == 0 and slip[0] * slip[1] * slip[2] == 0.0 and _let_go(terms, dy, slip):
+        if stage == 0 and slip[0] * slip[1] * slip[2] == 0.0 and _release(terms, dy, slip):
             _derivative(r, p, point, x1, x2, x3, feed, vent, slip, dy, terms)
         ahead = interval if stage == 2 else 0.5 * interval
         for k in range(STATES):

@@ -2,8 +2,8 @@
 
 One call of `advance` moves the plant over one tick with a constant command. Inside, fixed substeps:
 the spools by their exact solution, everything else by Runge-Kutta of fourth order with exact sticking
-(`sim.motion`); the impact is found inside the substep by root finding and applies one and the same impulse
-to ball and robot (`sim.tee`). `sense` (`sim.sensors`) shows the state as the bench sees it.
+(`sim.motion`); the impact is found inside the substep by root finding and applies the same impulse
+to ball and robot (`sim.tee`). `sense` (`sim.sensors`) computes the sensor readings.
 Identical inputs and seeds give identical bits.
 """
 
@@ -57,22 +57,22 @@ class Encoders:
     """Three single-turn rotary encoders on R1, R2, R3."""
 
     incremental: bool = False
-    """False: absolute. True: counting from where they were switched on, until their index has passed."""
+    """Whether encoders are incremental: counting from power-up until their index has passed."""
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")] = 2**17
     """Counts of one revolution."""
     zero_count: tuple[ZeroCount, ZeroCount, ZeroCount] = (0.0, 0.0, 0.0)
-    """Count at joint angle zero; calibration finds it. An incremental encoder's index is at count 0."""
+    """Count at joint angle zero, found by calibration. An incremental encoder's index is at count 0."""
     sign: tuple[Sign, Sign, Sign] = (1, 1, 1)
-    """-1 where the count falls as the angle rises."""
+    """Sign of the count over the angle: 1 or -1."""
     latency: Annotated[float, Range(0.0, 0.005, "s")] = 0.0001
-    """From the shaft's position to the reading, s."""
+    """Delay from shaft position to reading, s."""
     jitter: Annotated[float, Range(0.0, 0.001, "s")] = 0.0
     """Standard deviation of the sampling instant, s."""
     noise: Annotated[float, Range(0.0, 0.1, "rad")] = 0.0
-    """Standard deviation, rad."""
+    """Standard deviation of the angle, rad."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a sign is none."""
+        """Raise ValueError unless signs are ±1."""
         if 0 in self.sign:
             raise ValueError("sign: 1 or -1 for each joint")
 
@@ -91,18 +91,18 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Site:
-    """Where ground and ball lie in the swing plane (m)."""
+    """Positions of ground and ball in the swing plane (m)."""
 
     ground: Annotated[float, Range(-3.0, 0.0, "m")] = -1.62
-    """y0 of the ground line."""
+    """Height y0 of the ground line, m."""
     sole_depth: Annotated[float, Range(0.0, 0.2, "m")] = 0.03
-    """How far the head reaches below its face centre (m)."""
+    """Depth of the sole below the face centre, m."""
     ball_x: Annotated[float, Range(-1.5, 1.5, "m")] = 0.25
     """x0 of the ball (m)."""
     ball_y: Annotated[float, Range(-3.0, 0.0, "m")] = -1.560
-    """Centre of the ball on its tee."""
+    """Height y0 of the ball centre on its tee, m."""
     ground_stiffness: Annotated[float, Range(1e3, 1e8, "N/m")] = 2.0e5
-    """N/m."""
+    """Stiffness of the ground, N/m."""
 
 
 def _shoulder() -> Actuator:
@@ -143,7 +143,7 @@ def _wrist() -> Actuator:
 
 @dataclass(frozen=True)
 class PlantParameters:
-    """Everything the plant needs; the defaults are the default plant, assumptions marked in config.toml."""
+    """Parameters of the plant; the defaults are the default plant, assumptions marked in config.toml."""
 
     robot: RobotParameters = field(default_factory=RobotParameters)
     shoulder: Actuator = field(default_factory=_shoulder)
@@ -154,12 +154,12 @@ class PlantParameters:
     supply: Supply = field(default_factory=Supply)
     encoders: Encoders = field(default_factory=Encoders)
     pressure_sensors: bool = True
-    """Whether the chambers have sensors; the supply always has one."""
+    """Whether the chambers have pressure sensors; the supply always has one."""
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
     tick: Annotated[float, Range(1e-4, 0.02, "s")] = 0.001
-    """Time between two commands, s."""
+    """Tick period, s."""
     substeps: Annotated[int, Range(1, 256, "")] = 4
     """Internal steps of the plant in a tick; delivery is converged to 0.1 mm, 0.01 % at 0.25 ms."""
     seed: Annotated[int, Range(0, 2**63 - 1, "")] = 1
@@ -167,7 +167,7 @@ class PlantParameters:
 
     @property
     def actuators(self) -> tuple[Actuator, Actuator, Actuator]:
-        """The three actuators in the order of drivers.base.ACTUATORS."""
+        """Actuators in the order of drivers.base.ACTUATORS."""
         return self.shoulder, self.right_arm, self.wrist
 
 
@@ -279,7 +279,7 @@ PLANT_STATE = np.dtype(
 
 @dataclass(frozen=True)
 class Plant:
-    """The plant's parameters as records, made once; pass `records` to the compiled functions."""
+    """The plant's parameters as records; pass `records` to the compiled functions."""
 
     parameters: PlantParameters
     robot: np.ndarray
@@ -288,20 +288,20 @@ class Plant:
 
     @property
     def records(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(robot, plant, impact) in the order the compiled functions take them."""
+        """Records (robot, plant, impact) in the argument order of the compiled functions."""
         return self.robot, self.plant, self.impact
 
 
 def _without_head(club: Club) -> Club:
-    """Return the club whose head's mass is taken out of body C (it rides on the shaft's spring)."""
+    """Return the club without the head's mass in body C (it is on the flexible shaft)."""
     return replace(club, head_mass=1e-9)
 
 
 def build_plant(parameters: PlantParameters) -> Plant:
-    """Turn `parameters` into the records of compiled code.
+    """Build the records of compiled code from `parameters`.
 
     Raises:
-        ValueError: the encoders' latency is longer than what the plant remembers.
+        ValueError: the encoders' latency is longer than the plant's history.
     """
     encoders, remembered = parameters.encoders, (HISTORY - 2) * parameters.tick / parameters.substeps
     if encoders.latency + 6 * encoders.jitter > remembered:
@@ -412,7 +412,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
 
 @compiled
 def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
-    """Keep the energy that each cushion has taken and how deep it was pressed in."""
+    """Record the max energy and depth of each end-stop cushion."""
     for i in range(3):
         depth = stop_depth(p, i, stop_coordinate(r, y, i))
         if depth == 0.0:
@@ -425,14 +425,14 @@ def _note_stops(r: Any, p: Any, s: Any, y: Any) -> None:
 
 @compiled
 def _index_side(p: Any, i: int, angle: float) -> float:
-    """Return the number of the turn that encoder `i` is in: it changes where the index mark passes."""
+    """Return the turn number of encoder `i`: it changes where the index mark passes."""
     turns: float = (angle * p.encoder_scale[i] + p.encoder_zero[i]) / p.encoder_counts
     return floor(turns)
 
 
 @compiled
 def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> None:
-    """Move `state` (PLANT_STATE, in place) over one tick with `command` (COMMAND) held constant.
+    """Advance `state` (PLANT_STATE, in place) by one tick with constant `command` (COMMAND).
 
     Arguments are one-element arrays: ROBOT, PLANT_PARAMETERS, IMPACT, PLANT_STATE, COMMAND.
     """

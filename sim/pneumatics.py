@@ -60,15 +60,15 @@ class Valve:
     critical_ratio: Annotated[float, Range(0.05, 0.9, "")] = 0.3
     """Pressure ratio of choking."""
     natural_frequency: Annotated[float, Range(10.0, 1e4, "rad/s")] = 2 * pi * 100.0
-    """Spool, rad/s (assumption: critical frequency about 100 Hz)."""
+    """Natural frequency of the spool, rad/s (assumption: critical frequency about 100 Hz)."""
     damping_ratio: Annotated[float, Range(0.05, 2.0, "")] = 0.8
     """Damping ratio of the spool."""
     dead_band: Annotated[float, Range(0.0, 0.5, "")] = 0.02
-    """Overlap on each side of the centre, share of the stroke."""
+    """Overlap on each side of the centre, as a share of the stroke."""
     leakage: Annotated[float, Range(0.0, 0.1, "")] = 0.001
-    """Opening that remains at a closed edge, share of the full one."""
+    """Leakage opening of a closed edge, as a share of the full opening."""
     centre: Annotated[float, Range(-0.2, 0.2, "")] = 0.0
-    """Command at which the spool is truly centred; calibration finds it."""
+    """Command at which the spool is centred, found by calibration."""
 
     def half_step_matrix(self, half_step: float) -> np.ndarray:
         """Return the exact 2x2 propagation of (opening - command, rate) over `half_step` s."""
@@ -85,18 +85,18 @@ class Friction:
     """Joint friction in the actuator's coordinate: viscous, and Coulomb with Stribeck's static rise."""
 
     viscous: Annotated[float, Range(0.0, 1e4, "N s/m, vane N m s/rad")]
-    """N s/m or N m s/rad."""
+    """Viscous coefficient, N s/m or N m s/rad."""
     coulomb: Annotated[float, Range(0.0, 2000.0, "N, vane N m")]
-    """N or N m."""
+    """Coulomb friction, N or N m."""
     static: Annotated[float, Range(0.0, 2000.0, "N, vane N m")]
-    """N or N m; at least `coulomb`."""
+    """Static friction, N or N m; at least `coulomb`."""
     stribeck_speed: Annotated[float, Range(1e-4, 2.0, "m/s, vane rad/s")] = 0.05
-    """m/s or rad/s."""
+    """Stribeck speed, m/s or rad/s."""
 
 
 @dataclass(frozen=True)
 class EndStop:
-    """A stop with a cushion: `travel` beyond the working range takes `energy` at most."""
+    """An end stop with a cushion: `travel` beyond the working range absorbs up to `energy`."""
 
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
     """Rated energy, J."""
@@ -124,7 +124,7 @@ class Actuator:
     area_b: Area
     """Area of chamber B: m2 of a cylinder, m3/rad of a vane."""
     dead_volume: Annotated[float, Range(1e-7, 0.01, "m3")]
-    """Of each chamber with its hose, m3."""
+    """Dead volume of each chamber with its hose, m3."""
     lower: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
     """Lower end of the range: joint angle (rad), or rod extension of the right arm (m)."""
     upper: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
@@ -135,7 +135,7 @@ class Actuator:
     cross_leakage: Annotated[float, Range(0.0, 1e-8, "m3/(s Pa)")] = 2e-11
     """Conductance between the chambers past the seals, m3/(s Pa)."""
     pressure_rating: Annotated[float, Range(2e5, 5e6, "Pa absolute")] = 1.2e6
-    """Pa absolute."""
+    """Pressure rating, Pa absolute."""
 
 
 @dataclass(frozen=True)
@@ -143,21 +143,21 @@ class Supply:
     """Regulator, manifold, dump valve, and the throttled, normally open chamber vents."""
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
-    """Regulated, Pa absolute."""
+    """Regulated pressure, Pa absolute."""
     feed_conductance: Conductance = 3.0e-7
-    """From the reservoir behind the regulator through the soft-start valve, m3/(s Pa)."""
+    """Conductance from the reservoir through the soft-start valve, m3/(s Pa)."""
     volume: Annotated[float, Range(1e-5, 1.0, "m3")] = 0.002
-    """Manifold between soft-start valve and spools, m3; small, so that cutting the supply acts at once."""
+    """Manifold volume between soft-start valve and spools, m3; small, so that a supply cut acts at once."""
     dump_conductance: Conductance = 4.0e-7
     """Conductance of the manifold's dump valve, m3/(s Pa)."""
     soft_start_time: Annotated[float, Range(0.001, 30.0, "s")] = 0.3
-    """From shut to fully open, s."""
+    """Time from closed to fully open, s."""
     vent_conductance: Conductance = 5.0e-9
-    """Of one chamber vent, m3/(s Pa)."""
+    """Conductance of one chamber vent, m3/(s Pa)."""
     vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
-    """From loss of energy to open vents (pneumatic timer), s."""
+    """Delay from loss of power to open vents (pneumatic timer), s."""
     relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6
-    """At which the relief valve of each chamber begins to open, Pa absolute."""
+    """Opening pressure of the relief valve of each chamber, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7
     """Conductance of a relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5

@@ -1,4 +1,4 @@
-"""What the bench sees of the plant: encoders with latency, jitter, noise and resolution, and the inputs."""
+"""Sensors of the plant: encoders with latency, jitter, noise and resolution, and the inputs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.base.compiled import compiled
 from sim.random_stream import uniform
 
 HISTORY = 64
-"""Substeps of joint angles kept for the encoders' latency."""
+"""Substeps of joint angles stored for the encoders' latency."""
 
 
 @compiled
@@ -21,7 +21,7 @@ def _normal(s: Any) -> float:
 
 @compiled
 def sense(plant: Any, state: Any, readings: Any) -> None:
-    """Write what the sensors show of `state` into `readings` (READINGS); noise is drawn from its stream."""
+    """Write the sensor readings of `state` into `readings` (READINGS), with noise from its random stream."""
     p, s, out = plant[0], state[0], readings[0]
     substep = p.tick / p.substeps
     out.time = s.time
@@ -39,7 +39,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
             angle += p.noise * _normal(s)
         count = floor(angle * p.encoder_scale[i] + p.encoder_zero[i])
         if s.encoder_indexed[i] == 0:
-            count -= s.encoder_start[i]  # as it was switched on
+            count -= s.encoder_start[i]  # relative to power-up
         out.encoder_count[i] = count % p.encoder_counts
         out.encoder_time[i] = s.time - p.latency
         out.encoder_valid[i] = s.encoder_valid[i]

@@ -1,4 +1,4 @@
-"""Club, tee and ball: the instant at which the face meets the ball, and the impulse on both."""
+"""Impact in the plant: instant of contact between face and ball, and the impulse on both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.kane import kane_terms, solve_symmetric
 from sim.motion import head_geometry, head_jacobian, move
 
 _FACE_REACH = 0.07
-"""No contact point lies farther from the face's centre (m)."""
+"""Max distance of a contact point from the face's centre (m)."""
 _GAP_FOUND = 1e-12
 
 
@@ -72,7 +72,7 @@ def find_contact(
 
 @compiled
 def strike_ball(r: Any, p: Any, impact: Any, s: Any, y: Any) -> None:
-    """Let the club hit the ball: one impulse, on the ball and, reversed, on the robot at state vector `y`.
+    """Apply the impact: one impulse on the ball and, reversed, on the robot at state vector `y`.
 
     The part of the impulse normal to the swing plane is taken by the bearings. In 0.45 ms a flexible
     shaft's spring moves nothing: across the shaft the head alone takes the impulse.

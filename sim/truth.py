@@ -1,4 +1,4 @@
-"""What only the plant knows: its true motion for the record, and how club and ball met."""
+"""True state of the plant: motion for the record, and the contact of club and ball."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ def note_truth(plant_state: Any, cycle: Any) -> None:
 
 
 class Contact(NamedTuple):
-    """Club and ball at contact, found between ticks: club in the swing plane, ball in the golf frame."""
+    """State of club and ball at contact: club in the swing plane, ball in the golf frame."""
 
     time: float
-    """s on the plant's clock."""
+    """Time on the plant's clock, s."""
     head: Vector
-    """x, y (m) and theta_t (rad) of the face centre."""
+    """Face centre x, y (m) and theta_t (rad)."""
     head_velocity: Vector
-    """m/s, m/s, rad/s."""
+    """Velocity of the face centre, m/s, m/s, rad/s."""
     ball_velocity: Vector
-    """m/s."""
+    """Velocity of the ball, m/s."""
     ball_spin: Vector
-    """rad/s."""
+    """Spin of the ball, rad/s."""
 
     @property
     def launch(self) -> Launch:
-        """What a launch monitor would report."""
+        """Launch as reported by a launch monitor."""
         return launch_from_motion(self.ball_velocity, self.ball_spin)
 
     def delivery(self, robot: RobotParameters, ball_position: tuple[float, float]) -> Delivery:
-        """Return how the club of `robot` came to the ball at `ball_position` (m, in the swing plane)."""
+        """Return the delivery of `robot`'s club to the ball at `ball_position` (m, in the swing plane)."""
         return delivery_from_plane(self.head, self.head_velocity, ball_position, robot.club, robot.lie)
 
 
 def contact_in(plant_state: Any) -> Contact | None:
-    """Return the contact since the ball was last put on the tee, None when it was not struck."""
+    """Return the contact since the ball was last put on the tee, None if it was not struck."""
     if not plant_state["struck"][0]:
         return None
     x, y, theta, vx, vy, omega = plant_state["impact_head"][0].tolist()

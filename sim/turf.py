@@ -86,7 +86,7 @@ def slip_velocity(velocity: Vector, spin: Vector, normal: Vector, radius: float)
 def roll(
     velocity: Vector, spin: Vector, radius: float, resistance: float, gravity: float
 ) -> tuple[float, float, float]:
-    """Return how far the ball still goes in X and Z (m) and how long it takes (s).
+    """Return the roll distance in X and Z (m) and its duration (s).
 
     It first turns into rolling at once (2/7 of its slip), then slows at `resistance` x `gravity`.
     """

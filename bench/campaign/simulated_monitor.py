@@ -12,9 +12,9 @@ from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
-from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
 from drivers.launch_monitor.record import LaunchRecord
-from sim.launch_monitor import MonitorParameters, messages_of
+from sim.launch_monitor import MonitorParameters, monitor_messages
 
 
 class MonitorResult(NamedTuple):
@@ -35,8 +35,8 @@ def hear(
 ) -> MonitorResult:
     """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own."""
     talk, records = Conversation(plausible, 0.0), list[LaunchRecord]()
-    for delay, message in messages_of(launch, number, parameters):
-        records += talk.hear(message, delay).records
+    for delay, message in monitor_messages(launch, number, parameters):
+        records += talk.receive(message, delay).records
     late = window.latest + window.patience
     swing = SwingImpact(str(number), 0.0)
     found: Match = next(
@@ -44,5 +44,5 @@ def hear(
     )
     if found.outcome is MatchOutcome.NO_LAUNCH or found.launch is None:
         return MonitorResult(None, NOT_TOLD)
-    record = judged(found.launch, plausible, club_speed)
+    record = add_doubts(found.launch, plausible, club_speed)
     return MonitorResult(record, "; ".join(filter(None, (found.reason, record.reason))))

@@ -75,7 +75,7 @@ def daq_cards() -> dict[str, Any]:
     from importlib.metadata import version
 
     from drivers.base import DriverError
-    from drivers.daq.package import load_nidaqmx, told
+    from drivers.daq.package import error_text, load_nidaqmx
 
     found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "trouble": ""}
     try:
@@ -87,7 +87,7 @@ def daq_cards() -> dict[str, Any]:
     except DriverError as error:
         found["trouble"] = str(error)
     except Exception as error:  # NI's own, of which nothing can be imported where it is missing
-        found["trouble"] = told(error)
+        found["trouble"] = error_text(error)
     return found
 
 

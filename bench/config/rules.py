@@ -16,7 +16,7 @@ from bench.control.settings import MODEL_PHASES, EnvelopeSettings, ModelSettings
 from bench.errors import BenchError
 from bench.from_toml import Leaf, Tree, format_value
 from drivers.base.ranges import short
-from sim.faults import LONGEST_DELAY
+from sim.faults import MAX_DELAY
 from sim.plant import HISTORY
 
 if TYPE_CHECKING:
@@ -257,17 +257,17 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.driver.name != "canopen":
         return
-    from drivers.canopen.frames import GREATEST_LOAD, bus_load, greatest_rate
+    from drivers.canopen.frames import MAX_LOAD, bus_load, max_rate
 
     bus, period = c.canopen, 1.0 / c.loop.rate
     load = bus_load(bus, period, c.driver.watchdog)
-    if load > GREATEST_LOAD:
+    if load > MAX_LOAD:
         found = f"{bus.bitrate} bit/s, a bus load of {load:.0%} at {short(c.loop.rate)} Hz"
-        slower = int(greatest_rate(bus, c.driver.watchdog))
+        slower = int(max_rate(bus, c.driver.watchdog))
         yield (
             "canopen.bitrate",
             found,
-            f"at most {GREATEST_LOAD:.0%}",
+            f"at most {MAX_LOAD:.0%}",
             f"Raise it, or set loop.rate to {slower} Hz.",
         )
     lost = c.envelope.lost_time
@@ -316,7 +316,7 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if fault.signal in _LOOPS_OWN:
             cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
             yield f"{key}.signal", format_value(fault.signal), "a signal or part of the simulated robot", cure
-        if fault.kind == "delayed" and fault.value > (longest := LONGEST_DELAY * c.plant.tick):
+        if fault.kind == "delayed" and fault.value > (longest := MAX_DELAY * c.plant.tick):
             yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
 
 

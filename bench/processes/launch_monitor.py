@@ -155,7 +155,7 @@ class LaunchMonitorDesk:
         ]
         simulator: SimulatorStatus | None = None
         if self._client is not None:
-            p = self._client.passing()
+            p = self._client.status()
             simulator = SimulatorStatus(
                 connected=p.connected,
                 trouble=shortened(p.trouble),

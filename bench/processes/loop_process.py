@@ -90,9 +90,9 @@ class LoopProcess:
         self._period_ns = round(1e9 / c.loop.rate)
         self.driver = open_driver(plan)
         self.paced = c.driver.paced
-        self._tell_phase: Callable[[int], None] | None = None
+        self._set_phase: Callable[[int], None] | None = None
         if c.faults and isinstance(self.driver, PacedPlantDriver):
-            self._tell_phase = self.driver.tell_phase
+            self._set_phase = self.driver.set_phase
         self.parameters = build_controller(
             c.plant,
             plan.profile,
@@ -204,8 +204,8 @@ class LoopProcess:
         record["wake_latency"] = 1e-9 * (clock.woke - clock.due)
         record["work_time"] = 1e-9 * (marks[-1] - marks[0])
         control = cycle.state.control
-        if self._tell_phase is not None:
-            self._tell_phase(int(control["phase"][0]))
+        if self._set_phase is not None:
+            self._set_phase(int(control["phase"][0]))
         self.orders.put(control, time)
         if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
             try:

@@ -16,7 +16,7 @@ from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.swing_watch import FinishedSwing
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
-from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
 from drivers.launch_monitor.record import LaunchRecord
 from sim.flight import Flight, fly
 from sim.plant import PlantParameters
@@ -105,7 +105,7 @@ class LaunchBook:
     def _tell(self, one: Match, of: tuple[int, datetime, FinishedSwing] | None) -> None:
         self.counts[one.outcome] += 1
         if of is None or one.outcome not in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
-            launch = None if one.launch is None else judged(one.launch, self._plausible)
+            launch = None if one.launch is None else add_doubts(one.launch, self._plausible)
             self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
             return
         self._told.append(self._of_swing(one, *of))
@@ -116,7 +116,7 @@ class LaunchBook:
         delivery = delivery_of_cycles(swing.cycles, plant)
         launch = one.launch
         if launch is not None:
-            launch = judged(launch, self._plausible, None if delivery is None else delivery.speed)
+            launch = add_doubts(launch, self._plausible, None if delivery is None else delivery.speed)
             reason = "; ".join(filter(None, (one.reason, launch.reason)))
         else:
             reason = NO_IMPACT if swing.impact is None else NOT_TOLD if swing.struck else NO_BALL

@@ -24,11 +24,11 @@ from sim.faults import (
     break_parts,
     deliver_command,
     deliver_readings,
+    faulty_time,
     is_broken,
     new_faults,
     notice_onsets,
     own_records,
-    told_time,
 )
 from sim.plant import Plant, advance, initial_state, sense
 from sim.truth import note_truth
@@ -90,7 +90,7 @@ def run_faulty(
             note_processes(state, faults)
             if requests[k] != 0:
                 s.request = requests[k]
-            step(state, parameters, readings, told_time(faults, (first_tick + k) * period), command, cycle)
+            step(state, parameters, readings, faulty_time(faults, (first_tick + k) * period), command, cycle)
         note_truth(plant_state, cycle)
         deliver_command(faults, plant, command, loop_up)
         break_parts(faults, robot, plant, plant_state)

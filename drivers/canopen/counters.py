@@ -1,4 +1,4 @@
-"""What the driver counts: every frame it took from the bus in exactly one class, and what went wrong."""
+"""Counters of the driver: every received frame in exactly one class, and errors."""
 
 from __future__ import annotations
 
@@ -18,51 +18,51 @@ CLASSES = (
     "error_frames",
     "foreign",
 )
-"""The counters that sum up to `frames`."""
+"""Frame classes; their counters add up to `frames`."""
 
 
 @dataclass(slots=True)
 class BusCounters:
-    """Since the driver was made; they outlive closing and opening."""
+    """Counts since the driver was created; closing and opening do not reset them."""
 
     frames: int = 0
-    """Taken from the bus."""
+    """Received frames."""
     positions: int = 0
-    """Samples in time."""
+    """Samples received in time."""
     late: int = 0
-    """Samples that came after their tick had stopped waiting."""
+    """Samples received after their tick had stopped waiting."""
     duplicates: int = 0
-    """Samples of a SYNC that was answered already."""
+    """Repeated samples of one SYNC."""
     inputs: int = 0
     pressures: int = 0
     heartbeats: int = 0
     boot_ups: int = 0
     emergencies: int = 0
     services: int = 0
-    """Answers to questions (SDO)."""
+    """SDO responses."""
     wrong_length: int = 0
-    """Frames that are known by their identifier, but not of their length."""
+    """Frames with a known identifier and the wrong length."""
     error_frames: int = 0
     foreign: int = 0
-    """Frames that are no business of the bench."""
+    """Frames with an identifier that the bench does not use."""
 
     syncs: int = 0
     missing: int = 0
-    """Samples that had not come when the next SYNC went out."""
+    """Samples not received before the next SYNC."""
     floods: int = 0
-    """Ticks in which more frames waited than could be taken."""
+    """Ticks in which more frames were queued than could be processed."""
     overruns: int = 0
-    """Error frames that tell of frames lost in the controller."""
+    """Error frames that report frames lost in the controller."""
     error_passive: int = 0
     bus_off: int = 0
     no_room: int = 0
-    """Frames that could not be sent because the queue was full (ENOBUFS)."""
+    """Frames not sent because the queue was full (ENOBUFS)."""
     send_failures: int = 0
-    """Frames that could not be sent because the interface was away, or otherwise."""
+    """Frames not sent because the interface was down, or for another reason."""
     receive_failures: int = 0
     recoveries: int = 0
-    """Times that opening ended trouble."""
+    """Times that reopening cleared a fault."""
 
     def counts(self) -> dict[str, int]:
-        """Return all by name."""
+        """Return all counters by name."""
         return {name: getattr(self, name) for name in self.__slots__}

@@ -15,8 +15,8 @@ from drivers.canopen.frames import (
     NMT,
     POSITION_LENGTH,
     RPDO1,
-    SERVICE_ANSWER,
-    SERVICE_REQUEST,
+    SDO_REQUEST,
+    SDO_RESPONSE,
     SYNC,
     TPDO1,
     TPDO2,
@@ -36,9 +36,9 @@ class Signal(NamedTuple):
 
     name: str
     start: int
-    """Bit."""
+    """First bit."""
     length: int
-    """Bits."""
+    """Number of bits."""
     signed: bool = False
     factor: float = 1.0
     offset: float = 0.0
@@ -56,11 +56,11 @@ class Frame(NamedTuple):
     signals: tuple[Signal, ...]
     comment: str
     cycle: float = 0.0
-    """s between two of them; 0: by events."""
+    """Period (s); 0 if event-driven."""
 
 
 def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterator[Frame]:
-    """Yield every frame at a tick of `period` (s)."""
+    """Yield every frame on the bus for a tick of `period` (s) and a device `watchdog` (s)."""
     node = settings.valve_node
     yield Frame(
         NMT,
@@ -105,7 +105,7 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
         INPUTS_LENGTH,
         sender(node.node),
         contacts,
-        "Interlocks, on change and at least this often",
+        "Interlocks, on change and at least once per period",
         settings.interlock_period,
     )
     yield from _pressures(settings, period)
@@ -138,7 +138,7 @@ def _pressures(settings: CanopenSettings, period: float) -> Iterator[Frame]:
 
 
 def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
-    """Yield what every node has: errors, heartbeats, questions and answers."""
+    """Yield the frames that every node has: emergency, heartbeat and SDO."""
     object_signals = (
         Signal("specifier", 0, 8),
         Signal("object_index", 8, 16),
@@ -154,7 +154,7 @@ def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
             EMERGENCY_LENGTH,
             sender(number),
             error,
-            "Code 0: errors over",
+            "Code 0: error reset",
         )
         yield Frame(
             HEARTBEAT + number,
@@ -162,24 +162,24 @@ def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
             1,
             sender(number),
             state,
-            "Of a node",
+            "Heartbeat of a node",
             settings.heartbeat,
         )
-        yield Frame(SERVICE_REQUEST + number, f"QUESTION_{number}", 8, _MASTER, object_signals, "SDO request")
+        yield Frame(SDO_REQUEST + number, f"QUESTION_{number}", 8, _MASTER, object_signals, "SDO request")
         yield Frame(
-            SERVICE_ANSWER + number, f"ANSWER_{number}", 8, sender(number), object_signals, "SDO response"
+            SDO_RESPONSE + number, f"ANSWER_{number}", 8, sender(number), object_signals, "SDO response"
         )
     own = HEARTBEAT + settings.master
-    yield Frame(own, "HEARTBEAT_BENCH", 1, _MASTER, state, "Of the bench", beat_period(watchdog))
+    yield Frame(own, "HEARTBEAT_BENCH", 1, _MASTER, state, "Heartbeat of the bench", beat_period(watchdog))
 
 
 def sender(number: int) -> str:
-    """Return the name of a node in the file."""
+    """Return the DBC name of node `number`."""
     return f"NODE_{number}"
 
 
 def describe(settings: CanopenSettings, period: float, watchdog: float) -> str:
-    """Return the DBC file."""
+    """Return the text of the DBC file."""
     described = list(frames(settings, period, watchdog))
     senders = list(dict.fromkeys(frame.sender for frame in described))
     lines = ['VERSION "1"', "", "NS_ :", "", "BS_:", "", f"BU_: {' '.join(senders)}", ""]
@@ -202,10 +202,10 @@ def describe(settings: CanopenSettings, period: float, watchdog: float) -> str:
 
 def _signal(signal: Signal, sent_by: str) -> str:
     sign = "-" if signal.signed else "+"
-    heard_by = "Vector__XXX" if sent_by == _MASTER else _MASTER
+    receiver = "Vector__XXX" if sent_by == _MASTER else _MASTER
     return (
         f"{signal.name} : {signal.start}|{signal.length}@1{sign} ({signal.factor!r},{signal.offset!r}) [0|0] "
-        f'"{signal.unit}" {heard_by}'
+        f'"{signal.unit}" {receiver}'
     )
 
 

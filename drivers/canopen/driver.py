@@ -1,19 +1,19 @@
 """The bench's hardware on CANopen behind the driver contract.
 
-A tick: SYNC out, three positions in, decide, one command out. Frames are whole ones with identifiers made
-beforehand, taken and sent in the loop's own thread; `read` waits for positions no longer than
-`answer_time`. The start-up (`drivers.canopen.setup`) may take some tenths of a second.
+A tick: send SYNC, receive three positions, decide, send one command. Frames have precomputed identifiers and
+are received and sent in the loop's own thread; `read` waits at most `answer_time` for positions. The startup
+(`drivers.canopen.setup`) may take some tenths of a second.
 
-What goes wrong is counted (`counters`) and has one of three outcomes:
+Errors are counted (`counters`) and have one of three outcomes:
 
-- one sample is missing, late, doubled or of a wrong length: the encoder keeps its last one, which ages;
-- an encoder tells of an error of its own: its channel is invalid until it tells that the error is over;
-- a node is lost, restarts, leaves its operational state or (the valve node) tells of an error, the bus is
-  off or the interface away: the driver is no longer `operational`, `trouble` says why, and every command from
-  there on is the passive one. Only `close` and `open` end that. Inputs that come no more stand as they were.
+- a sample is missing, late, duplicated or of the wrong length: the encoder keeps its last sample, which ages;
+- an encoder reports an error: its channel is invalid until it reports the error reset;
+- a node is lost, restarts, leaves the operational state, the valve node reports an error, the bus is off or
+  the interface is down: the driver is no longer `operational`, `trouble` gives the reason, and every further
+  command is the passive one. Only `close` and `open` clear that. Inputs keep their last values.
 
-A frame that finds no room is not sent again: the next tick's follows. If that lasts, the node's own watchdog
-strikes.
+A frame that finds the queue full is not retried: the next tick sends a new one. If that lasts, the node's own
+watchdog trips.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from drivers.canopen.frames import (
     COMMAND_LENGTH,
     EMERGENCY,
     EMERGENCY_LENGTH,
-    GREATEST_LOAD,
     HEARTBEAT,
     INPUTS_LENGTH,
+    MAX_LOAD,
     NMT,
     POSITION_LENGTH,
     RPDO1,
-    SERVICE_ANSWER,
+    SDO_RESPONSE,
     SYNC,
     TPDO1,
     TPDO2,
@@ -48,7 +48,7 @@ from drivers.canopen.frames import (
     beat_period,
     bus_load,
     frame,
-    greatest_rate,
+    max_rate,
     pressure_groups,
 )
 from drivers.canopen.link import FrameLink, open_link
@@ -61,16 +61,15 @@ _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
 _BOOT_UP, _OPERATIONAL = 0, 5
 """States in a heartbeat."""
 _ALL = 0b111
-"""Every encoder's sample is awaited."""
-_MOST_WAITING = 64
-"""Frames taken in one go: more than a bus of 1 Mbit/s brings in three ticks of a millisecond."""
+"""Bit mask: samples of all encoders are expected."""
+_MAX_WAITING = 64
+"""Maximum frames processed at once: more than a bus of 1 Mbit/s carries in three ticks of a millisecond."""
 _MISSED = 3.0
-"""Periods of silence that make a node lost."""
-_LONGEST_STEP = 5.0
-"""Periods of the loop that a tick counts for at most when silence is judged: while it stood still nobody
-listened."""
-_MOST_NO_ROOM = 0.5
-"""Of the watchdog's time: so long commands may find no room before the driver calls it trouble."""
+"""Periods without a frame after which a node is lost."""
+_MAX_STEP = 5.0
+"""Maximum loop periods that one tick adds to the time without frames: a stalled loop received none."""
+_MAX_NO_ROOM = 0.5
+"""Share of the watchdog time for which the queue may be full before the driver reports a fault."""
 
 _BUS_OFF, _CONTROLLER = 0x40, 0x04
 """Error classes of an error frame (linux/can/error.h); the second one explains itself in byte 1."""
@@ -83,7 +82,7 @@ _Opened = Callable[[CanopenSettings, list[int]], FrameLink]
 
 
 class CanopenDriver:
-    """See the module's text. `counters`, `trouble` and `load` are open to whoever asks."""
+    """The CANopen hardware; `counters`, `trouble` and `load` are public for diagnosis."""
 
     def __init__(
         self,
@@ -95,22 +94,22 @@ class CanopenDriver:
         clock: Callable[[], float] = wall.monotonic,
         open_bus: _Opened = open_link,
     ) -> None:
-        """`period` (s) is the loop's, `watchdog` (s) the silence after which the valve node lets go.
+        """Set the loop `period` (s) and the `watchdog` time (s) after which the valve node goes passive.
 
-        `counts_per_revolution` is what the encoders must have. `clock` bounds waiting and nothing else. The
-        loop's time is the bus's, CLOCK_MONOTONIC.
+        `counts_per_revolution` is the required resolution of the encoders. `clock` only bounds waiting. Loop
+        and bus use CLOCK_MONOTONIC.
         """
         self.settings = settings or CanopenSettings()
         self.period, self.watchdog = period, watchdog
         self.counters = BusCounters()
         self.trouble = ""
-        """Why it is not operational; empty while it is."""
+        """Why it is not operational; empty while operational."""
         self._has_failed = False
-        """There was trouble that no opening has ended yet."""
+        """A fault occurred that reopening has not cleared yet."""
         self.load = bus_load(self.settings, period, watchdog)
-        """Share of the bus that is taken at most."""
+        """Maximum bus load as a share."""
         self.applied = PASSIVE
-        """The command sent last."""
+        """Last command sent."""
         self._counts, self.clock, self._open_bus = counts_per_revolution, clock, open_bus
         self._link: FrameLink | None = None
         encoders, valve_node = self.settings.encoders, self.settings.valve_node
@@ -146,55 +145,55 @@ class CanopenDriver:
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
         self._pressure_groups = pressure_groups(valve_node)
         self._supply, self._chambers = valve_node.supply_pressure, valve_node.chamber_pressures
-        self._longest_silence = _MISSED * self.settings.heartbeat
-        self._longest_without_inputs = _MISSED * self.settings.interlock_period
-        self._longest_without_pressures = _MISSED * self.settings.pressure_ticks * period
+        self._max_silence = _MISSED * self.settings.heartbeat
+        self._max_input_gap = _MISSED * self.settings.interlock_period
+        self._max_pressure_gap = _MISSED * self.settings.pressure_ticks * period
         self._takers = self._make_takers()
         self._forget()
 
     def _forget(self) -> None:
-        """Start without any knowledge of the bus."""
+        """Reset everything known about the bus."""
         self._time = -math.inf
         self._count = [0, 0, 0]
         self._sampled: list[float] = [ABSENT] * 3
         self._seen, self._faulty = [False] * 3, [False] * 3
         self._awaited = self._came = 0
-        """Encoders (bits) whose answer to the last SYNC has not come; who answered anything since."""
+        """Encoders (bits) that have not answered the last SYNC; encoders that answered since."""
         self._owed = [0, 0, 0]
-        """Answers to earlier SYNCs that an encoder may still send."""
+        """Number of late answers to earlier SYNCs that each encoder may still send."""
         self._sync_time = ABSENT
         self._in_time = False
-        """Answers that come now are those of this tick's SYNC."""
+        """Whether answers received now belong to this tick's SYNC."""
         self._inputs = 0
         self._pressures = dict.fromkeys(range(255), ABSENT)
-        self._pressures_heard = [-math.inf] * len(self._pressure_groups)
-        self._heard = [0.0] * 4
+        self._pressures_received = [-math.inf] * len(self._pressure_groups)
+        self._last_heard = [0.0] * 4
         self._listened = 0.0
-        """s for which the loop has listened: the clock by which silence is judged."""
-        self._inputs_heard = 0.0
+        """Time for which the loop has received frames (s); the clock for detecting lost nodes."""
+        self._inputs_received = 0.0
         self._states = [-1] * 4
         self._beaten = -math.inf
         self._room_since = ABSENT
         self._answer: tuple[int, bytes] | None = None
         self._listening = False
-        """The start-up is over: what nodes tell of themselves counts."""
+        """Startup is complete: state and error reports of nodes are evaluated."""
 
     @property
     def operational(self) -> bool:
-        """Whether commands are obeyed, as far as is known here."""
+        """Whether the device follows commands, as far as is known."""
         return self._link is not None and not self.trouble
 
     # Opening and closing -------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Set the nodes up, read back what was set, let them begin; passive at first.
+        """Configure the nodes, read the settings back and start them with the passive command.
 
         Raises:
-            DriverError: open already, the bus would be too full, no interface, or a node that is missing,
-                unfit or refuses something; the text says which and what to do.
+            DriverError: already open, bus load too high, no interface, or a node that is missing, unsuitable
+                or refuses a setting; the message names the cause and the action.
         """
         if self._link is not None:
-            raise DriverError("canopen driver: open() found it open already; call close() first")
+            raise DriverError("canopen driver: open() while already open; call close() first")
         self._check_load()
         self._has_failed |= bool(self.trouble)
         self._forget()
@@ -205,7 +204,7 @@ class CanopenDriver:
         except OSError as error:
             self._detach()
             raise DriverError(
-                f"canopen: channel {self.settings.channel!r}: {error}; see whether the interface is up"
+                f"canopen: channel {self.settings.channel!r}: {error}; check that the interface is up"
             ) from error
         except BaseException:
             self._detach()
@@ -214,16 +213,16 @@ class CanopenDriver:
         self._has_failed = False
 
     def _check_load(self) -> None:
-        if self.load > GREATEST_LOAD:
-            rate = int(greatest_rate(self.settings, self.watchdog))
+        if self.load > MAX_LOAD:
+            rate = int(max_rate(self.settings, self.watchdog))
             raise DriverError(
-                f"canopen: found a bus load of {self.load:.0%} at {1.0 / self.period:.0f} ticks a second and "
-                f"{self.settings.bitrate} bit/s, expected at most {GREATEST_LOAD:.0%}; lower loop.rate to "
-                f"{rate} Hz, raise canopen.bitrate, or make canopen.pressure_ticks longer"
+                f"canopen: bus load {self.load:.0%} at {1.0 / self.period:.0f} Hz and "
+                f"{self.settings.bitrate} bit/s, expected at most {MAX_LOAD:.0%}; lower loop.rate to "
+                f"{rate} Hz, raise canopen.bitrate or raise canopen.pressure_ticks"
             )
 
     def _begin(self) -> None:
-        """Go through the start-up."""
+        """Run the startup sequence."""
         nodes = [
             Node(number, role, self._put, self._next, self.clock, self.settings.service_time)
             for number, role in zip(self._numbers, self._roles, strict=True)
@@ -234,13 +233,13 @@ class CanopenDriver:
         set_up_valve_node(valve_node, self.settings, self.watchdog)
         for joint in range(3):
             self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
-            # Of an error that it has had since before, it tells nobody any more.
+            # An error that was already present is not reported again.
             self._faulty[joint] = nodes[joint].read(0x1001, 0, "error register") != 0
         self._inputs = valve_node.read(0x6000, 1, "inputs")
         for channel in self.settings.valve_node.analogue_inputs:
             count = valve_node.read(0x6401, channel, "pressure")
             self._pressures[channel] = self._pressure_of(count - (count >> 15 << 16))
-        self._pressures_heard = [0.0] * len(self._pressure_groups)
+        self._pressures_received = [0.0] * len(self._pressure_groups)
         self._states = [-1] * 4
         for node in nodes:
             self._order(_START, node.number)
@@ -250,19 +249,19 @@ class CanopenDriver:
         self._listening = True
         self._await_samples()
         if self.trouble:
-            raise DriverError(f"canopen: {self.trouble}; see to that node, then start again")
+            raise DriverError(f"canopen: {self.trouble}; correct the fault of that node, then restart")
 
     def _await_states(self) -> None:
-        """Wait until every node has told that it is operational.
+        """Wait until every node has reported that it is operational.
 
         Raises:
-            DriverError: one has not.
+            DriverError: a node has not within the time-out.
         """
         longest = _MISSED * self.settings.heartbeat + self.settings.service_time
         end = self.clock() + longest
         while (left := end - self.clock()) > 0.0 and any(state != _OPERATIONAL for state in self._states):
             self._next(min(left, self._beat_period))
-            self._put(self._passive_frame)  # the node's watchdog runs from the first command on
+            self._put(self._passive_frame)  # the node's watchdog starts with the first command
             self._put(self._beat)
         for number, role, state in zip(self._numbers, self._roles, self._states, strict=True):
             if state != _OPERATIONAL:
@@ -270,14 +269,14 @@ class CanopenDriver:
                 raise DriverError(
                     f"canopen: node {number} ({role}), heartbeat: found {found} within "
                     f"{longest:g} s after its start, expected 5 (operational); "
-                    "see its own display, its number and whether another master commands it"
+                    "check its display, its number and whether another master commands it"
                 )
 
     def _await_samples(self) -> None:
-        """Try one SYNC, so that an encoder that does not answer is refused here.
+        """Send one SYNC and require an answer from every encoder.
 
         Raises:
-            DriverError: one does not.
+            DriverError: an encoder does not answer.
         """
         self._awaited, self._in_time = _ALL, True
         self._put(self._sync)
@@ -290,15 +289,16 @@ class CanopenDriver:
                 raise DriverError(
                     f"canopen: node {self._numbers[joint]} ({self._roles[joint]}), object "
                     f"{self.settings.encoders.position:04X}h in TPDO2: found no answer to SYNC within "
-                    f"{self.settings.service_time:g} s, expected one; see whether it listens to 080h (1005h)"
+                    f"{self.settings.service_time:g} s, expected one; check that its SYNC identifier (1005h) "
+                    "is 080h"
                 )
-        self._sampled, self._seen = [ABSENT] * 3, [False] * 3  # the loop's time has not begun
+        self._sampled, self._seen = [ABSENT] * 3, [False] * 3  # loop time has not started
 
     def close(self) -> None:
-        """Leave the device passive, its nodes stopped, and the bus. Allowed in any state, also twice."""
+        """Make the device passive, stop its nodes and close the bus. Allowed in any state, also twice."""
         if self._link is not None:
             self.make_passive()
-            with suppress(Exception):  # whatever became of the bus
+            with suppress(Exception):  # whatever the state of the bus
                 self._order(_STOP, self._numbers[_VALVE_NODE])
                 for number in self._numbers[:_VALVE_NODE]:
                     self._order(_ENTER_PRE_OPERATIONAL, number)
@@ -312,7 +312,7 @@ class CanopenDriver:
                 link.shutdown()
 
     def make_passive(self) -> None:
-        """Send the passive command if the bus is open; else it is passive already. Never raises."""
+        """Send the passive command if the bus is open; otherwise already passive. Never raises."""
         self.applied = PASSIVE
         if self._link is not None:
             with suppress(Exception):
@@ -321,28 +321,28 @@ class CanopenDriver:
     # The tick ------------------------------------------------------------------------------------
 
     def read(self, time: float) -> Readings:
-        """Let the encoders sample now and return what they and the inputs show.
+        """Trigger the encoders with SYNC and return all readings at `time` (s).
 
-        Takes up to `answer_time` when a sample is missing. A sample's time is when its SYNC went out, a
-        little after `time`: microseconds count, for they become errors of velocity and acceleration.
+        Takes up to `answer_time` when a sample is missing. The time stamp of a sample is the transmission
+        time of its SYNC, slightly after `time`: microseconds matter for velocity and acceleration.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         link = self._link
         if link is None:
-            raise DriverError("canopen driver: read() found it closed, expected it open; call open() first")
+            raise DriverError("canopen driver: read() while closed; call open() first")
         if not self._time <= time < math.inf:
             raise DriverError(
-                f"canopen driver: read() found time {time} s, expected a finite one from {self._time} s on; "
-                "give it CLOCK_MONOTONIC"
+                f"canopen driver: read() at invalid time {time} s, expected finite and at least "
+                f"{self._time} s; pass CLOCK_MONOTONIC"
             )
-        self._listened += min(time - self._time, _LONGEST_STEP * self.period)
+        self._listened += min(time - self._time, _MAX_STEP * self.period)
         self._time = time
         counters, clock = self.counters, self.clock
         self._in_time = False
         try:
-            for _ in range(_MOST_WAITING):  # what came since the last tick
+            for _ in range(_MAX_WAITING):  # received since the last tick
                 waiting = link.receive_frame(0.0)
                 if waiting is None:
                     break
@@ -373,14 +373,14 @@ class CanopenDriver:
         return self._readings(time)
 
     def write(self, command: Command) -> Command:
-        """Send `command` within the device's limits; return what is applied, PASSIVE when not operational.
+        """Send `command` within the device's limits; return the applied one, PASSIVE if not operational.
 
         Raises:
             DriverError: not open.
         """
         link = self._link
         if link is None:
-            raise DriverError("canopen driver: write() found it closed, expected it open; call open() first")
+            raise DriverError("canopen driver: write() while closed; call open() first")
         applied = PASSIVE if self.trouble else device_limited(command)
         if self._time - self._beaten >= self._beat_period:
             self._beaten = self._time
@@ -390,12 +390,12 @@ class CanopenDriver:
             self.applied, self._room_since = applied, ABSENT
         elif math.isnan(self._room_since):
             self._room_since = self._time
-        elif self._time - self._room_since > _MOST_NO_ROOM * self.watchdog:
-            self._note_trouble("commands find no room in the queue of the interface")
+        elif self._time - self._room_since > _MAX_NO_ROOM * self.watchdog:
+            self._note_trouble("the interface's transmit queue is full")
         return PASSIVE if self.trouble else self.applied
 
     def _packed(self, command: Command) -> bytes:
-        """Return the frame of `command`, which is within limits."""
+        """Return the frame of `command`, already limited."""
         (a, b, c), supply, closed, lock, beacon, tee = command
         first, second, third = self._valve_centre
         span, bits = self._valve_span, self._output_bits
@@ -413,7 +413,7 @@ class CanopenDriver:
         )
 
     def _send(self, link: FrameLink, whole: bytes) -> float:
-        """Send a frame; return when that was, not a number when it could not be."""
+        """Send a frame; return the send time (s), NaN on failure."""
         try:
             return link.send_frame(whole)
         except OSError as error:
@@ -444,17 +444,17 @@ class CanopenDriver:
             (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
         )
 
-    # What comes from the bus ---------------------------------------------------------------------
+    # Received frames -----------------------------------------------------------------------------
 
     def _make_takers(self) -> dict[int, Callable[[bytes], None]]:
-        """Return what takes the data of each identifier; each counts its frame."""
+        """Return the handler of each identifier; each counts its frame."""
         takers: dict[int, Callable[[bytes], None]] = {}
         for joint, number in enumerate(self.settings.encoders.nodes):
             takers[TPDO2 + number] = partial(self._take_position, joint)
         for index, number in enumerate(self._numbers):
             takers[HEARTBEAT + number] = partial(self._take_heartbeat, index)
             takers[EMERGENCY + number] = partial(self._take_emergency, index)
-            takers[SERVICE_ANSWER + number] = partial(self._take_answer, number)
+            takers[SDO_RESPONSE + number] = partial(self._take_answer, number)
         node = self.settings.valve_node
         takers[TPDO1 + node.node] = self._take_inputs
         for n, (base, group) in enumerate(zip((TPDO2, TPDO3), self._pressure_groups, strict=False)):
@@ -463,11 +463,11 @@ class CanopenDriver:
         return takers
 
     def _take(self, whole: bytes) -> None:
-        """Take one frame, whatever it is."""
+        """Process one received frame."""
         counters = self.counters
         counters.frames += 1
         identifier, length, data = FRAME.unpack(whole)
-        taker = self._takers.get(identifier)  # flags in it make it a foreign one
+        taker = self._takers.get(identifier)  # identifiers with flags are foreign
         if taker is not None:
             taker(data[:length])
         elif identifier & ERROR:
@@ -476,10 +476,10 @@ class CanopenDriver:
             counters.foreign += 1
 
     def _note_missing(self) -> None:
-        """Count the answers that have not come before the next SYNC; they may still come.
+        """Count the answers missing before the next SYNC; they may still arrive late.
 
-        An encoder that held one back owes it: what comes then is not taken for an answer to a later SYNC.
-        Once something has come, whatever else it owes was lost.
+        A late answer must not count as the answer to a later SYNC, so each encoder's outstanding answers are
+        counted. Once it has answered again, its other outstanding answers are lost.
         """
         for joint in range(3):
             if self._awaited >> joint & 1:
@@ -493,7 +493,7 @@ class CanopenDriver:
             counters.wrong_length += 1
             return
         self._came |= bit
-        if self._owed[joint]:  # the order tells: this one answers an earlier SYNC, if none was lost
+        if self._owed[joint]:  # answers keep their order: this one belongs to an earlier SYNC
             self._owed[joint] -= 1
             counters.late += 1
             return
@@ -506,7 +506,7 @@ class CanopenDriver:
         else:
             counters.late += 1
         position = int.from_bytes(data, "little")
-        # A count outside of the range is passed on: the bench calls it implausible.
+        # A count outside the range is passed on: the bench rejects it as implausible.
         self._count[joint] = position % self._counts if position < self._range[joint] else position
         self._sampled[joint], self._seen[joint] = self._sync_time, True
 
@@ -515,19 +515,19 @@ class CanopenDriver:
             self.counters.wrong_length += 1
             return
         self.counters.inputs += 1
-        self._inputs, self._inputs_heard = data[0], self._listened
+        self._inputs, self._inputs_received = data[0], self._listened
 
     def _take_pressures(self, n: int, group: tuple[int, ...], packed: struct.Struct, data: bytes) -> None:
         if len(data) != packed.size:
             self.counters.wrong_length += 1
             return
         self.counters.pressures += 1
-        self._pressures_heard[n] = self._listened
+        self._pressures_received[n] = self._listened
         for channel, count in zip(group, packed.unpack(data), strict=True):
             self._pressures[channel] = self._pressure_of(count)
 
     def _pressure_of(self, count: int) -> float:
-        """Return Pa absolute."""
+        """Return the pressure of an analogue `count`, Pa absolute."""
         return self._pressure_zero + self._pressure_scale * count
 
     def _take_heartbeat(self, index: int, data: bytes) -> None:
@@ -535,7 +535,7 @@ class CanopenDriver:
             self.counters.wrong_length += 1
             return
         state = data[0] & 0x7F
-        self._heard[index], self._states[index] = self._listened, state
+        self._last_heard[index], self._states[index] = self._listened, state
         who = f"node {self._numbers[index]} ({self._roles[index]})"
         if state == _BOOT_UP:
             self.counters.boot_ups += 1
@@ -543,7 +543,7 @@ class CanopenDriver:
         else:
             self.counters.heartbeats += 1
             if state != _OPERATIONAL:
-                self._note_trouble(f"{who} has left its operational state for state {state}")
+                self._note_trouble(f"{who} has left the operational state for state {state}")
 
     def _take_emergency(self, index: int, data: bytes) -> None:
         if len(data) != EMERGENCY_LENGTH:
@@ -555,47 +555,47 @@ class CanopenDriver:
             self._faulty[index] = code != 0
         elif code:
             who = f"node {self._numbers[index]} ({self._roles[index]})"
-            self._note_trouble(f"{who} tells of error {code:04X}h, register {data[2]:02X}h")
+            self._note_trouble(f"{who} reports error {code:04X}h, register {data[2]:02X}h")
 
     def _take_answer(self, number: int, data: bytes) -> None:
         self.counters.services += 1
-        self._answer = SERVICE_ANSWER + number, data
+        self._answer = SDO_RESPONSE + number, data
 
     def _take_error(self, identifier: int, data: bytes) -> None:
-        """Take an error frame of the interface (linux/can/error.h)."""
+        """Process an error frame of the interface (linux/can/error.h)."""
         counters = self.counters
         counters.error_frames += 1
         if identifier & _BUS_OFF:
             counters.bus_off += 1
-            self._note_trouble("the controller is bus-off: see to wiring, terminators and bit rates")
+            self._note_trouble("the controller is bus-off: check wiring, terminators and bit rates")
         if identifier & _CONTROLLER:
             counters.overruns += bool(data[1] & _OVERFLOW)
             counters.error_passive += bool(data[1] & _PASSIVE_BUS)
 
     def _note_trouble(self, text: str) -> None:
-        """Stop obeying commands; the first reason stands."""
+        """Ignore commands from now on; keep the first reason."""
         if self._listening:
             self.trouble = self.trouble or text
 
     def _supervise(self) -> None:
-        """Notice who is silent for too long."""
+        """Detect nodes and inputs that have been silent too long."""
         now = self._listened
-        if now - min(self._heard) > self._longest_silence:
-            index = self._heard.index(min(self._heard))
+        if now - min(self._last_heard) > self._max_silence:
+            index = self._last_heard.index(min(self._last_heard))
             who = f"node {self._numbers[index]} ({self._roles[index]})"
-            self._note_trouble(f"{who} has sent no heartbeat for {self._longest_silence:g} s")
-        if now - self._inputs_heard > self._longest_without_inputs:
-            self._note_trouble("the interlocks have not come for three of their periods")
-        for n, heard in enumerate(self._pressures_heard):
-            if now - heard > self._longest_without_pressures and heard > -math.inf:
-                self._pressures_heard[n] = -math.inf
+            self._note_trouble(f"{who} has sent no heartbeat for {self._max_silence:g} s")
+        if now - self._inputs_received > self._max_input_gap:
+            self._note_trouble("the interlocks have not been received for three of their periods")
+        for n, heard in enumerate(self._pressures_received):
+            if now - heard > self._max_pressure_gap and heard > -math.inf:
+                self._pressures_received[n] = -math.inf
                 for channel in self._pressure_groups[n]:
                     self._pressures[channel] = ABSENT
 
-    # The start-up's side of the bus --------------------------------------------------------------
+    # Bus access during startup -------------------------------------------------------------------
 
     def _put(self, whole: bytes) -> None:
-        """Send a frame; OSError when that fails."""
+        """Send a frame; OSError on failure."""
         if self._link is not None:
             self._link.send_frame(whole)
 
@@ -603,7 +603,7 @@ class CanopenDriver:
         self._put(frame(NMT, bytes([command, number])))
 
     def _next(self, timeout: float) -> tuple[int, bytes] | None:
-        """Take the next frame; return it when it answers a question."""
+        """Process the next frame; return it if it is an SDO response."""
         whole = None if self._link is None else self._link.receive_frame(timeout)
         self._answer = None
         if whole is not None:

@@ -1,4 +1,4 @@
-"""Every frame of the bench's bus: identifiers, lengths, contents and rates; the load follows from them."""
+"""Every frame of the bench's bus: identifiers, lengths, contents and rates, and the resulting bus load."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSetti
 
 NMT, SYNC, EMERGENCY = 0x000, 0x080, 0x080
 TPDO1, TPDO2, TPDO3, RPDO1 = 0x180, 0x280, 0x380, 0x200
-SERVICE_ANSWER, SERVICE_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
+SDO_RESPONSE, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 """Function codes of CiA 301's predefined connection set; the node's number is added."""
 
-GREATEST_LOAD = 0.75
-"""Of the bus: above it frames of low priority wait too long."""
+MAX_LOAD = 0.75
+"""Maximum bus load (share); above it frames of low priority wait too long."""
 
 COMMAND = struct.Struct("=IB3x3hBx")
 """The command as a whole frame (`drivers.can_bus.FRAME`): three valves, then the outputs."""
@@ -22,7 +22,7 @@ COMMAND_LENGTH = 7
 POSITION_LENGTH = 4
 INPUTS_LENGTH = 1
 PRESSURES_IN_ONE = 4
-"""Analogue inputs in a frame."""
+"""Analogue inputs per frame."""
 EMERGENCY_LENGTH = 8
 
 
@@ -32,36 +32,37 @@ def frame(identifier: int, data: bytes = b"") -> bytes:
 
 
 def worst_bits(length: int) -> int:
-    """Return the bits that a frame of `length` data bytes takes at most, stuffing and pause included.
+    """Return the maximum bits of a frame of `length` data bytes, with stuffing and interframe space.
 
-    Classic base frame: 44 bits and the data, 34 of them and the data subject to stuffing, 3 bits of pause.
+    Classic base frame: 44 bits plus data, of which 34 bits plus data are stuffed, and 3 bits of interframe
+    space.
     """
     return 47 + 8 * length + (33 + 8 * length) // 4
 
 
 class Traffic(NamedTuple):
-    """One kind of frame, and how often it comes."""
+    """One kind of frame and its rate."""
 
     name: str
     identifier: int
     length: int
     rate: float
-    """Per second."""
+    """Frames per second."""
 
     @property
     def load(self) -> float:
-        """Bits per second at most."""
+        """Maximum bits per second."""
         return self.rate * worst_bits(self.length)
 
 
 def pressure_groups(node: ValveNodeSettings) -> tuple[tuple[int, ...], ...]:
-    """Return the analogue inputs of TPDO2, and of TPDO3 when more than four are fitted."""
+    """Return the analogue inputs of TPDO2, and of TPDO3 if more than four are fitted."""
     fitted = node.analogue_inputs
     return tuple(fitted[at : at + PRESSURES_IN_ONE] for at in range(0, len(fitted), PRESSURES_IN_ONE))
 
 
 def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[Traffic]:
-    """Return all that is sent while the bench runs at a tick of `period` (s)."""
+    """Return all traffic of a running bench with a tick of `period` (s)."""
     ticks, node = 1.0 / period, settings.valve_node.node
     numbers = (*settings.encoders.nodes, node)
     sent = [Traffic("SYNC", SYNC, 0, ticks)]
@@ -85,21 +86,21 @@ def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[T
 
 
 def beat_period(watchdog: float) -> float:
-    """Return the time between two heartbeats of the bench (s): three in the node's watchdog time."""
+    """Return the heartbeat period of the bench (s): a third of the node's watchdog time."""
     return watchdog / 3.0
 
 
 def bus_load(settings: CanopenSettings, period: float, watchdog: float) -> float:
-    """Return the share of the bus that is taken at most, 0 … 1 and above."""
+    """Return the maximum bus load as a share; above 1 the bus is overloaded."""
     return sum(one.load for one in traffic(settings, period, watchdog)) / settings.bitrate
 
 
-def greatest_rate(settings: CanopenSettings, watchdog: float) -> float:
-    """Return the ticks per second at which the load is just GREATEST_LOAD."""
+def max_rate(settings: CanopenSettings, watchdog: float) -> float:
+    """Return the tick rate (Hz) at which the bus load reaches MAX_LOAD."""
     slow = bus_load(settings, 1e9, watchdog)
-    return max(0.0, GREATEST_LOAD - slow) / (bus_load(settings, 1.0, watchdog) - slow)
+    return max(0.0, MAX_LOAD - slow) / (bus_load(settings, 1.0, watchdog) - slow)
 
 
 def valve_counts(volts: float, node: ValveNodeSettings) -> int:
-    """Return the count of an analogue output nearest to `volts`."""
+    """Return the analogue output count nearest to `volts`."""
     return max(0, min(FULL_SCALE, round(volts / node.full_scale * FULL_SCALE)))

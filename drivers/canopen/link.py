@@ -1,7 +1,7 @@
-"""Whole frames to and from any interface of python-can: raw where the socket can be had, else as messages.
+"""Send and receive frames on any python-can interface: by raw socket where possible, else as messages.
 
-Frames are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). What fails does so with OSError and its
-number: ENOBUFS when there is no room for a frame, ENETDOWN and the like when the interface is away.
+Frames are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). Failures raise OSError with errno: ENOBUFS
+when the transmit queue is full, ENETDOWN and the like when the interface is down.
 """
 
 from __future__ import annotations
@@ -27,93 +27,95 @@ from drivers.canopen.settings import CanopenSettings
 
 _SO_RCVBUFFORCE = 33
 _RECEIVE_BUFFER = 8 * 2**20
-"""Bytes; the kernel's own 212,992 hold 278 frames."""
+"""Receive buffer in bytes; the kernel's default of 212,992 holds 278 frames."""
 _STAMP = struct.Struct("@ll")
-_TOLD = socket.CMSG_SPACE(_STAMP.size)
-_LONGEST_LOOK = 2_000
-"""ns that a look at both clocks takes when nothing comes between."""
-_LONGEST_ECHO = 0.005
-"""s after which an echo is not that of the SYNC sent last."""
+_ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
+_MAX_CLOCK_READ = 2_000
+"""ns that reading both clocks takes without interruption."""
+_MAX_ECHO_DELAY = 0.005
+"""s after which an echo does not belong to the last SYNC."""
 
 
 class FrameLink(Protocol):
     """One opened interface."""
 
     def send_frame(self, frame: bytes) -> float:
-        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
+        """Send `frame` and return the send time (s, CLOCK_MONOTONIC); OSError on failure."""
 
     def receive_frame(self, timeout: float) -> bytes | None:
-        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+        """Return the next frame, or None after `timeout` s; OSError on failure."""
 
     def sync_time(self, sent: float) -> float:
-        """Return when the SYNC that was sent at `sent` was on the wire, as far as is known by now."""
+        """Return when the SYNC sent at `sent` was on the wire, or `sent` if not yet known (s)."""
 
     def shutdown(self) -> None:
-        """Close it. Allowed twice."""
+        """Close the interface. May be called twice."""
 
 
 class SocketcanLink:
-    """SocketCAN's raw socket, without the messages.
+    """A raw SocketCAN socket, without python-can messages.
 
-    A SYNC may wait for its turn on the wire: its echo tells when it was there, by the kernel's stamp.
+    A SYNC may be delayed by arbitration: its echo carries the kernel's time stamp of transmission.
     """
 
     def __init__(self, bus: SocketcanBus) -> None:
         self._bus, self._socket = bus, bus.socket
         self._echoed = -math.inf
         self._ahead = time.time_ns() - time.monotonic_ns()
-        """ns by which the clock of the stamps is ahead."""
+        """Offset of the time stamp clock to CLOCK_MONOTONIC, ns."""
         with suppress(OSError):  # needs CAP_NET_ADMIN
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
 
     def send_frame(self, frame: bytes) -> float:
-        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
+        """Send `frame` and return the send time (s, CLOCK_MONOTONIC); OSError on failure."""
         now = time.monotonic()
         self._socket.send(frame, socket.MSG_DONTWAIT)
         return now
 
     def receive_frame(self, timeout: float) -> bytes | None:
-        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+        """Return the next frame, or None after `timeout` s; OSError on failure."""
         end = time.monotonic() + timeout
         while True:
             if timeout and not select.select([self._socket], (), (), timeout)[0]:
                 return None
             try:
-                frame, told, flags, _ = self._socket.recvmsg(FRAME.size, _TOLD, socket.MSG_DONTWAIT)
+                frame, ancillary, flags, _ = self._socket.recvmsg(
+                    FRAME.size, _ANCILLARY_SIZE, socket.MSG_DONTWAIT
+                )
             except BlockingIOError:
                 return None
             if not flags & socket.MSG_CONFIRM:
                 return frame
-            self._note_echo(told)
+            self._note_echo(ancillary)
             timeout = max(0.0, end - time.monotonic())
 
     def sync_time(self, sent: float) -> float:
-        """Return when the SYNC that was sent at `sent` was on the wire, as far as is known by now."""
-        return self._echoed if sent <= self._echoed < sent + _LONGEST_ECHO else sent
+        """Return when the SYNC sent at `sent` was on the wire, or `sent` if not yet known (s)."""
+        return self._echoed if sent <= self._echoed < sent + _MAX_ECHO_DELAY else sent
 
-    def _note_echo(self, told: list[tuple[int, int, bytes]]) -> None:
-        """Note when the own SYNC went out; the only frame of its own that the filters let in."""
+    def _note_echo(self, ancillary: list[tuple[int, int, bytes]]) -> None:
+        """Note when the own SYNC was transmitted; the filters pass no other own frame."""
         before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if after - before < _LONGEST_LOOK:  # else somebody interrupted: what was known stands
+        if after - before < _MAX_CLOCK_READ:  # else the thread was interrupted: keep the last offset
             self._ahead = now - (before + after) // 2
-        for _, kind, content in told:
+        for _, kind, content in ancillary:
             if kind == SO_TIMESTAMPNS:
                 seconds, rest = _STAMP.unpack(content)
                 self._echoed = 1e-9 * (seconds * 1_000_000_000 + rest - self._ahead)
 
     def shutdown(self) -> None:
-        """Close it. Allowed twice."""
+        """Close the interface. May be called twice."""
         self._bus.shutdown()
 
 
 class MessageLink:
-    """Any other interface, by python-can's messages."""
+    """Any other interface, by python-can messages."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
 
     def send_frame(self, frame: bytes) -> float:
-        """Send and return when that was, s of CLOCK_MONOTONIC; OSError when that fails."""
+        """Send `frame` and return the send time (s, CLOCK_MONOTONIC); OSError on failure."""
         message = message_of(frame, "")
         now = time.monotonic()
         try:
@@ -123,7 +125,7 @@ class MessageLink:
         return now
 
     def receive_frame(self, timeout: float) -> bytes | None:
-        """Return the next frame, None when there is none for `timeout` s; OSError when that fails."""
+        """Return the next frame, or None after `timeout` s; OSError on failure."""
         try:
             message = self._bus.recv(timeout)
         except can.CanError as error:
@@ -138,19 +140,19 @@ class MessageLink:
         return FRAME.pack(message.arbitration_id | flags, message.dlc & 0xF, bytes(message.data[:8]))
 
     def sync_time(self, sent: float) -> float:
-        """Return `sent`: nobody knows better."""
+        """Return `sent`: no better time stamp is available."""
         return sent
 
     def shutdown(self) -> None:
-        """Close it. Allowed twice."""
+        """Close the interface. May be called twice."""
         self._bus.shutdown()
 
 
 def open_link(settings: CanopenSettings, identifiers: Sequence[int]) -> FrameLink:
-    """Open the interface; of data frames only those with one of `identifiers` come through.
+    """Open the interface and filter data frames by `identifiers`.
 
     Raises:
-        DriverError: it cannot be opened; the text says what to do.
+        DriverError: it cannot be opened; the message names the action.
     """
     filters = [{"can_id": identifier, "can_mask": 0x7FF, "extended": False} for identifier in identifiers]
     is_socketcan = settings.interface == "socketcan"
@@ -167,16 +169,16 @@ def open_link(settings: CanopenSettings, identifiers: Sequence[int]) -> FrameLin
         )
     except can.CanInterfaceNotImplementedError as error:
         raise DriverError(
-            f"{where}: {error}; set canopen.interface to one that python-can knows (can.VALID_INTERFACES), "
-            "or install what it needs"
+            f"{where}: {error}; set canopen.interface to one that python-can supports "
+            "(can.VALID_INTERFACES), or install its package"
         ) from error
     except (OSError, can.CanError, ValueError, ImportError) as error:
         cure = (
             f"bring it up: ip link set {settings.channel} up type can bitrate {settings.bitrate}"
             if is_socketcan
-            else "correct canopen.interface and canopen.channel, or install what that interface needs"
+            else "correct canopen.interface and canopen.channel, or install the interface's package"
         )
-        raise DriverError(f"{where}: it cannot be opened: {error}; {cure}") from error
+        raise DriverError(f"{where}: cannot be opened: {error}; {cure}") from error
     if isinstance(bus, LocalSocketBus):
         return bus
     return SocketcanLink(bus) if isinstance(bus, SocketcanBus) else MessageLink(bus)

@@ -1,7 +1,7 @@
-"""Reading and writing the objects of a node (SDO) with canopen's client, without its thread.
+"""Read and write the objects of a node (SDO) with canopen's client, without its thread.
 
-Whoever asks takes the frames from the bus itself until the answer is there. What fails is told with node,
-object, abort code and cure.
+The caller receives frames from the bus until the response arrives. Errors name node, object, abort code and
+action.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.base import DriverError
-from drivers.canopen.frames import SERVICE_ANSWER, SERVICE_REQUEST, frame
+from drivers.canopen.frames import SDO_REQUEST, SDO_RESPONSE, frame
 
 _CURES = {
-    0x05040000: "see whether the node has power and this number, and the bus its bit rate and terminators",
-    0x06010002: "the device has this value fixed: set it at the device, or take another one",
-    0x06020000: "the device has no such object: see its manual, correct [canopen], or take another one",
-    0x06040041: "the device cannot put this object into a PDO: see its manual for one that it can",
-    0x06040042: "the device takes no PDO of this length",
-    0x06090011: "the device has no such sub-index: see its manual, correct [canopen], or take another one",
-    0x08000022: "the node refuses in its present state: switch its power off and on",
+    0x05040000: "check the node's power and number, and the bit rate and terminators of the bus",
+    0x06010002: "the value is fixed in the device: set it at the device, or use another device",
+    0x06020000: "the device has no such object: see its manual, correct [canopen], or use another device",
+    0x06040041: "the device cannot map this object into a PDO: see its manual for a mappable one",
+    0x06040042: "the device does not accept a PDO of this length",
+    0x06090011: "the device has no such sub-index: see its manual, correct [canopen], or use another device",
+    0x08000022: "the node refuses in its present state: cycle its power",
 }
 
 
@@ -36,13 +36,13 @@ class ServiceError(DriverError):
     """An object could not be read or written."""
 
     def __init__(self, text: str, code: int = 0) -> None:
-        """`code` is the abort code, 0 when none came."""
+        """`code` is the SDO abort code, 0 if none."""
         super().__init__(text)
         self.code = code
 
 
 class Node:
-    """One node as the start-up sees it; `role` names it in messages."""
+    """SDO access to one node during startup; `role` names it in messages."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class Node:
         clock: Callable[[], float],
         timeout: float,
     ) -> None:
-        """`take` gets the next frame (identifier, data) within a time (s), `timeout` bounds an answer (s)."""
+        """`take` receives the next frame (identifier, data) within a time (s); `timeout` (s) per response."""
         self.number, self.role = number, role
         self._client = _PolledClient(number, send, take, clock, timeout)
 
@@ -80,19 +80,19 @@ class Node:
             raise self._failure(f"set to {value:#x}", index, subindex, name, error) from error
 
     def set(self, index: int, subindex: int, value: int, size: int, name: str, mask: int = -1) -> None:
-        """Write a number and read it back; bits outside of `mask` are the device's own.
+        """Write a number and read it back; bits outside `mask` are not compared.
 
         Raises:
-            ServiceError: the node refuses, does not answer, or has another value afterwards.
+            ServiceError: the node refuses, does not answer, or reads back another value.
         """
         self.write(index, subindex, value, size, name)
-        self.expect(index, subindex, value, name, "take a device that keeps what is set", mask)
+        self.expect(index, subindex, value, name, "use a device that keeps its settings", mask)
 
     def expect(self, index: int, subindex: int, value: int, name: str, cure: str, mask: int = -1) -> None:
-        """Read a number and refuse another one than `value`.
+        """Read a number and require `value`.
 
         Raises:
-            ServiceError: it is another one, or cannot be read.
+            ServiceError: the value differs or cannot be read.
         """
         found = self.read(index, subindex, name)
         if (found ^ value) & mask:
@@ -101,7 +101,7 @@ class Node:
             )
 
     def place(self, index: int, subindex: int, name: str) -> str:
-        """Return node and object in words."""
+        """Return node and object as text."""
         return f"canopen: node {self.number} ({self.role}), object {index:04X}h:{subindex} ({name})"
 
     def _failure(self, what: str, index: int, subindex: int, name: str, error: Exception) -> ServiceError:
@@ -109,17 +109,17 @@ class Node:
         match error:
             case SdoAbortedError():
                 cure = _CURES.get(error.code, "see the device's manual")
-                text = SdoAbortedError.CODES.get(error.code, "a code of the device's own")
-                told = f"cannot be {what}: abort code {error.code:08X}h, {text}; {cure}"
-                return ServiceError(f"{place}: {told}", error.code)
+                text = SdoAbortedError.CODES.get(error.code, "a device-specific code")
+                message = f"{place}: cannot be {what}: abort code {error.code:08X}h, {text}; {cure}"
+                return ServiceError(message, error.code)
             case OSError():
-                return ServiceError(f"{place}: cannot be {what}: {error}; see whether the interface is up")
+                return ServiceError(f"{place}: cannot be {what}: {error}; check that the interface is up")
             case _:
                 return ServiceError(f"{place}: cannot be {what}: {error}; {_CURES[0x05040000]}")
 
 
 class _PolledClient(SdoClient):
-    """canopen's client of one node, which waits for answers by taking frames itself."""
+    """canopen's client of one node, which receives frames itself while it waits for a response."""
 
     def __init__(
         self,
@@ -130,30 +130,30 @@ class _PolledClient(SdoClient):
         timeout: float,
     ) -> None:
         super().__init__(  # type: ignore[no-untyped-call]
-            SERVICE_REQUEST + number, SERVICE_ANSWER + number, ObjectDictionary()
+            SDO_REQUEST + number, SDO_RESPONSE + number, ObjectDictionary()
         )
         self.network = _Sender(send)
         self._take, self._clock, self._timeout = take, clock, timeout
 
     def read_response(self) -> bytes:
-        """Wait for the node's answer."""
+        """Wait for the node's response."""
         end = self._clock() + self._timeout
         while self.responses.empty():
             left = end - self._clock()
             if left <= 0.0:
                 raise SdoCommunicationError(f"no answer within {self._timeout:g} s")
-            heard = self._take(left)
-            if heard is not None and heard[0] == self.tx_cobid:
-                self.on_response(heard[0], heard[1], 0.0)  # type: ignore[no-untyped-call]
+            received = self._take(left)
+            if received is not None and received[0] == self.tx_cobid:
+                self.on_response(received[0], received[1], 0.0)  # type: ignore[no-untyped-call]
         return super().read_response()  # type: ignore[no-any-return, no-untyped-call]
 
     def abort(self, abort_code: int = 0x08000000) -> None:
-        """Tell the node that the transfer is given up; whoever asked hears of it by the exception."""
+        """Send an abort to the node; the caller gets the exception."""
         self.send_request(struct.pack("<B3xL", _ABORT, abort_code))  # type: ignore[no-untyped-call]
 
 
 class _Sender(canopen.Network):
-    """What the client sends into."""
+    """Network stub that sends the client's frames."""
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         super().__init__(None)

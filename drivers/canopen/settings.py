@@ -1,4 +1,4 @@
-"""What differs from one CANopen bench to the next: interface, node and object numbers, wiring, scales."""
+"""Settings of a CANopen bench: interface, node and object numbers, wiring, scales."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ OptionalSubIndex = Annotated[int, Ge(0), Le(254)]
 Volts = Annotated[float, Ge(0.0), Le(10.0)]
 
 FULL_SCALE = 32767
-"""Count of an analogue channel at its upper end."""
+"""Full-scale count of an analogue channel."""
 
 
 @dataclass(frozen=True)
 class EncoderSettings:
-    """Encoders after CiA 406, joints in the order shoulder, arm, wrist."""
+    """Encoders (CiA 406), joints in the order shoulder, arm, wrist."""
 
     nodes: tuple[NodeNumber, NodeNumber, NodeNumber] = (1, 2, 3)
     """Node numbers, joints in order."""
     vendor: Number32 = 0
-    """1018h:1; 0 takes any."""
+    """Vendor id (1018h:1); 0 accepts any."""
     product: Number32 = 0
-    """1018h:2; 0 takes any."""
+    """Product code (1018h:2); 0 accepts any."""
     position: Annotated[int, Ge(0x2000), Le(0x9FFF)] = 0x6004
-    """Object of the position, 32 bits."""
+    """Position object, 32 bits."""
 
 
 @dataclass(frozen=True)
 class InputSettings:
-    """Bits of 6000h:1 at the valve node; set: contact closed."""
+    """Bits of 6000h:1 at the valve node; 1 means contact closed."""
 
     emergency_stop_clear: Bit = 0
     """Bit of the emergency-stop circuit: whole."""
@@ -51,14 +51,14 @@ class InputSettings:
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """Bits of 6200h:1 at the valve node; set: energised."""
+    """Bits of 6200h:1 at the valve node; 1 means energised."""
 
     supply_enable: Bit = 0
     """Bit of the soft-start valve."""
     exhaust_closed: Bit = 1
     """Bit that shuts the vents."""
     guard_release: Bit = 2
-    """Lets go of the guard's lock, which is shut by a spring."""
+    """Releases the spring-locked guard lock."""
     beacon: Bit = 3
     """Bit of the beacon."""
     tee: Bit = 4
@@ -67,26 +67,26 @@ class OutputSettings:
 
 @dataclass(frozen=True)
 class ValveNodeSettings:
-    """The node of valves and interlocks after CiA 401."""
+    """The node of valves and interlocks (CiA 401)."""
 
     node: NodeNumber = 10
     """Node number."""
     vendor: Number32 = 0
-    """1018h:1; 0 takes any."""
+    """Vendor id (1018h:1); 0 accepts any."""
     product: Number32 = 0
-    """1018h:2; 0 takes any."""
+    """Product code (1018h:2); 0 accepts any."""
     valves: tuple[SubIndex, SubIndex, SubIndex] = (1, 2, 3)
-    """Sub-indices of 6411h, actuators in their usual order."""
+    """Sub-indices of 6411h, in the order of the actuators."""
     centre: tuple[Volts, Volts, Volts] = (5.0, 5.0, 5.0)
-    """V that centre the spool: what the node falls back to."""
+    """Spool-centre voltage and fallback value of the node, V."""
     span: Annotated[float, Gt(0.0), Le(10.0)] = 5.0
-    """V from the centre to full stroke."""
+    """Voltage from centre to full stroke, V."""
     full_scale: Annotated[float, Gt(0.0), Le(20.0)] = 10.0
-    """V of an analogue output at 32767."""
+    """Analogue output voltage at count 32767, V."""
     error_value_shift: Annotated[int, Ge(0), Le(16)] = 16
-    """Bits by which the value stands to the left in 6444h, which has 32."""
+    """Left shift (bits) of the value in the 32-bit object 6444h."""
     supply_pressure: OptionalSubIndex = 1
-    """Sub-index of 6401h; 0: not fitted."""
+    """Sub-index of 6401h; 0 if not fitted."""
     chamber_pressures: tuple[
         OptionalSubIndex,
         OptionalSubIndex,
@@ -95,53 +95,53 @@ class ValveNodeSettings:
         OptionalSubIndex,
         OptionalSubIndex,
     ] = (2, 3, 4, 5, 6, 7)
-    """Sub-indices of 6401h, chambers in their usual order; 0: not fitted."""
+    """Sub-indices of 6401h, in the order of the chambers; 0 if not fitted."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
-    """Pa absolute at count 0."""
+    """Pressure at count 0, Pa absolute."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
-    """Pa absolute at count 32767."""
+    """Pressure at count 32767, Pa absolute."""
     watchdog_relay: str = ""
-    """Name of an external relay that centres the valves when the bench is silent; empty: there is none, and a
-    node that cannot fall back by itself is refused."""
+    """Name of an external relay that centres the valves when the bench is silent; if empty, a node without a
+    fallback of its own is refused."""
     inputs: InputSettings = field(default_factory=InputSettings)
     outputs: OutputSettings = field(default_factory=OutputSettings)
 
     @property
     def analogue_inputs(self) -> tuple[int, ...]:
-        """Sub-indices of 6401h that are fitted: supply, then chambers."""
+        """Fitted sub-indices of 6401h: supply, then chambers."""
         return tuple(channel for channel in (self.supply_pressure, *self.chamber_pressures) if channel)
 
 
 @dataclass(frozen=True)
 class CanopenSettings:
-    """The bus and everything on it."""
+    """The bus and its nodes."""
 
     interface: str = "socketcan"
-    """python-can's name of it; `local_socket` is a bus between processes of this machine."""
+    """python-can interface name; `local_socket` is a bus between processes of this machine."""
     channel: str = "can0"
     """Channel as the interface names it; of "local_socket" a name, or the path of a folder."""
     bitrate: Annotated[int, Ge(10_000), Le(1_000_000)] = 1_000_000
-    """bit/s; SocketCAN's own is set with the link, and this one must be the same."""
+    """Bit rate (bit/s); with SocketCAN it must equal the bit rate set for the link."""
     master: NodeNumber = 127
-    """The bench's own node number, in its heartbeat."""
+    """Node number of the bench, used in its heartbeat."""
     answer_time: Annotated[float, Gt(0.0), Le(0.01)] = 0.0006
-    """s that a tick waits at most for the encoders' answers to its SYNC."""
+    """Time-out of a tick for the encoders' answers to SYNC, s."""
     service_time: Annotated[float, Gt(0.0), Le(2.0)] = 0.1
-    """s that a node may take to answer a question of the start-up (SDO)."""
+    """SDO time-out, s."""
     heartbeat: Annotated[float, Ge(0.005), Le(1.0)] = 0.05
-    """s between two heartbeats of a node; three missing make it lost."""
+    """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""
     interlock_period: Annotated[float, Ge(0.005), Le(1.0)] = 0.02
-    """s after which interlocks are sent though they did not change; three missing make them lost."""
+    """Period of unchanged interlocks, s; they are lost after three missing frames."""
     pressure_ticks: Annotated[int, Ge(1), Le(240)] = 10
-    """Ticks between two pressures."""
+    """Ticks between two pressure readings."""
     encoders: EncoderSettings = field(default_factory=EncoderSettings)
     valve_node: ValveNodeSettings = field(default_factory=ValveNodeSettings)
 
     def __post_init__(self) -> None:
-        """Raise ValueError when numbers or bits are given twice, or a valve's centre leaves its output."""
+        """Raise ValueError if numbers or bits repeat, or a valve's stroke exceeds its output range."""
         for name, numbers in self._distinct():
             if len(set(numbers)) != len(numbers):
-                raise ValueError(f"{name}: each another number, not {', '.join(map(str, numbers))}")
+                raise ValueError(f"{name}: different numbers, not {', '.join(map(str, numbers))}")
         node = self.valve_node
         for centre in node.centre:
             if not node.span <= centre <= node.full_scale - node.span:

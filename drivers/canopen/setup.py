@@ -1,6 +1,6 @@
-"""The start-up of the nodes: who they are, what they send and hear, what they do when the bench is silent.
+"""Startup of the nodes: check identity, configure PDOs and heartbeats, set the fallback on silence.
 
-Everything that is written is read back. Nothing here moves anything: the nodes are pre-operational.
+Every setting is read back. Nothing moves: the nodes are pre-operational.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ _ENCODER_PROFILE, _IO_PROFILE = 406, 401
 _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 _INVALID, _NO_REMOTE = 0x80000000, 0x40000000
 _COB_ID_MASK = 0x800007FF
-"""Of a PDO's identifier: valid or not, and the identifier; the rest is the device's own."""
-_MOST_PDOS = 4
+"""Valid bit and identifier of a PDO's COB-ID; the other bits are device-specific."""
+_MAX_PDOS = 4
 _ON_EVENT = 255
 _MISSING = frozenset({0x06020000, 0x06090011})
 """Abort codes: no such object, no such sub-index."""
 
 
 def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
-    """Let the encoder send its position with every SYNC; return the counts of its whole range.
+    """Configure the encoder to send its position with every SYNC; return the counts of its whole range.
 
     Raises:
-        DriverError: it is no such device, has not `counts` in a revolution, or refuses a setting.
+        DriverError: wrong device, not `counts` per revolution, or a setting is refused.
     """
     chosen = settings.encoders
     _identify(node, _ENCODER_PROFILE, chosen.vendor, chosen.product)
@@ -34,7 +34,7 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
         0,
         counts,
         "counts per revolution",
-        "set plant.encoders.counts_per_revolution to what the encoder has, or scale the encoder",
+        "set plant.encoders.counts_per_revolution to the encoder's resolution, or scale the encoder",
     )
     revolutions = node.read(0x6502, 0, "revolutions") or 1
     _silence(node, _TPDO, keep=1)
@@ -44,10 +44,10 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
 
 
 def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) -> None:
-    """Let the valve node hear commands and tell of inputs, and fall back to the centre on silence.
+    """Configure the valve node's commands, inputs and fallback to centred valves on silence.
 
     Raises:
-        DriverError: it is no such device, refuses a setting, or cannot fall back while no relay is named.
+        DriverError: wrong device, a setting is refused, or no fallback and no watchdog relay.
     """
     chosen = settings.valve_node
     _identify(node, _IO_PROFILE, chosen.vendor, chosen.product)
@@ -69,8 +69,8 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     inputs_timer = round(1e3 * settings.interlock_period)
     if not _set_pdo(node, _TPDO, _TPDO_MAP, TPDO1 + node.number, _ON_EVENT, [0x60000108], inputs_timer):
         raise DriverError(
-            f"{node.place(_TPDO, 5, 'event timer of the inputs')}: the device has none, so that a broken "
-            "line would not show; take another one"
+            f"{node.place(_TPDO, 5, 'event timer of the inputs')}: missing in the device, so a broken "
+            "line would go undetected; use another device"
         )
     for n, group in enumerate(pressure_groups(chosen), start=1):
         base = (TPDO2, TPDO3)[n - 1]
@@ -80,13 +80,13 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
 
 
 def set_fallback(node: Node, chosen: ValveNodeSettings) -> None:
-    """Set what the outputs do without commands: valves at their centre, switches without energy.
+    """Set the fallback of the outputs without commands: valves centred, switches de-energised.
 
-    A node that can is let store it (1010h) when it was another one: after a loss of power in the middle of a
-    swing it comes up with centred spools, not at 0 V.
+    Changed settings are stored in the node (1010h) if it can: after a power loss in mid-swing it starts with
+    centred spools, not at 0 V.
 
     Raises:
-        DriverError: the node refuses, and no external relay is named that does it in its stead.
+        DriverError: the node refuses, and no external watchdog relay is named.
     """
     new = False
     try:
@@ -108,7 +108,7 @@ def set_fallback(node: Node, chosen: ValveNodeSettings) -> None:
 
 
 def _renew(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
-    """Set a value where it is another one, and return whether it was; it is read back in any case."""
+    """Set a value if it differs, and return whether it did; the value is read back in either case."""
     if node.read(index, subindex, name) == value:
         return False
     node.set(index, subindex, value, size, name)
@@ -116,7 +116,7 @@ def _renew(node: Node, index: int, subindex: int, value: int, size: int, name: s
 
 
 def _set_error_behaviour(node: Node) -> bool:
-    """Let the node leave its operational state on an error, as one without 1029h does; tell if it is new."""
+    """Make the node leave the operational state on an error (1029h); return whether the setting changed."""
     try:
         return _renew(node, 0x1029, 1, 0, 1, "error behaviour")
     except ServiceError as error:
@@ -126,7 +126,7 @@ def _set_error_behaviour(node: Node) -> bool:
 
 
 def _store(node: Node) -> None:
-    """Let the node keep its settings over a loss of power, if it can."""
+    """Store the node's settings over a power loss, if it supports that."""
     try:
         node.write(0x1010, 1, int.from_bytes(b"save", "little"), 4, "store parameters")
     except ServiceError as error:
@@ -135,7 +135,7 @@ def _store(node: Node) -> None:
 
 
 def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
-    """Set a value; return whether the device has that object at all."""
+    """Set a value; return whether the device has the object."""
     try:
         node.set(index, subindex, value, size, name)
     except ServiceError as error:
@@ -147,35 +147,35 @@ def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: s
 
 def _without_fallback(what: object) -> DriverError:
     return DriverError(
-        f"{what}. A node that does not let go of the valves by itself when the bench is silent is refused: "
-        "0 V is full stroke. Take another one, or fit an external watchdog relay that centres the valves and "
+        f"{what}. A node that does not centre the valves by itself when the bench is silent is refused: "
+        "0 V is full stroke. Use another node, or fit an external watchdog relay that centres the valves and "
         "name it in canopen.valve_node.watchdog_relay"
     )
 
 
 def _identify(node: Node, profile: int, vendor: int, product: int) -> None:
-    """Refuse a device of another profile, vendor or product.
+    """Check device profile, vendor and product.
 
     Raises:
-        DriverError: it is another one, or does not answer.
+        DriverError: one of them differs, or the node does not answer.
     """
     node.expect(
         0x1000,
         0,
         profile,
         "device type",
-        f"expected is profile {profile}: correct the node numbers in [canopen], or the device's number",
+        f"expected device profile {profile}: correct the node numbers in [canopen] or at the device",
         mask=0xFFFF,
     )
     for subindex, wanted, name in ((1, vendor, "vendor"), (2, product, "product")):
         if wanted:
-            cure = f"another device was fitted: see that it does the same, then correct {name} in [canopen]"
+            cure = f"another device is fitted: check that it is equivalent, then correct {name} in [canopen]"
             node.expect(0x1018, subindex, wanted, name, cure)
 
 
 def _silence(node: Node, communication: int, keep: int = -1) -> None:
-    """Switch off every PDO of one direction that the device has, but number `keep`."""
-    for number in range(_MOST_PDOS):
+    """Disable every PDO of one direction except number `keep`."""
+    for number in range(_MAX_PDOS):
         if number == keep:
             continue
         try:
@@ -194,9 +194,9 @@ def _invalidate(node: Node, index: int) -> None:
 def _set_pdo(
     node: Node, index: int, mapping: int, identifier: int, kind: int, mapped: list[int], event_timer: int = 0
 ) -> bool:
-    """Set up one PDO in the order that CiA 301 asks for: off, contents, time, on.
+    """Configure one PDO in the order required by CiA 301: disable, map, set timer, enable.
 
-    Returns whether the device has the event timer (ms) that was asked for.
+    Returns whether the device has the requested event timer (ms).
     """
     _invalidate(node, index)
     node.set(index, 2, kind, 1, "transmission type")
@@ -206,9 +206,9 @@ def _set_pdo(
             node.write(mapping, n, entry, 4, "object in the PDO")
         node.write(mapping, 0, len(mapped), 1, "number of objects in the PDO")
     except ServiceError as error:
-        if error.code != 0x06010002:  # a fixed mapping may be the right one
+        if error.code != 0x06010002:  # a fixed mapping may already be right
             raise
-    cure = "the device has a fixed mapping: take one whose mapping can be set"
+    cure = "the device has a fixed mapping: use a device with a configurable mapping"
     node.expect(mapping, 0, len(mapped), "number of objects in the PDO", cure)
     for n, entry in enumerate(mapped, start=1):
         node.expect(mapping, n, entry, "object in the PDO", cure)

@@ -1,18 +1,18 @@
 """The bench's hardware on a data-acquisition card behind the driver contract.
 
-Three counters take the quadrature encoders, which count from where they are switched on until their index
-has passed. They are preset to PRESET, far from any count of the travel, and the index sets them to 0: so the
-count itself tells whether it is absolute. Three analogue outputs drive the valves; a command leaves in the
-tick it is decided in. Digital lines carry interlocks, air, tee.
+Three counters read the quadrature encoders, which count from power-up until their index has passed. They are
+preset to PRESET, far from any count of the travel, and the index resets them to 0: so the count itself shows
+whether it is absolute. Three analogue outputs drive the valves; a command is written in the tick in which it
+is decided. Digital lines carry interlocks, air and tee.
 
-The card's own watchdog puts the valves at their centre and every line low when commands stop; it is read back
-and made to strike once in `open`. A card without one is refused unless an external relay is named. It starts
-with the first command. 0 V is full stroke and is never written as safe: whatever ends a connection writes the
-centre first, and when that cannot be written waits for the watchdog.
+The card's watchdog centres the valves and sets every line low when commands stop; `open` reads its settings
+back and lets it trip once. A card without a watchdog is refused unless an external relay is named. The
+watchdog starts with the first command. 0 V is full stroke and never used as a safe value: closing writes the
+centre first, or waits for the watchdog if that fails.
 
-A counter that does not answer keeps its last sample, which ages. Inputs or outputs that fail, and a watchdog
-that has struck, end it: the driver is no longer `operational`, `trouble` says why, and the watchdog is fed no
-more. A broken wire between encoder and card cannot be seen from here.
+A counter that does not answer keeps its last sample, which ages. After an input or output error, or a tripped
+watchdog, the driver is no longer `operational`, `trouble` gives the reason, and the watchdog is no longer
+fed. A broken wire between encoder and card cannot be detected here.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from typing import Any
 import numpy as np
 
 from drivers.base import ABSENT, JOINTS, PASSIVE, Command, DriverError, Readings, device_limited
-from drivers.daq.package import load_nidaqmx, told
+from drivers.daq.package import error_text, load_nidaqmx
 from drivers.daq.settings import DaqSettings
 from drivers.daq.watchdog import CardWatchdog
 
 PRESET = 1 << 30
-"""Count at which the counters begin; the index sets them to 0."""
+"""Initial count of the counters; the index resets them to 0."""
 FULL_SCALE = 10.0
-"""V of the analogue channels."""
+"""Range of the analogue channels, V."""
 _WRAP = 1 << 32
 
 
 class DaqDriver:
-    """See the module's text. `trouble`, `missing` and `hardware_timed` are open to whoever asks."""
+    """The hardware on a card; `trouble`, `missing` and `hardware_timed` are public for diagnosis."""
 
     def __init__(
         self,
@@ -50,16 +50,16 @@ class DaqDriver:
         clock: Callable[[], float] = wall.monotonic,
         sleep: Callable[[float], None] = wall.sleep,
     ) -> None:
-        """`period` (s) is the loop's, `watchdog` (s) the silence after which the card lets go.
+        """Set the loop `period` (s) and the `watchdog` time (s) after which the card goes passive.
 
-        `counts_per_revolution` is what the encoders have, four for each line.
+        `counts_per_revolution` of the encoders is four times their number of lines.
 
         Raises:
-            DriverError: `counts_per_revolution` is no multiple of four.
+            DriverError: `counts_per_revolution` is not a multiple of four.
         """
         if counts_per_revolution % 4 or not 4 <= counts_per_revolution < PRESET // 4:
             raise DriverError(
-                f"daq: found {counts_per_revolution} counts a revolution, expected a multiple of four below "
+                f"daq: found {counts_per_revolution} counts per revolution, expected a multiple of 4 below "
                 f"{PRESET // 4}: quadrature counts each line four times; correct "
                 "plant.encoders.counts_per_revolution"
             )
@@ -67,13 +67,13 @@ class DaqDriver:
         self.period, self.watchdog = period, watchdog
         self.clock, self._sleep, self._counts = clock, sleep, counts_per_revolution
         self.trouble = ""
-        """Why it is not operational; empty while it is."""
+        """Why it is not operational; empty while operational."""
         self.missing = 0
-        """Samples that did not come."""
+        """Number of missing samples."""
         self.hardware_timed = False
-        """One edge latches all counters."""
+        """Whether one edge latches all counters."""
         self.applied = PASSIVE
-        """The command written last."""
+        """Last command written."""
         self._tasks: list[Any] = []
         self._watchdog: CardWatchdog | None = None
         self._is_open = False
@@ -81,7 +81,7 @@ class DaqDriver:
         self._forget()
 
     def _forget(self) -> None:
-        """Start without any knowledge of the card."""
+        """Reset everything known about the card."""
         s = self.settings
         self._time = -math.inf
         self._count, self._indexed = [0, 0, 0], [False] * 3
@@ -98,20 +98,20 @@ class DaqDriver:
 
     @property
     def operational(self) -> bool:
-        """Whether commands are obeyed, as far as is known here."""
+        """Whether the device follows commands, as far as is known."""
         return self._is_open and not self.trouble
 
     # Opening and closing -------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Find the card, prove its watchdog, set everything passive, read everything once.
+        """Find the card, test its watchdog, set all outputs passive, read all inputs once.
 
         Raises:
-            DriverError: open already, no package, no driver of NI's, no such card, or something it cannot do;
-                the text says which and what to do.
+            DriverError: already open, package or NI driver missing, card not found or unsuitable; the message
+                names the cause and the action.
         """
         if self._is_open:
-            raise DriverError("daq driver: open() found it open already; call close() first")
+            raise DriverError("daq driver: open() while already open; call close() first")
         self._daq = load_nidaqmx()
         self._forget()
         try:
@@ -124,7 +124,7 @@ class DaqDriver:
             self._detach()
             if isinstance(error, self._daq.errors.Error):
                 raise DriverError(
-                    f"daq: {self.settings.device}: {told(error)}; see the channels of [daq] and NI MAX"
+                    f"daq: {self.settings.device}: {error_text(error)}; check the channels in [daq]"
                 ) from error
             raise
         self._is_open = True
@@ -133,7 +133,7 @@ class DaqDriver:
         """Return the card.
 
         Raises:
-            DriverError: NI's driver or the card is missing, or it is another one.
+            DriverError: NI's driver or the card is missing, or its serial number differs.
         """
         errors, s = self._daq.errors, self.settings
         try:
@@ -141,19 +141,19 @@ class DaqDriver:
             names = list(devices.device_names)
         except (errors.DaqNotFoundError, errors.DaqNotSupportedError) as error:
             raise DriverError(
-                f"daq driver: found no NI-DAQmx driver on this machine ({told(error)}), expected it; "
-                "install it from ni.com/downloads (it comes beside the Python package)"
+                f"daq driver: found no NI-DAQmx driver on this machine ({error_text(error)}); "
+                "install it from ni.com/downloads (in addition to the Python package)"
             ) from error
         if s.device not in names:
             known = ", ".join(names) or "none"
             raise DriverError(
-                f"daq: found the devices {known}, expected {s.device}; correct daq.device, or see NI MAX"
+                f"daq: found the devices {known}, expected {s.device}; correct daq.device, or check NI MAX"
             )
         device = devices[s.device]
         if s.serial not in (0, device.serial_num):
             raise DriverError(
-                f"daq: {s.device}: found serial number {device.serial_num}, expected {s.serial}; it is "
-                "another card: correct daq.device or daq.serial"
+                f"daq: {s.device}: found serial number {device.serial_num}, expected {s.serial}; "
+                "correct daq.device or daq.serial"
             )
         return device
 
@@ -161,10 +161,10 @@ class DaqDriver:
         return f"{self.settings.device}/{channel}"
 
     def _prove_watchdog(self) -> None:
-        """Make the card's watchdog and let it strike.
+        """Set up the card's watchdog and let it trip once.
 
         Raises:
-            DriverError: the card has none that centres the valves, and no relay is named.
+            DriverError: the card has no watchdog that centres the valves, and no relay is named.
         """
         s = self.settings
         valves = [(self._full(channel), centre) for channel, centre in zip(s.valves, s.centre, strict=True)]
@@ -180,7 +180,7 @@ class DaqDriver:
             if s.watchdog_relay:
                 return
             raise DriverError(
-                f"daq: {s.device}: found no watchdog that centres the valves ({told(error)}), expected one: "
+                f"daq: {s.device}: found no watchdog that centres the valves ({error_text(error)}): "
                 "0 V is full stroke; use a card with fallback voltages, or fit an external watchdog relay "
                 "and name it in daq.watchdog_relay"
             ) from error
@@ -202,7 +202,7 @@ class DaqDriver:
         self._outputs = writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=False)
         for task in (valves, lines):
             task.start()
-        self._write(PASSIVE)  # the shapes are checked once, with what is harmless
+        self._write(PASSIVE)  # checks the shapes once, with the passive command
         self._valves.verify_array_shape = self._outputs.verify_array_shape = False
 
     def _make_inputs(self, device: Any) -> None:
@@ -247,10 +247,10 @@ class DaqDriver:
             self._analogue = readers.AnalogMultiChannelReader(pressures.in_stream)
 
     def _first_reading(self) -> None:
-        """Read everything once, so that what does not answer is refused here.
+        """Read every input once.
 
         Raises:
-            DriverError: a counter does not.
+            DriverError: a counter does not answer.
         """
         self._read_inputs()
         self._read_pressures()
@@ -260,68 +260,68 @@ class DaqDriver:
         self._read_counters(0.0)
         for joint, sampled in enumerate(self._sampled):
             if math.isnan(sampled):
-                how = "after an edge at the sync line; see its wire" if self.hardware_timed else ""
+                cause = " after an edge at the sync line; check its wire" if self.hardware_timed else ""
                 raise DriverError(
                     f"daq: {self._full(self.settings.counters[joint])} (encoder of the {JOINTS[joint]}): "
-                    f"found no count {how or 'when asked'}, expected one; see the counter in NI MAX"
+                    f"found no count{cause}; check the counter in NI MAX"
                 )
-        self._sampled = [ABSENT] * 3  # the loop's time has not begun
+        self._sampled = [ABSENT] * 3  # loop time has not started
 
     def close(self) -> None:
-        """Leave the outputs passive and the card free. Allowed in any state, also twice."""
+        """Make the outputs passive and release the card. Allowed in any state, also twice."""
         self._detach()
         self._is_open = False
         self.applied = PASSIVE
 
     def _detach(self) -> None:
-        """Write the passive command, or let the watchdog do it; then give up all tasks."""
+        """Write the passive command or wait for the watchdog, then close all tasks."""
         watchdog, self._watchdog = self._watchdog, None
         if not self._try_passive() and watchdog is not None:
             with suppress(Exception):
                 watchdog.await_strike(self.clock, self._sleep)
         tasks, self._tasks = self._tasks, []
         for task in reversed(tasks):
-            with suppress(Exception):  # whatever became of the card
+            with suppress(Exception):  # whatever the state of the card
                 task.close()
         if watchdog is not None:
             with suppress(Exception):
                 watchdog.close()
 
     def make_passive(self) -> None:
-        """Write the passive command if the card is open; else it is passive already. Never raises."""
+        """Write the passive command if the card is open; otherwise already passive. Never raises."""
         self.applied = PASSIVE
         if self._is_open and not self._try_passive():
             self.trouble = self.trouble or "the passive command could not be written"
 
     def _try_passive(self) -> bool:
-        """Write the passive command, valves first; tell whether all of it was written."""
+        """Write the passive command, valves first; return whether all of it was written."""
         if len(self._tasks) < 2:
             return True
         written = True
         for write in (self._write_valves, self._write_lines):
             try:
                 write(PASSIVE)
-            except Exception:  # whatever became of the card
+            except Exception:  # whatever the state of the card
                 written = False
         return written
 
     # The tick ------------------------------------------------------------------------------------
 
     def read(self, time: float) -> Readings:
-        """Read counters and inputs now, pressures every few ticks.
+        """Read counters and inputs at `time` (s), pressures every few ticks.
 
-        A sample's time is that of its reading, or of the edge that latched it: `time`, and what it took to
-        get there.
+        The time stamp of a sample is that of its reading or of the edge that latched it: `time` plus the time
+        elapsed since.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         if not self._is_open:
-            raise DriverError("daq driver: read() found it closed, expected it open; call open() first")
+            raise DriverError("daq driver: read() while closed; call open() first")
         if not self._time <= time < math.inf:
             raise DriverError(
-                f"daq driver: read() found time {time} s, expected a finite one from {self._time} s on; give "
-                "it CLOCK_MONOTONIC"
+                f"daq driver: read() at invalid time {time} s, expected finite and at least {self._time} s; "
+                "pass CLOCK_MONOTONIC"
             )
         self._time = time
         try:
@@ -332,33 +332,33 @@ class DaqDriver:
         except self._daq.errors.Error as error:
             self._inputs[:] = False
             self._pressures[:] = np.nan
-            self._note_trouble(f"reading failed: {told(error)}")
+            self._note_trouble(f"reading failed: {error_text(error)}")
         self._ticks += 1
         return self._readings(time)
 
     def write(self, command: Command) -> Command:
-        """Apply `command` within the card's limits; return what is applied, PASSIVE when not operational.
+        """Apply `command` within the card's limits; return the applied one, PASSIVE if not operational.
 
         Raises:
             DriverError: not open.
         """
         if not self._is_open:
-            raise DriverError("daq driver: write() found it closed, expected it open; call open() first")
+            raise DriverError("daq driver: write() while closed; call open() first")
         applied = PASSIVE if self.trouble else device_limited(command)
         if self._beat >= 0 and not self.trouble:
             self._lines[self._beat] ^= True
         try:
             self._write(applied)
             if self._watchdog is not None and not self.trouble and not self._watchdog.feed():
-                self._note_trouble("the card's watchdog has struck: no command came in time")
+                self._note_trouble("the card's watchdog has tripped: no command within its time")
         except self._daq.errors.Error as error:
-            self._note_trouble(f"writing failed: {told(error)}")
+            self._note_trouble(f"writing failed: {error_text(error)}")
             self._try_passive()
         self.applied = PASSIVE if self.trouble else applied
         return self.applied
 
     def _note_trouble(self, text: str) -> None:
-        """Stop obeying commands; the first reason stands."""
+        """Ignore commands from now on; keep the first reason."""
         self.trouble = self.trouble or text
 
     def _write(self, command: Command) -> None:
@@ -380,26 +380,26 @@ class DaqDriver:
         self._outputs.write_one_sample_one_line(lines, self.settings.answer_time)
 
     def _read_counters(self, time: float) -> None:
-        """Take a sample of each encoder; one that does not come leaves the last."""
-        clock, longest = self.clock, self.settings.answer_time
+        """Sample each encoder; a missing sample leaves the last one."""
+        clock, timeout = self.clock, self.settings.answer_time
         begin = latched = clock()
         if self.hardware_timed:
-            if self._lines[self._sync]:  # no command came in between
+            if self._lines[self._sync]:  # no command was written since
                 self._lines[self._sync] = False
-                self._outputs.write_one_sample_one_line(self._lines, longest)
+                self._outputs.write_one_sample_one_line(self._lines, timeout)
             self._lines[self._sync] = True
-            self._outputs.write_one_sample_one_line(self._lines, longest)
+            self._outputs.write_one_sample_one_line(self._lines, timeout)
             latched = clock()
         for joint, counter in enumerate(self._counters):
             try:
-                value = counter.read_one_sample_double(longest)
+                value = counter.read_one_sample_double(timeout)
             except self._daq.errors.DaqError:
                 self.missing += 1
                 continue
             if not abs(value) < _WRAP:
                 self.missing += 1
                 continue
-            # Counters have 32 bits; whether below zero is told as such is the card's choice.
+            # Counters have 32 bits; cards differ in whether they report negative counts.
             count = (round(value) + _WRAP // 2) % _WRAP - _WRAP // 2
             self._indexed[joint] = abs(count) < PRESET // 2
             self._count[joint] = count % self._counts

@@ -1,4 +1,4 @@
-"""The package `nidaqmx`, which is an optional extra and needs NI's own driver beside it."""
+"""Load the package `nidaqmx`, an optional extra that also needs NI's driver."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.base import DriverError
 
 
 def load_nidaqmx() -> ModuleType:
-    """Return the package.
+    """Return the package `nidaqmx`.
 
     Raises:
         DriverError: it is not installed.
@@ -24,14 +24,14 @@ def load_nidaqmx() -> ModuleType:
         import nidaqmx.types
     except ImportError as error:
         raise DriverError(
-            f"daq driver: found no package nidaqmx ({error}), expected it; install the extra: "
+            f"daq driver: package nidaqmx is not installed ({error}); install the extra: "
             'pip install "golfbench[daq]"'
         ) from error
     return nidaqmx  # type: ignore[no-any-return]
 
 
-def told(error: BaseException) -> str:
-    """Return what NI's driver says in one line, with its number."""
+def error_text(error: BaseException) -> str:
+    """Return the message of NI's driver in one line, with its error code."""
     text: str = " ".join(str(error).split("\n\n")[0].split())
     code: Any = getattr(error, "error_code", None)
     return text if code is None else f"{text} ({code})"

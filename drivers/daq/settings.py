@@ -1,4 +1,4 @@
-"""What differs from one card to the next: device, channels, lines, scales."""
+"""Settings of a data-acquisition card: device, channels, lines, scales."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Volts = Annotated[float, Ge(0.0), Le(10.0)]
 
 @dataclass(frozen=True)
 class InputLines:
-    """Digital lines that are high when a contact is closed; without energy they must read low."""
+    """Digital inputs, high when the contact is closed; they must read low when de-energised."""
 
     emergency_stop_clear: str = "port0/line0"
     """Line of the emergency-stop circuit: whole."""
@@ -29,14 +29,14 @@ class InputLines:
 
 @dataclass(frozen=True)
 class OutputLines:
-    """Digital lines, high: energised."""
+    """Digital outputs, high when energised."""
 
     supply_enable: str = "port0/line8"
     """Line of the soft-start valve."""
     exhaust_closed: str = "port0/line9"
     """Line that shuts the vents."""
     guard_release: str = "port0/line10"
-    """Lets go of the guard's lock, which is shut by a spring."""
+    """Releases the spring-locked guard lock."""
     beacon: str = "port0/line11"
     """Line of the beacon."""
     tee: str = "port0/line12"
@@ -45,55 +45,55 @@ class OutputLines:
 
 @dataclass(frozen=True)
 class DaqSettings:
-    """One card and everything on it; channels are named as NI MAX does, without the device's name."""
+    """One card and its channels, named as in NI MAX without the device name."""
 
     device: str = "Dev1"
     """Name of the card in NI MAX."""
     serial: Annotated[int, Ge(0), Le(0xFFFFFFFF)] = 0
-    """Serial number; 0 takes any."""
+    """Serial number; 0 accepts any."""
     counters: tuple[str, str, str] = ("ctr0", "ctr1", "ctr2")
     """Quadrature inputs A, B, Z at their usual terminals, joints in the order shoulder, arm, wrist."""
     index_phase: Literal["high high", "high low", "low high", "low low"] = "high high"
-    """A and B when the index counts."""
+    """Levels of A and B at which the index is valid."""
     valves: tuple[str, str, str] = ("ao0", "ao1", "ao2")
-    """Actuators in their usual order."""
+    """Analogue outputs of the valves, in the order of the actuators."""
     centre: tuple[Volts, Volts, Volts] = (5.0, 5.0, 5.0)
-    """V that centre the spool: what the card falls back to."""
+    """Spool-centre voltage and fallback value of the card, V."""
     span: Annotated[float, Gt(0.0), Le(10.0)] = 5.0
-    """V from the centre to full stroke."""
+    """Voltage from centre to full stroke, V."""
     inputs: InputLines = field(default_factory=InputLines)
     outputs: OutputLines = field(default_factory=OutputLines)
     supply_pressure: str = ""
-    """Analogue input; empty: not fitted."""
+    """Analogue input; empty if not fitted."""
     chamber_pressures: tuple[str, str, str, str, str, str] = ("", "", "", "", "", "")
-    """Analogue inputs, chambers in their usual order; empty: not fitted."""
+    """Analogue inputs, in the order of the chambers; empty if not fitted."""
     vent_proof: str = ""
     """What proves outside the bench that chambers are empty before the guard opens, such as pressure switches
     in the guard's circuit; needed without chamber sensors."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
-    """Pa absolute at 0 V."""
+    """Pressure at 0 V, Pa absolute."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
-    """Pa absolute at 10 V."""
+    """Pressure at 10 V, Pa absolute."""
     pressure_ticks: Annotated[int, Ge(1), Le(240)] = 10
-    """Ticks between two pressures."""
+    """Ticks between two pressure readings."""
     answer_time: Annotated[float, Gt(0.0), Le(0.01)] = 0.001
-    """s that the card may take to read or write."""
+    """Time-out of the card for reading or writing, s."""
     sync_line: str = ""
     """Digital output that rises in each tick and is wired to `sync_terminal`: one edge latches all three
-    counters (hardware-timed single point); empty, or a card that cannot: read one after the other."""
+    counters (hardware-timed single point). If empty or unsupported, the counters are read in sequence."""
     sync_terminal: str = "PFI12"
     """Clock input of the counters, with `sync_line`."""
     watchdog_relay: str = ""
-    """Name of an external relay that centres the valves when `watchdog_line` stops changing; empty: there is
-    none, and a card that cannot fall back by itself is refused."""
+    """Name of an external relay that centres the valves when `watchdog_line` stops changing; if empty, a card
+    without a fallback of its own is refused."""
     watchdog_line: str = ""
     """Digital output that changes with every command, for the external relay."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a channel is given twice, a relay is not fed, or a stroke cannot be had."""
+        """Raise ValueError if a channel repeats, a relay has no line, or a stroke exceeds its range."""
         for name, used in self._distinct():
             if len(set(used)) != len(used):
-                raise ValueError(f"{name}: each another channel, not {', '.join(used)}")
+                raise ValueError(f"{name}: different channels, not {', '.join(used)}")
         for centre in self.centre:
             if not self.span <= centre <= 10.0 - self.span:
                 raise ValueError(
@@ -106,12 +106,12 @@ class DaqSettings:
 
     @property
     def output_lines(self) -> tuple[str, ...]:
-        """All digital outputs: those of the bench, then sync and watchdog where there are such."""
+        """All digital outputs: those of the bench, then sync and watchdog lines if used."""
         return (*vars(self.outputs).values(), *filter(None, (self.sync_line, self.watchdog_line)))
 
     @property
     def analogue_inputs(self) -> tuple[str, ...]:
-        """Analogue inputs that are fitted: supply, then chambers."""
+        """Fitted analogue inputs: supply, then chambers."""
         return tuple(filter(None, (self.supply_pressure, *self.chamber_pressures)))
 
     def _distinct(self) -> Iterator[tuple[str, list[str]]]:

@@ -1,4 +1,4 @@
-"""The card's own watchdog: what the outputs become when the bench falls silent."""
+"""The card's watchdog: fallback states of the outputs when the bench is silent."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 from drivers.base import DriverError
 
 VOLTAGE_TOLERANCE = 0.02
-"""V by which a fallback voltage may differ when it is read back: a step of 10 bits."""
+"""Tolerance of a fallback voltage read back, V: one step at 10 bits."""
 _PATIENCE = 0.5
-"""s that the watchdog may strike late in its trial."""
+"""Tolerated delay of the watchdog in its test, s."""
 _POLL = 0.002
-"""s."""
+"""Polling period in the test, s."""
 
 
 class CardWatchdog:
-    """A watchdog timer task with the fallback states of all outputs, tried once before it is trusted.
+    """A watchdog timer task with the fallback states of all outputs, tested once before use.
 
-    It must be made before the tasks of the outputs: a card whose outputs are in use gives its watchdog away
-    no more. It stays committed, so that `start` takes no time.
+    Create it before the tasks of the outputs: a card whose outputs are in use refuses to set up its watchdog.
+    The task stays committed, so that `start` takes no time.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class CardWatchdog:
 
         Raises:
             nidaqmx.errors.Error: the card has no such watchdog.
-            DriverError: it reads back other than set.
+            DriverError: a setting reads back differently.
         """
         self._timeout, self.running = timeout, False
         self._task = nidaqmx.system.watchdog.WatchdogTask(device, timeout=timeout)
@@ -59,36 +59,36 @@ class CardWatchdog:
             kind, volts = states[channel].ao_output_type, states[channel].ao_state
             if kind != constants.WatchdogAOExpirState.VOLTAGE or abs(volts - centre) > VOLTAGE_TOLERANCE:
                 raise DriverError(
-                    f"daq: {channel}: found a fallback of {volts:g} V ({kind.name}), expected {centre:g} V, "
-                    "the spool's centre; use another channel or card, or fit an external watchdog relay and "
+                    f"daq: {channel}: found a fallback of {volts:g} V ({kind.name}), expected {centre:g} V "
+                    "(spool centre); use another channel or card, or fit an external watchdog relay and "
                     "name it in daq.watchdog_relay"
                 )
         for line in lines:
             level = states[line].do_state
             if level != constants.Level.LOW:
                 raise DriverError(
-                    f"daq: {line}: found a fallback {level.name}, expected LOW, without energy; use "
+                    f"daq: {line}: found a fallback {level.name}, expected LOW (de-energised); use "
                     "another line"
                 )
         if abs(self._task.timeout - self._timeout) > 0.5 * self._timeout:
             raise DriverError(
-                f"daq: watchdog: found {self._task.timeout:g} s, expected {self._timeout:g} s; change "
-                "driver.watchdog to what the card can do"
+                f"daq: watchdog: found {self._task.timeout:g} s, expected {self._timeout:g} s; set "
+                "driver.watchdog to a time that the card supports"
             )
 
     def prove(self, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
-        """Let the watchdog strike once, which leaves the outputs at their fallback.
+        """Let the watchdog trip once, which leaves the outputs at their fallback.
 
         Raises:
-            DriverError: it does not strike.
+            DriverError: it does not trip.
         """
         self._task.start()
         end = clock() + self._timeout + _PATIENCE
         while not self._task.expired:
             if clock() > end:
                 raise DriverError(
-                    f"daq: watchdog: found it asleep after {self._timeout + _PATIENCE:g} s of silence, "
-                    f"expected it to strike after {self._timeout:g} s; use another card or fit an external "
+                    f"daq: watchdog: not tripped after {self._timeout + _PATIENCE:g} s of silence, "
+                    f"expected it to trip after {self._timeout:g} s; use another card or fit an external "
                     "watchdog relay"
                 )
             sleep(_POLL)
@@ -96,7 +96,7 @@ class CardWatchdog:
         self._task.stop()
 
     def feed(self) -> bool:
-        """Tell it that the bench lives; False when it has struck. The first call starts it."""
+        """Reset the watchdog timer; return False if it has tripped. The first call starts it."""
         if not self.running:
             self._task.start()
             self.running = True
@@ -107,12 +107,12 @@ class CardWatchdog:
         return True
 
     def await_strike(self, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
-        """Wait until it has struck, if it runs: when the outputs cannot be set passive by hand."""
+        """Wait until a running watchdog has tripped: used when the outputs cannot be set passive."""
         end = clock() + self._timeout + _PATIENCE
         while self.running and not self._task.expired and clock() < end:
             sleep(_POLL)
 
     def close(self) -> None:
-        """Take it off the card. The outputs keep what they have."""
+        """Release the watchdog. The outputs keep their state."""
         self.running = False
         self._task.close()

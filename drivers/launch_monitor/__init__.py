@@ -1,5 +1,5 @@
-"""Launch monitors over GSPro's Open Connect: they tell us their shots, we tell a simulator ours.
+"""Launch monitors over GSPro's Open Connect: receive their shots, forward shots to a simulator.
 
-`server` is what a launch monitor connects to, `client` passes shots on; `matching` brings swings and
-launches together. `open_connect` holds the protocol, `objects` finds its messages in a stream of bytes.
+Launch monitors connect to `server`, `client` forwards shots, `matching` assigns launches to swings.
+`open_connect` implements the protocol, `objects` splits a byte stream into its messages.
 """

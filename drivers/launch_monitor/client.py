@@ -1,7 +1,6 @@
-"""Passes our shots to GSPro, or to whatever speaks Open Connect as it does.
+"""Forward shots to GSPro or another Open Connect simulator.
 
-One thread connects, sends, reads answers and connects again. What GSPro says about club and player is shown
-and changes nothing here.
+One thread connects, sends, reads answers and reconnects. GSPro's club and player are only displayed.
 """
 
 from __future__ import annotations
@@ -20,33 +19,34 @@ from drivers.launch_monitor.open_connect import SimulatorResponse, read_answer, 
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures
 from drivers.launch_monitor.settings import SimulatorSettings
 
-MOST_WAITING = 16
+MAX_WAITING = 16
 ANSWER_TIME = 2.0
-"""s for connecting and for an answer to a shot; what is not answered is sent once more."""
+"""Time-out for connecting and for the answer to a shot, s; an unanswered shot is sent once more."""
 ATTEMPTS = 2
 RECONNECT = 5.0
-"""s between two attempts to connect."""
+"""Time between two connection attempts, s."""
 HEARTBEAT = 10.0
-"""s without a shot after which a heartbeat goes out."""
+"""Time without a shot after which a heartbeat is sent, s."""
 _POLL = 0.25
-"""s of waiting for answers at a time."""
+"""Polling period for answers, s."""
 
 
-class Passing(NamedTuple):
-    """How passing on does."""
+class ForwardingStatus(NamedTuple):
+    """Status of the connection to the simulator."""
 
     connected: bool
     trouble: str
-    """Why it is not connected, or why the last shot was not taken; empty when all is well."""
+    """Why it is not connected or the last shot was not accepted; empty if none."""
     waiting: int
+    """Shots in the queue."""
     taken: int
-    """Shots that were answered with 200."""
+    """Shots answered with 200."""
     refused: int
-    """Shots that were answered otherwise, or twice not at all."""
+    """Shots answered with another code, or twice unanswered."""
     out_of_date: int
-    """Shots that waited for too long, or for which there was no room."""
+    """Shots dropped because they waited too long or the queue was full."""
     player: SimulatorResponse | None
-    """What the simulator said last about its player."""
+    """Last player message of the simulator."""
 
 
 class _Waiting(NamedTuple):
@@ -56,7 +56,7 @@ class _Waiting(NamedTuple):
 
 
 class SimulatorClient:
-    """See the module's text. `send` and `passing` never wait and may be called from any thread."""
+    """Connection to a simulator; `send` and `status` never block and may be called from any thread."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class SimulatorClient:
         self.settings, self.device = settings, device
         self._clock, self._answer_time, self._reconnect = clock, answer_time, reconnect
         self._lock = threading.Lock()
-        self._news = threading.Event()
+        self._wakeup = threading.Event()
         self._stopping = threading.Event()
         self._queue: deque[_Waiting] = deque()
         self._number = 0
@@ -80,19 +80,19 @@ class SimulatorClient:
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
-        """Begin to connect; that the simulator is not there is no error but a state.
+        """Start connecting; a simulator that does not answer is a state, not an error.
 
         Raises:
-            DriverError: open already.
+            DriverError: already open.
         """
         if self._thread is not None:
-            raise DriverError("simulator client: open() found it open already; call close() first")
+            raise DriverError("simulator client: open() while already open; call close() first")
         self._stopping.clear()
         self._thread = threading.Thread(target=self._run, name="simulator client", daemon=True)
         self._thread.start()
 
     def send(self, launch: Launch, club: ClubFigures = NO_CLUB, carry: float | None = None) -> int:
-        """Put a shot (SI) in the queue and return the number it will have.
+        """Queue a shot (SI) and return its number.
 
         Raises:
             ValueError: a figure is not finite.
@@ -100,18 +100,18 @@ class SimulatorClient:
         with self._lock:
             message = write_shot(self._number + 1, launch, self.device, club, carry)
             self._number += 1
-            if len(self._queue) == MOST_WAITING:
+            if len(self._queue) == MAX_WAITING:
                 self._queue.popleft()
                 self._out_of_date += 1
             self._queue.append(_Waiting(self._number, message, self._clock()))
             number = self._number
-        self._news.set()
+        self._wakeup.set()
         return number
 
-    def passing(self) -> Passing:
-        """Return how it does."""
+    def status(self) -> ForwardingStatus:
+        """Return the status of the connection."""
         with self._lock:
-            return Passing(
+            return ForwardingStatus(
                 self._connected,
                 self._trouble,
                 len(self._queue),
@@ -122,11 +122,11 @@ class SimulatorClient:
             )
 
     def close(self) -> None:
-        """End connection and thread, within the time of an attempt to connect. Allowed in any state."""
+        """Close connection and thread within one connection time-out. Allowed in any state."""
         thread, self._thread = self._thread, None
         if thread is not None:
             self._stopping.set()
-            self._news.set()
+            self._wakeup.set()
             thread.join()
 
     # In the thread -------------------------------------------------------------------------------
@@ -138,17 +138,17 @@ class SimulatorClient:
                     (self.settings.address, self.settings.port), self._answer_time
                 ) as connection:
                     connection.settimeout(_POLL)
-                    self._tell(True, "")
+                    self._set_status(True, "")
                     self._pass_on(connection)
             except OSError as error:
-                self._tell(False, f"{self.settings.address} port {self.settings.port}: {error}")
-            except Exception as error:  # passing on is a convenience: it never ends by a mistake
-                self._tell(False, f"{type(error).__name__}: {error}")
+                self._set_status(False, f"{self.settings.address} port {self.settings.port}: {error}")
+            except Exception as error:  # forwarding is a convenience and must survive errors
+                self._set_status(False, f"{type(error).__name__}: {error}")
             self._forget_old()
             self._stopping.wait(self._reconnect)
-        self._tell(False, "closed")
+        self._set_status(False, "closed")
 
-    def _tell(self, connected: bool, trouble: str) -> None:
+    def _set_status(self, connected: bool, trouble: str) -> None:
         with self._lock:
             self._connected, self._trouble = connected, trouble
 
@@ -160,7 +160,7 @@ class SimulatorClient:
                 self._out_of_date += 1
 
     def _pass_on(self, connection: socket.socket) -> None:
-        """Send what waits until the connection fails (OSError) or the end is asked for."""
+        """Send queued shots until the connection fails (OSError) or a stop is requested."""
         stream, last = ObjectStream(), self._clock()
         while not self._stopping.is_set():
             self._forget_old()
@@ -181,28 +181,28 @@ class SimulatorClient:
                 connection.sendall(write_heartbeat(self._number, self.device))
                 last = self._clock()
             self._answers(connection, stream, 0.01)
-            self._news.wait(_POLL)
-            self._news.clear()
+            self._wakeup.wait(_POLL)
+            self._wakeup.clear()
 
     def _send_shot(self, connection: socket.socket, stream: ObjectStream, shot: _Waiting) -> bool:
-        """Send `shot` and wait for its answer; tell whether it was taken."""
+        """Send `shot` and wait for its answer; return whether it was accepted."""
         for _ in range(ATTEMPTS):
             connection.sendall(shot.message)
             end = self._clock() + self._answer_time
             while (left := end - self._clock()) > 0.0 and not self._stopping.is_set():
                 for answer in self._answers(connection, stream, min(left, _POLL)):
                     if answer.code == 200:
-                        self._tell(True, "")
+                        self._set_status(True, "")
                         return True
-                    self._tell(True, f"shot {shot.number} was answered {answer.code}: {answer.text}")
+                    self._set_status(True, f"shot {shot.number} was answered {answer.code}: {answer.text}")
                     return False
-        self._tell(True, f"shot {shot.number} was not answered within {self._answer_time:g} s, twice")
+        self._set_status(True, f"shot {shot.number} was not answered within {self._answer_time:g} s, twice")
         return False
 
     def _answers(
         self, connection: socket.socket, stream: ObjectStream, timeout: float
     ) -> list[SimulatorResponse]:
-        """Return the answers that come within `timeout` (s), news of the player (201 to 203) taken out."""
+        """Return the answers received within `timeout` (s), without player messages (201 to 299)."""
         connection.settimeout(timeout)
         found: list[SimulatorResponse] = []
         with suppress(TimeoutError):
@@ -210,8 +210,8 @@ class SimulatorClient:
             if not data:
                 raise ConnectionError("the simulator has closed the connection")
             objects = stream.feed(data)
-            if stream.useless:
-                raise ConnectionError(f"the simulator sends {stream.useless}")
+            if stream.error:
+                raise ConnectionError(f"the simulator sends {stream.error}")
             for answer in filter(None, map(read_answer, objects)):
                 if 201 <= answer.code <= 299:
                     with self._lock:

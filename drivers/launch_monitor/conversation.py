@@ -1,4 +1,4 @@
-"""One monitor's side of the connection: bytes in; records, answers and counts out. No sockets, no clock."""
+"""Protocol of one monitor connection: bytes in; records, answers and counts out. No sockets, no clock."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from drivers.launch_monitor.open_connect import (
     read_message,
     write_answer,
 )
-from drivers.launch_monitor.plausibility import PlausibleFigures, judged
+from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
 from drivers.launch_monitor.record import LaunchRecord
 
-LONGEST_OBJECT = 2.0
-"""s that an object may take to come; what is not whole by then was cut off and is given up."""
+OBJECT_TIMEOUT = 2.0
+"""Time-out for receiving one object, s; an incomplete object is dropped."""
 
 
 @dataclass
 class MessageCounts:
-    """What came: each object is a shot, a status or refused."""
+    """Received messages: each object is a shot, a status or refused."""
 
     received: int = 0
-    """Bytes."""
+    """Received bytes."""
     objects: int = 0
     shots: int = 0
     statuses: int = 0
-    """Heartbeats among them."""
+    """Status messages, including heartbeats."""
     refused: int = 0
     too_large: int = 0
-    """Objects that were cut off because they would not end; not among `objects`."""
+    """Objects dropped because they were too large; not counted in `objects`."""
     cut_off: int = 0
-    """Objects whose end did not come; not among `objects`."""
+    """Incomplete objects; not counted in `objects`."""
     passed_over: int = 0
-    """Bytes in no object."""
+    """Bytes outside objects."""
 
     def add(self, other: MessageCounts) -> None:
         """Add the counts of `other`."""
@@ -45,36 +45,36 @@ class MessageCounts:
 
 
 class ParsedInput(NamedTuple):
-    """What some bytes come to."""
+    """Result of parsing received bytes."""
 
     records: list[LaunchRecord]
     answer: bytes
-    stays: bool
-    """False: the stream is of no more use and the connection is to be closed after the answer."""
+    keep_open: bool
+    """False if the stream is invalid: close the connection after the answer."""
 
 
 class Conversation:
-    """See the module's text; times are seconds on one clock."""
+    """Protocol state of one connection; all times in s on one clock."""
 
     def __init__(self, plausible: PlausibleFigures, now: float) -> None:
         self.counts = MessageCounts()
         self.device = ""
-        self.heard = now
+        self.last_received = now
         """Time of the last byte."""
         self.heartbeats = False
-        """It sends heartbeats, so silence means something."""
+        """Whether the monitor sends heartbeats, so that silence means it is lost."""
         self.ready: bool | None = None
         self.ball_detected: bool | None = None
         self._plausible = plausible
         self._stream = ObjectStream()
         self._begun = now
 
-    def hear(self, data: bytes, now: float) -> ParsedInput:
-        """Take what came."""
+    def receive(self, data: bytes, now: float) -> ParsedInput:
+        """Process received bytes."""
         self.check(now)
         if not self._stream.pending:
             self._begun = now
-        self.heard = now
+        self.last_received = now
         counts = self.counts
         counts.received += len(data)
         records: list[LaunchRecord] = []
@@ -89,7 +89,7 @@ class Conversation:
             if isinstance(message, LaunchRecord):
                 counts.shots += 1
                 self.device = message.device or self.device
-                records.append(judged(message, self._plausible))
+                records.append(add_doubts(message, self._plausible))
                 answers.append(write_answer(SHOT_TAKEN, "Shot received successfully"))
             elif isinstance(message, MonitorStatus):
                 counts.statuses += 1
@@ -97,18 +97,18 @@ class Conversation:
             else:
                 counts.refused += 1
                 answers.append(write_answer(message.code, f"Refused: {message.reason}"))
-        if self._stream.useless:
+        if self._stream.error:
             counts.too_large += 1
-            answers.append(write_answer(TOO_LARGE, f"Refused: {self._stream.useless}"))
-        return ParsedInput(records, b"".join(answers), not self._stream.useless)
+            answers.append(write_answer(TOO_LARGE, f"Refused: {self._stream.error}"))
+        return ParsedInput(records, b"".join(answers), not self._stream.error)
 
     def check(self, now: float) -> None:
-        """Give up an object that does not end."""
-        if now - self._begun > LONGEST_OBJECT:
+        """Drop an object that is incomplete after OBJECT_TIMEOUT."""
+        if now - self._begun > OBJECT_TIMEOUT:
             self.end()
 
     def end(self) -> None:
-        """The connection is over: what is not whole never will be."""
+        """Drop an incomplete object at the end of the connection."""
         if self._stream.pending:
             self.counts.cut_off += 1
             self._stream.drop()

@@ -1,7 +1,7 @@
-"""Which launch belongs to which swing, by the time between impact and the monitor's message.
+"""Assign launches to swings by the time between impact and the monitor's message.
 
-A monitor needs a moment to tell of a shot, and may tell of it twice, not at all, or of one that no swing of
-ours made. Each of that is an outcome of its own; nothing is guessed and nothing is thrown away.
+A monitor reports a shot with a delay, and may report it twice, not at all, or report one without a swing.
+Each case is an outcome of its own; nothing is guessed and nothing is dropped.
 """
 
 from __future__ import annotations
@@ -18,49 +18,49 @@ from drivers.launch_monitor.record import LaunchRecord
 
 @dataclass(frozen=True)
 class MatchWindow:
-    """How far from the impact a launch may be told; a swing's window ends where the next one's begins."""
+    """Time window around the impact for a launch; it ends at the latest where the next swing's begins."""
 
     earliest: Annotated[float, Ge(0.0), Le(1.0)] = 0.1
-    """s before the impact: the two times are taken in different processes."""
+    """Begin of the window before the impact, s: the two times are taken in different processes."""
     latest: Annotated[float, Gt(0.0), Le(60.0)] = 8.0
-    """s after the impact; the slowest monitors process images for some seconds."""
+    """End of the window after the impact, s; the slowest monitors process images for some seconds."""
     patience: Annotated[float, Gt(0.0), Le(120.0)] = 15.0
-    """s that a launch waits for its swing to be told, which happens when the robot stands still again."""
+    """Time for which a launch waits for its swing, s; a swing is reported when the robot stands again."""
 
 
 class SwingImpact(NamedTuple):
     """A swing that should have launched a ball."""
 
     shot: str
-    """The shot's id; it goes from here into the match, and with it to the launch."""
+    """Shot id, copied into the match."""
     time: float
-    """s, CLOCK_MONOTONIC, of the impact."""
+    """Time of the impact, s (CLOCK_MONOTONIC)."""
 
 
 class MatchOutcome(StrEnum):
-    """What became of a swing or of a launch."""
+    """Outcome of a swing or a launch."""
 
     MATCHED = "matched"
     NO_LAUNCH = "swing without a launch"
     NO_SWING = "launch without a swing"
     REPEATED = "launch sent again"
-    """Equal to the one that is matched: the monitor had no answer and tried again."""
+    """Repeat of the matched launch: the monitor got no answer and retried."""
     DOUBLE = "second launch of a swing"
-    """Another one in the same swing's window: which of the two is right nobody can tell."""
+    """Another launch in the same swing's window: ambiguous."""
 
 
 class Match(NamedTuple):
-    """One decided outcome. `shot` is "" when there is no swing, `launch` None when there is none."""
+    """One decided outcome. `shot` is "" without a swing, `launch` None without a launch."""
 
     outcome: MatchOutcome
     shot: str
     launch: LaunchRecord | None
     reason: str = ""
-    """In doubt: why."""
+    """Reason if ambiguous."""
 
 
 class Matching(NamedTuple):
-    """What is decided, and what is still open: to be asked again together with what came since."""
+    """Decided outcomes, and the swings and launches still open, to be passed to the next call."""
 
     decided: tuple[Match, ...]
     swings: tuple[SwingImpact, ...]
@@ -72,16 +72,16 @@ def match(
 ) -> Matching:
     """Return the outcomes of `swings` and `launches` that are settled at `now` (s, their clock).
 
-    A launch belongs to the last swing before it, if that one's window holds it. A swing is settled when its
-    window is over (`latest` after its impact, or at the next swing's beginning), so that a double is seen;
-    a launch without a swing after `patience`. Ties in time keep the order given.
+    A launch belongs to the last swing before it, if that swing's window contains it. A swing is settled at
+    the end of its window (`latest` after its impact, or at the next swing's window), so that doubles are
+    detected; a launch without a swing after `patience`. Ties in time keep the given order.
 
     Raises:
-        ValueError: two swings have one id.
+        ValueError: two swings have the same id.
     """
     ordered = sorted(swings, key=lambda swing: swing.time)
     if len({swing.shot for swing in ordered}) != len(ordered):
-        raise ValueError(f"two swings have one id among {', '.join(swing.shot for swing in ordered)}")
+        raise ValueError(f"two swings have the same id among {', '.join(swing.shot for swing in ordered)}")
     of_swing: dict[str, list[LaunchRecord]] = {swing.shot: [] for swing in ordered}
     decided: list[Match] = []
     open_launches: list[LaunchRecord] = []
@@ -104,7 +104,7 @@ def match(
 
 
 def _end(n: int, ordered: Sequence[SwingImpact], window: MatchWindow) -> float:
-    """Return when the window of swing `n` is over."""
+    """Return the end of the window of swing `n`."""
     end = ordered[n].time + window.latest
     return end if n + 1 == len(ordered) else min(end, ordered[n + 1].time - window.earliest)
 
@@ -115,14 +115,12 @@ def _owner(time: float, ordered: Sequence[SwingImpact], window: MatchWindow) -> 
 
 
 def _settle(swing: SwingImpact, launches: Sequence[LaunchRecord]) -> list[Match]:
-    """Return the outcomes of a swing and of all launches in its window."""
+    """Return the outcomes of a swing and all launches in its window."""
     if not launches:
         return [Match(MatchOutcome.NO_LAUNCH, swing.shot, None)]
     first, *rest = launches
     others = [
-        Match(
-            MatchOutcome.REPEATED if later.tells_the_same(first) else MatchOutcome.DOUBLE, swing.shot, later
-        )
+        Match(MatchOutcome.REPEATED if later.is_repeat_of(first) else MatchOutcome.DOUBLE, swing.shot, later)
         for later in rest
     ]
     doubles = sum(other.outcome is MatchOutcome.DOUBLE for other in others)

@@ -1,17 +1,17 @@
-"""JSON objects in a stream of bytes that marks neither their begin nor their end.
+"""Split an unframed byte stream into JSON objects.
 
-Open Connect sends bare objects: two may come in one segment and one in several. What stands between objects
-(line ends, commas, noise) is passed over.
+Open Connect sends bare objects: one segment may hold several, and one object may span several segments.
+Bytes between objects (line ends, commas, noise) are skipped.
 """
 
 from __future__ import annotations
 
 import re
 
-GREATEST = 64 * 1024
-"""Bytes of one object; a shot has about 700."""
-DEEPEST = 8
-"""Objects in objects; a shot has two levels."""
+MAX_OBJECT_SIZE = 64 * 1024
+"""Maximum bytes of one object; a shot has about 700."""
+MAX_DEPTH = 8
+"""Maximum nesting depth; a shot has two levels."""
 
 _OUTSIDE_STRING = re.compile(rb'["{}]')
 _IN_STRING = re.compile(rb'["\\]')
@@ -19,13 +19,13 @@ _QUOTE, _OPEN, _BACKSLASH = b'"', b"{", b"\\"
 
 
 class ObjectStream:
-    """Takes bytes as they come and gives whole objects, braces and all, as bytes."""
+    """Collects received bytes and returns complete objects, with their braces, as bytes."""
 
     def __init__(self) -> None:
         self.passed_over = 0
-        """Bytes that belong to no object, so far."""
-        self.useless = ""
-        """Why the stream is of no more use: an object too long or too deep for this protocol."""
+        """Number of bytes outside objects."""
+        self.error = ""
+        """Why the stream is invalid: an object too long or too deep; empty while valid."""
         self._forget()
 
     def _forget(self) -> None:
@@ -34,36 +34,36 @@ class ObjectStream:
 
     @property
     def pending(self) -> int:
-        """Bytes of an object whose end has not come."""
+        """Number of bytes of the incomplete object."""
         return len(self._part)
 
     def drop(self) -> None:
-        """Give up the object whose end has not come."""
+        """Drop the incomplete object."""
         self.passed_over += len(self._part)
         self._forget()
 
     def feed(self, more: bytes) -> list[bytes]:
-        """Return the objects that `more` completes; none after the first that exceeds GREATEST or DEEPEST."""
+        """Return the objects that `more` completes, up to the first that is too large or too deep."""
         part = self._part
         part += more
         found: list[bytes] = []
-        while not self.useless and (self._depth or self._begin()):
+        while not self.error and (self._depth or self._begin()):
             end = self._find_end()
-            if (len(part) if end is None else end) > GREATEST:
-                self.useless = f"an object of more than {GREATEST} bytes"
-            elif self._depth > DEEPEST:
-                self.useless = f"objects in objects more than {DEEPEST} deep"
-            if end is None or self.useless:
+            if (len(part) if end is None else end) > MAX_OBJECT_SIZE:
+                self.error = f"an object of more than {MAX_OBJECT_SIZE} bytes"
+            elif self._depth > MAX_DEPTH:
+                self.error = f"objects in objects more than {MAX_DEPTH} deep"
+            if end is None or self.error:
                 break
             found.append(bytes(part[:end]))
             del part[:end]
             self._seen = 0
-        if self.useless:
+        if self.error:
             self.drop()
         return found
 
     def _begin(self) -> bool:
-        """Pass over what stands before the next object; tell whether there is one."""
+        """Skip the bytes before the next object; return whether an object begins."""
         part = self._part
         start = part.find(_OPEN)
         skipped = len(part) if start < 0 else start
@@ -73,7 +73,7 @@ class ObjectStream:
         return start >= 0
 
     def _find_end(self) -> int | None:
-        """Return the length of the object that begins `_part`, None while its end has not come."""
+        """Return the length of the object at the begin of `_part`, None while incomplete."""
         part = self._part
         while self._seen < len(part):
             mark = (_IN_STRING if self._in_string else _OUTSIDE_STRING).search(part, self._seen)
@@ -82,7 +82,7 @@ class ObjectStream:
                 return None
             symbol, self._seen = mark.group(), mark.end()
             if symbol == _BACKSLASH:
-                if self._seen == len(part):  # what it escapes has not come
+                if self._seen == len(part):  # the escaped character is missing
                     self._seen -= 1
                     return None
                 self._seen += 1
@@ -90,7 +90,7 @@ class ObjectStream:
                 self._in_string = not self._in_string
             elif symbol == _OPEN:
                 self._depth += 1
-                if self._depth > DEEPEST:
+                if self._depth > MAX_DEPTH:
                     return None
             else:
                 self._depth -= 1

@@ -1,9 +1,9 @@
 """GSPro's Open Connect, version 1: its messages, read tolerantly and written exactly.
 
-What senders do and is understood: numbers as strings, other capitals and underscores in names, `BackSpin`
-and `SideSpin` instead of `TotalSpin` and `SpinAxis`, figures left out, null or 0 rpm where spin was not seen.
-Speeds are mph whatever `Units` says, `CarryDistance` is in yards unless that is "Meters". Angles keep their
-signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right as ours are.
+Accepted variants: numbers as strings, other capitals and underscores in names, `BackSpin` and `SideSpin`
+instead of `TotalSpin` and `SpinAxis`, missing figures, null or 0 rpm for spin that was not measured. Speeds
+are mph whatever `Units` says, `CarryDistance` is in yards unless `Units` is "Meters". Angles keep their
+signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right, as here.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ RPM = pi / 30.0
 """rad/s."""
 
 SHOT_TAKEN, PLAYER, FAILURE, TOO_LARGE = 200, 201, 501, 413
-"""Codes of answers."""
+"""Answer codes."""
 
-LONGEST_NAME = 64
-"""Characters that are kept of a device's name."""
+MAX_NAME_LENGTH = 64
+"""Maximum number of characters kept of a device name."""
 
 
 class MonitorStatus(NamedTuple):
-    """A heartbeat, or a message without figures: how the monitor is. None where it does not say."""
+    """Status of a monitor from a heartbeat or a message without figures; None for values not sent."""
 
     device: str
     heartbeat: bool
@@ -40,7 +40,7 @@ class MonitorStatus(NamedTuple):
 
 
 class RejectedMessage(NamedTuple):
-    """A message that cannot be taken, and why."""
+    """A rejected message with the reason."""
 
     code: int
     reason: str
@@ -50,7 +50,7 @@ Message = LaunchRecord | MonitorStatus | RejectedMessage
 
 
 class _Bounds(NamedTuple):
-    """What a figure can be at all, in the unit it is sent in, and that unit in ours."""
+    """Possible range of a figure in the unit of the protocol, and the factor to SI."""
 
     low: float
     high: float
@@ -69,13 +69,13 @@ _STRIKE = _Bounds(-100.0, 100.0, "mm", 1e-3)
 
 
 def read_message(data: bytes, time: float) -> Message:
-    """Return what the object `data` tells; `time` (s) goes into the record. Never raises."""
+    """Parse the object `data`; `time` (s) is stored in the record. Never raises."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
-        return RejectedMessage(FAILURE, f"no JSON: {_short(error)}")
+        return RejectedMessage(FAILURE, f"invalid JSON: {_short(error)}")
     if not isinstance(tree, dict):
-        return RejectedMessage(FAILURE, "no JSON object")
+        return RejectedMessage(FAILURE, "not a JSON object")
     root = _plain_names(tree)
     options, ball, club = (
         _plain_names(part) if isinstance(part, dict) else {}
@@ -156,15 +156,15 @@ def _record(
 
 
 def _spin(ball: Mapping[str, Any]) -> tuple[float | str, float | str]:
-    """Return spin (rad/s) and axis (rad), each a reason where it is not known.
+    """Return spin (rad/s) and axis (rad), each replaced by a reason if unknown.
 
-    Total and axis count where they are given; with them the components need not agree, they do not in the
-    specification's own example. No ball leaves a club without spin: 0 rpm means that it was not seen.
+    Total spin and axis take precedence over the components, which may disagree, as in the specification's own
+    example. No ball leaves a club without spin: 0 rpm means that spin was not measured.
     """
     total, axis = _figure(ball, "TotalSpin", _SPIN), _figure(ball, "SpinAxis", _AZIMUTH)
     back, side = _figure(ball, "BackSpin", _BACK_SPIN), _figure(ball, "SideSpin", _BACK_SPIN)
     if not isinstance(total, str) and total == 0.0:
-        total = "0 rpm: not seen"
+        total = "0 rpm: not measured"
     if isinstance(back, float) and isinstance(side, float) and (back or side):
         if isinstance(total, str):
             total, axis = hypot(back, side), atan2(side, back)
@@ -176,7 +176,7 @@ def _spin(ball: Mapping[str, Any]) -> tuple[float | str, float | str]:
 def write_shot(
     number: int, launch: Launch, device: str, club: ClubFigures = NO_CLUB, carry: float | None = None
 ) -> bytes:
-    """Return the message of a shot (SI in, protocol units out) with a line end behind it.
+    """Return the message of a shot (SI in, protocol units out), ending with a line feed.
 
     Raises:
         ValueError: a figure is not finite.
@@ -215,7 +215,7 @@ def write_shot(
 
 
 def write_heartbeat(number: int, device: str) -> bytes:
-    """Return a heartbeat; `number` is that of the last shot."""
+    """Return a heartbeat; `number` is the number of the last shot."""
     return _written({**_head(device, number), "ShotDataOptions": _options(heartbeat=True)})
 
 
@@ -237,28 +237,28 @@ def _options(*, ball: bool = False, club: bool = False, heartbeat: bool = False)
 
 
 class SimulatorResponse(NamedTuple):
-    """What a simulator answers."""
+    """Answer of a simulator."""
 
     code: int
     text: str
     club: str = ""
-    """Of the player, in GSPro's code: DR, W3, I7, PT ... It never changes our club."""
+    """Club of the player in GSPro's code (DR, W3, I7, PT ...); informative only."""
     handed: str = ""
 
 
 def write_answer(code: int, text: str) -> bytes:
-    """Return an answer; senders expect no line end."""
+    """Return an answer; senders expect no line feed."""
     return json.dumps({"Code": code, "Message": text}).encode()
 
 
 def write_player(club: str, handed: str = "RH") -> bytes:
-    """Return the news of the player's club and hand, which tells a monitor what to look for."""
+    """Return the player message, from which a monitor takes club and handedness."""
     player = {"Handed": handed, "Club": club}
     return json.dumps({"Code": PLAYER, "Message": "GSPro Player Information", "Player": player}).encode()
 
 
 def read_answer(data: bytes) -> SimulatorResponse | None:
-    """Return what an answer says; None when it is none. Never raises."""
+    """Parse an answer; None if invalid. Never raises."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError):
@@ -282,25 +282,25 @@ def _written(tree: dict[str, Any]) -> bytes:
 
 
 def _plain_names(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `tree` with names in small letters, without spaces and underscores."""
+    """Return `tree` with names in lower case, without spaces and underscores."""
     return {name.replace("_", "").replace(" ", "").lower(): value for name, value in tree.items()}
 
 
 def _figure(data: Mapping[str, Any], key: str, bounds: _Bounds) -> float | str:
-    """Return the figure in SI, or why there is none."""
+    """Return the figure in SI, or why it is missing."""
     value = data.get(key.lower())
     if value is None or value == "":
         return f"no {key}"
     number = _number(value)
     if number is None:
-        return f"{key} {_short(value)}, no number"
+        return f"{key} {_short(value)}, not a number"
     if not bounds.low <= number <= bounds.high:
         return f"{key} {number:g} {bounds.unit}, possible {bounds.low:g} to {bounds.high:g}"
     return number * bounds.factor
 
 
 def _number(value: Any) -> float | None:
-    """Return a finite number, given as one or as text."""
+    """Return a finite number given as number or text, else None."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         return None
     if isinstance(value, str) and len(value) > 40:
@@ -313,7 +313,7 @@ def _number(value: Any) -> float | None:
 
 
 def _yes(value: Any) -> bool | None:
-    """Return a yes or no, given as one, as 0 or 1, or as text; None when it is neither."""
+    """Return a Boolean given as Boolean, 0 or 1, or text; None if invalid."""
     if isinstance(value, bool):
         return value
     return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}.get(
@@ -322,10 +322,10 @@ def _yes(value: Any) -> bool | None:
 
 
 def _text(value: Any) -> str:
-    """Return printable text, cut when long; empty when it is none."""
+    """Return printable text, truncated; empty if not text."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return _short(value)
-    return "".join(c for c in value[:LONGEST_NAME] if c.isprintable()) if isinstance(value, str) else ""
+    return "".join(c for c in value[:MAX_NAME_LENGTH] if c.isprintable()) if isinstance(value, str) else ""
 
 
 def _short(value: Any) -> str:
@@ -333,5 +333,5 @@ def _short(value: Any) -> str:
         text = str(value) if isinstance(value, BaseException) else repr(value)
     except (ValueError, RecursionError):  # an integer of more digits than Python prints
         return type(value).__name__
-    printable = "".join(c if c.isprintable() else "?" for c in text[:LONGEST_NAME])
-    return printable if len(text) <= LONGEST_NAME else f"{printable}..."
+    printable = "".join(c if c.isprintable() else "?" for c in text[:MAX_NAME_LENGTH])
+    return printable if len(text) <= MAX_NAME_LENGTH else f"{printable}..."

@@ -1,4 +1,4 @@
-"""Whether figures can be those of a struck ball. Doubtful ones are kept apart, not thrown away."""
+"""Plausibility of launch figures. Doubtful records are marked, not dropped."""
 
 from __future__ import annotations
 
@@ -13,33 +13,35 @@ from drivers.launch_monitor.record import LaunchRecord
 
 @dataclass(frozen=True)
 class PlausibleFigures:
-    """Bounds between which a launch of this bench can lie."""
+    """Bounds of plausible launches of this bench."""
 
     min_speed: Annotated[float, Ge(0.0), Le(120.0)] = 5.0
-    """m/s of the ball."""
+    """Minimum ball speed, m/s."""
     max_speed: Annotated[float, Gt(0.0), Le(120.0)] = 100.0
-    """m/s of the ball."""
+    """Maximum ball speed, m/s."""
     max_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = 1.0472
-    """rad (60 deg); the least is just above 0, which is what misreads say."""
+    """Maximum launch angle, rad (60 deg); the minimum is just above 0, the value of misreads."""
     max_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = 0.5236
-    """rad (30 deg) to either side."""
+    """Maximum direction to either side, rad (30 deg)."""
     max_spin: Annotated[float, Gt(0.0), Le(2500.0)] = 1570.0
-    """rad/s; 15,000 rpm."""
+    """Maximum spin, rad/s (15,000 rpm)."""
     min_smash: Annotated[float, Ge(0.0), Le(1.6)] = 0.8
-    """Ball speed over club speed."""
+    """Minimum smash factor (ball speed over club speed)."""
     max_smash: Annotated[float, Gt(0.0), Le(2.0)] = 1.6
-    """An elastic ball of 46 g off a club of 200 g leaves with 1.63 times its speed, one at the Rules' limit
-    with 1.5."""
+    """Maximum smash factor: an elastic 46 g ball off a 200 g head reaches 1.63, one at the Rules' limit
+    1.5."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a min is not below its max."""
+        """Raise ValueError if a minimum is not below its maximum."""
         for name in ("speed", "smash"):
             if getattr(self, f"min_{name}") >= getattr(self, f"max_{name}"):
                 raise ValueError(f"min_{name}: less than max_{name}")
 
 
-def judged(record: LaunchRecord, bounds: PlausibleFigures, club_speed: float | None = None) -> LaunchRecord:
-    """Return `record` with its doubts; `club_speed` (m/s) is the bench's own, else the monitor's serves."""
+def add_doubts(
+    record: LaunchRecord, bounds: PlausibleFigures, club_speed: float | None = None
+) -> LaunchRecord:
+    """Return `record` with its doubts; `club_speed` (m/s) replaces the monitor's own."""
     doubts = [*record.doubts]
     speed, angle, direction, spin = record.speed, record.launch_angle, record.direction, record.spin
     if speed is not None and not bounds.min_speed <= speed <= bounds.max_speed:

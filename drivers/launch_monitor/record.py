@@ -1,4 +1,4 @@
-"""What a launch monitor told of one ball: SI, each figure known or absent with the reason."""
+"""Launch monitor record of one ball: SI, each figure known or absent with a reason."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import NamedTuple
 from drivers.base import Launch
 
 SOURCE = "launch monitor"
-"""How these figures were come by, beside `encoders+model` and `simulated`."""
+"""Source of these figures, beside `encoders+model` and `simulated`."""
 
 
 class ClubFigures(NamedTuple):
-    """The club at the ball: m/s, rad, m; None where it was not measured.
+    """Club delivery: m/s, rad, m; None if not measured.
 
     Angles are positive up or to the right of the target line, the strike towards the toe and up from the
-    centre of the face. Makers differ in what they send here; the bench's own encoders know better.
+    centre of the face. Definitions differ between manufacturers; the bench's encoders are more accurate.
     """
 
     speed: float | None = None
@@ -32,47 +32,47 @@ NO_CLUB = ClubFigures()
 
 @dataclass(frozen=True)
 class LaunchRecord:
-    """One shot as a monitor told it; the five figures have the signs and units of `drivers.base.Launch`."""
+    """One shot of a monitor; the five figures have the signs and units of `drivers.base.Launch`."""
 
     time: float
-    """s, CLOCK_MONOTONIC, when its last byte was taken."""
+    """Time of its last byte, s (CLOCK_MONOTONIC)."""
     device: str
     number: int | None
-    """The device's own count; it may begin again."""
+    """Shot number of the device; it may restart."""
     speed: float | None = None
     launch_angle: float | None = None
     direction: float | None = None
     spin: float | None = None
     spin_axis: float | None = None
     carry: float | None = None
-    """m, the monitor's own estimate."""
+    """Carry estimated by the monitor, m."""
     club: ClubFigures = NO_CLUB
     absent: tuple[tuple[str, str], ...] = ()
-    """Figures that are None, and why."""
+    """Missing figures with the reason."""
     doubts: tuple[str, ...] = ()
-    """Why the figures are not to be trusted: such a record is kept, shown and not counted."""
+    """Reasons to distrust the figures: such a record is kept and shown, but not counted."""
     source: str = SOURCE
 
     @property
     def launch(self) -> Launch | None:
-        """The five figures when all are known, for the flight; doubts do not matter here."""
+        """The five figures for the flight if all are known, regardless of doubts."""
         figures = (self.speed, self.launch_angle, self.direction, self.spin, self.spin_axis)
         known = [figure for figure in figures if figure is not None]
         return Launch(*known) if len(known) == len(figures) else None
 
     @property
     def valid(self) -> bool:
-        """All five figures are known and nothing speaks against them."""
+        """Whether all five figures are known and undoubted."""
         return self.launch is not None and not self.doubts
 
     @property
     def reason(self) -> str:
-        """Why it is not valid; empty when it is."""
+        """Why it is invalid; empty if valid."""
         missing = (f"no {name}: {why}" for name, why in self.absent if name in Launch._fields)
         return "; ".join([*missing, *self.doubts])
 
-    def tells_the_same(self, other: LaunchRecord) -> bool:
-        """Whether `other` is this one sent again: everything equal but its time."""
+    def is_repeat_of(self, other: LaunchRecord) -> bool:
+        """Whether `other` is the same record sent again: equal except for its time."""
         return all(
             getattr(self, field.name) == getattr(other, field.name)
             for field in fields(self)

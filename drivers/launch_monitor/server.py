@@ -1,8 +1,8 @@
-"""The TCP server a launch monitor connects to: GSPro's place in Open Connect.
+"""TCP server for launch monitors, in the role of GSPro in Open Connect.
 
-One thread serves all connections. Whatever comes, it is answered, counted and survived; records wait until
-they are taken. A monitor that does not read its answers, sends without end or falls silent is let go and may
-come again.
+One thread serves all connections. Every message is answered and counted; records are queued until taken. A
+monitor that does not read its answers, sends an endless object or falls silent is disconnected and may
+reconnect.
 """
 
 from __future__ import annotations
@@ -24,44 +24,44 @@ from drivers.launch_monitor.open_connect import write_player
 from drivers.launch_monitor.record import LaunchRecord
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 
-MOST_CONNECTIONS = 8
-MOST_WAITING = 1000
-"""Records that wait to be taken; beyond that the oldest are lost and counted."""
+MAX_CONNECTIONS = 8
+MAX_WAITING = 1000
+"""Maximum queued records; beyond that the oldest are dropped and counted."""
 _CHUNK = 65_536
-_MOST_UNREAD = 65_536
-"""Bytes of answers that wait for a monitor to read them."""
+_MAX_UNREAD = 65_536
+"""Maximum bytes of unread answers per monitor."""
 _CHECK = 0.25
-"""s between two looks at silence."""
+"""Period of the silence check, s."""
 
 
 class Connected(NamedTuple):
-    """A monitor that is connected."""
+    """A connected monitor."""
 
     address: str
     device: str
-    """As it calls itself; empty before its first message."""
+    """Device name; empty before its first message."""
     silent: float
-    """s since its last byte."""
+    """Time since its last byte, s."""
     ready: bool | None
     ball_detected: bool | None
 
 
 class Link(NamedTuple):
-    """How the server does."""
+    """Status of the server."""
 
     connected: tuple[Connected, ...]
     counts: MessageCounts
-    """Of all connections so far."""
+    """Message counts of all connections so far."""
     connections: int
-    """So far, refused ones not among them."""
-    turned_away: int
-    """Not allowed, or too many at once."""
-    let_go: int
-    """Ended by us: silent, not reading, or sending without end."""
+    """Accepted connections so far."""
+    rejected: int
+    """Rejected connections: not allowed, or too many at once."""
+    disconnected: int
+    """Connections closed by the server: silent, not reading, or sending an endless object."""
     failures: int
-    """Mistakes of this server; the connection they happened on was closed."""
+    """Internal errors; each closed its connection."""
     lost: int
-    """Records that nobody took in time."""
+    """Records dropped because the queue was full."""
 
 
 class _Client:
@@ -71,11 +71,11 @@ class _Client:
         self.connection, self.address, self.conversation = connection, address, conversation
         self.unread = bytearray()
         self.closing = False
-        """Its last answer is on the way."""
+        """Whether to close after the last answer is sent."""
 
 
 class LaunchMonitorServer:
-    """See the module's text. `take`, `link` and `tell_player` may be called from any thread."""
+    """Server for launch monitors; `take`, `link` and `announce_player` may be called from any thread."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class LaunchMonitorServer:
         port: int | None = None,
         clock: Callable[[], float] = wall.monotonic,
     ) -> None:
-        """`port` replaces that of the settings; 0 lets the system choose one."""
+        """Create a server; `port` replaces that of the settings, 0 chooses a free one."""
         self.settings = settings
         self._port = settings.port if port is None else port
         self._clock = clock
@@ -92,7 +92,7 @@ class LaunchMonitorServer:
         self._records: deque[LaunchRecord] = deque()
         self._clients: dict[int, _Client] = {}
         self._counts = MessageCounts()
-        self._connections = self._turned_away = self._let_go = self._failures = self._lost = 0
+        self._connections = self._rejected = self._disconnected = self._failures = self._lost = 0
         self._player = b""
         self._listener: socket.socket | None = None
         self._thread: threading.Thread | None = None
@@ -104,23 +104,23 @@ class LaunchMonitorServer:
         """Listen and serve.
 
         Raises:
-            DriverError: it is open already, or the address cannot be had.
+            DriverError: already open, or the address is unavailable.
         """
         if self._thread is not None:
-            raise DriverError("launch monitor server: open() found it open already; call close() first")
+            raise DriverError("launch monitor server: open() while already open; call close() first")
         family = socket.AF_INET6 if ip_address(self.settings.address).version == 6 else socket.AF_INET
         listener = socket.socket(family, socket.SOCK_STREAM)
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.bind((self.settings.address, self._port))
-            listener.listen(MOST_CONNECTIONS)
+            listener.listen(MAX_CONNECTIONS)
             listener.setblocking(False)
         except OSError as error:
             listener.close()
             raise DriverError(
-                f"launch monitor server: found {error.strerror or error} at {self.settings.address} port "
-                f"{self._port}, expected to listen there; end what else listens there or change "
-                "launch_monitor.address or launch_monitor.port (below 1024 takes a privilege)"
+                f"launch monitor server: cannot listen at {self.settings.address} port {self._port}: "
+                f"{error.strerror or error}; stop the program that uses the port or change "
+                "launch_monitor.address or launch_monitor.port (below 1024 needs a privilege)"
             ) from error
         self._wake_out, self._wake_in = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -131,25 +131,25 @@ class LaunchMonitorServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens.
+        """Address and port it listens at.
 
         Raises:
-            DriverError: it does not.
+            DriverError: not open.
         """
         if self._listener is None:
-            raise DriverError("launch monitor server: found it closed, expected it open; call open() first")
+            raise DriverError("launch monitor server: address of a closed server; call open() first")
         host, port = self._listener.getsockname()[:2]
         return host, port
 
     def take(self) -> list[LaunchRecord]:
-        """Return the records that came since the last call, in the order they came."""
+        """Return the records received since the last call, in order."""
         with self._lock:
             taken = list(self._records)
             self._records.clear()
         return taken
 
     def link(self) -> Link:
-        """Return how the connections are."""
+        """Return the status of the connections."""
         with self._lock:
             now = self._clock()
             counts = replace(self._counts)
@@ -157,7 +157,7 @@ class LaunchMonitorServer:
             for client in self._clients.values():
                 talk = client.conversation
                 counts.add(talk.counts)
-                silent = max(0.0, now - talk.heard)
+                silent = max(0.0, now - talk.last_received)
                 connected.append(
                     Connected(client.address, talk.device, silent, talk.ready, talk.ball_detected)
                 )
@@ -165,14 +165,14 @@ class LaunchMonitorServer:
                 tuple(connected),
                 counts,
                 self._connections,
-                self._turned_away,
-                self._let_go,
+                self._rejected,
+                self._disconnected,
                 self._failures,
                 self._lost,
             )
 
-    def tell_player(self, club: str, handed: str = "RH") -> None:
-        """Tell all monitors, and those to come, which club is played: DR, W3, H4, I7, PW, PT ..."""
+    def announce_player(self, club: str, handed: str = "RH") -> None:
+        """Send the club (DR, W3, H4, I7, PW, PT ...) to all connected and later monitors."""
         with self._lock:
             self._player = write_player(club, handed)
             for client in self._clients.values():
@@ -180,7 +180,7 @@ class LaunchMonitorServer:
         self._wake()
 
     def close(self) -> None:
-        """End all connections and the thread. Allowed in any state, also twice."""
+        """Close all connections and stop the thread. Allowed in any state, also twice."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -192,7 +192,7 @@ class LaunchMonitorServer:
 
     def _wake(self) -> None:
         if self._listener is not None:
-            with suppress(OSError):  # full: it is awake
+            with suppress(OSError):  # full: already awake
                 self._wake_out.send(b"!")
 
     # In the thread -------------------------------------------------------------------------------
@@ -229,11 +229,11 @@ class LaunchMonitorServer:
     def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
         try:
             connection, peer = listener.accept()
-        except OSError:  # it has gone again, or there are no descriptors left
+        except OSError:  # disconnected already, or no file descriptors left
             wall.sleep(0.01)
             return
-        if len(self._clients) >= MOST_CONNECTIONS or not self.settings.lets_in(peer[0].split("%")[0]):
-            self._turned_away += 1
+        if len(self._clients) >= MAX_CONNECTIONS or not self.settings.accepts(peer[0].split("%")[0]):
+            self._rejected += 1
             connection.close()
             return
         connection.setblocking(False)
@@ -248,23 +248,23 @@ class LaunchMonitorServer:
         self._attend(selector, client, selectors.EVENT_WRITE)
 
     def _attend(self, selector: selectors.BaseSelector, client: _Client, events: int) -> None:
-        """Read from and write to `client`; whatever goes wrong ends this connection and no other."""
+        """Read from and write to `client`; an error closes this connection only."""
         try:
-            stays = True
+            connected = True
             if events & selectors.EVENT_READ and not client.closing:
-                stays = self._hear(client)
-            if stays:
-                stays = self._answer(selector, client)
-        except OSError:  # the other side has gone
-            stays = False
-        except Exception:  # a mistake here must not take the other monitors along
+                connected = self._receive(client)
+            if connected:
+                connected = self._answer(selector, client)
+        except OSError:  # the other side disconnected
+            connected = False
+        except Exception:  # an error here must not affect the other monitors
             self._failures += 1
-            stays = False
-        if not stays:
+            connected = False
+        if not connected:
             self._drop(selector, client)
 
-    def _hear(self, client: _Client) -> bool:
-        """Take what came; tell whether the connection still stands."""
+    def _receive(self, client: _Client) -> bool:
+        """Process received bytes; return whether the connection is still open."""
         try:
             data = client.connection.recv(_CHUNK)
         except BlockingIOError:
@@ -272,27 +272,27 @@ class LaunchMonitorServer:
         if not data:
             return False
         with self._lock:
-            heard = client.conversation.hear(data, self._clock())
-            self._records += heard.records
-            while len(self._records) > MOST_WAITING:
+            parsed = client.conversation.receive(data, self._clock())
+            self._records += parsed.records
+            while len(self._records) > MAX_WAITING:
                 self._records.popleft()
                 self._lost += 1
-            client.unread += heard.answer
-            client.closing = not heard.stays
+            client.unread += parsed.answer
+            client.closing = not parsed.keep_open
             if client.closing:
-                self._let_go += 1
+                self._disconnected += 1
         return True
 
     def _answer(self, selector: selectors.BaseSelector, client: _Client) -> bool:
-        """Send what waits; tell whether the connection still stands."""
+        """Send queued answers; return whether the connection is still open."""
         with self._lock:
             if client.unread:
                 with suppress(BlockingIOError):
                     del client.unread[: client.connection.send(client.unread)]
             left = len(client.unread)
-            if left > _MOST_UNREAD:
-                self._let_go += 1
-        if left > _MOST_UNREAD or (client.closing and not left):
+            if left > _MAX_UNREAD:
+                self._disconnected += 1
+        if left > _MAX_UNREAD or (client.closing and not left):
             return False
         wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if left else 0)
         selector.modify(client.connection, wanted, client)
@@ -303,15 +303,15 @@ class LaunchMonitorServer:
         for client in list(self._clients.values()):
             with self._lock:
                 client.conversation.check(now)
-                silent = now - client.conversation.heard > self.settings.silence
+                silent = now - client.conversation.last_received > self.settings.silence
             if client.closing or (silent and client.conversation.heartbeats):
-                self._let_go += not client.closing
+                self._disconnected += not client.closing
                 self._drop(selector, client)
 
     def _drop(self, selector: selectors.BaseSelector, client: _Client) -> None:
         with self._lock:
             if self._clients.pop(id(client), None) is None:
-                return  # dropped already, in the same round
+                return  # already dropped in this round
             client.conversation.end()
             self._counts.add(client.conversation.counts)
         with suppress(KeyError, ValueError):

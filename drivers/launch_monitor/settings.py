@@ -1,4 +1,4 @@
-"""Where launch monitors connect, what they may tell, and where our shots go."""
+"""Settings of launch monitors: connection, plausible figures, and the simulator to forward shots to."""
 
 from __future__ import annotations
 
@@ -16,55 +16,55 @@ Port = Annotated[int, Ge(1), Le(65535)]
 
 @dataclass(frozen=True)
 class SimulatorSettings:
-    """GSPro, or what speaks as it does, that is told of our shots."""
+    """GSPro or another Open Connect simulator to which shots are forwarded."""
 
     enabled: bool = False
     """Pass shots on."""
     address: str = "127.0.0.1"
     """Address where the simulator listens."""
     port: Port = 921
-    """Open Connect's own."""
+    """Port; 921 is the Open Connect standard."""
     longest_wait: Annotated[float, Gt(0.0), Le(600.0)] = 10.0
-    """s after which a shot that could not be passed on is no news any more."""
+    """Time after which a shot that could not be forwarded is dropped, s."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when `address` is none."""
+        """Raise ValueError if `address` is invalid."""
         _check_address("address", self.address)
 
 
 @dataclass(frozen=True)
 class LaunchMonitorSettings:
-    """Open Connect has neither passwords nor encryption: it stays on this machine unless told otherwise."""
+    """Open Connect has neither passwords nor encryption: by default it is limited to this machine."""
 
     enabled: bool = False
     """Listen for a launch monitor."""
     address: str = "127.0.0.1"
-    """Where we listen."""
+    """Address to listen at."""
     port: Port = 2921
-    """Open Connect's own, 921, takes the privilege to bind ports below 1024."""
+    """Port; the Open Connect standard 921 needs the privilege to bind ports below 1024."""
     clients: tuple[str, ...] = ()
-    """Addresses that may connect; empty: this machine's only."""
+    """Addresses that may connect; if empty, only this machine."""
     silence: Annotated[float, Ge(1.0), Le(3600.0)] = 30.0
-    """s after which a monitor that has sent heartbeats is taken for gone."""
+    """Time-out of a monitor that sends heartbeats, s."""
     device: str = "golfbench"
-    """What we call ourselves towards simulators."""
+    """Device name sent to simulators."""
     window: MatchWindow = field(default_factory=MatchWindow)
     plausible: PlausibleFigures = field(default_factory=PlausibleFigures)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
 
     def __post_init__(self) -> None:
-        """Raise ValueError when an address is none, or others than this machine could connect unnamed."""
+        """Raise ValueError if an address is invalid, or open to other machines without `clients`."""
         _check_address("address", self.address)
         for client in self.clients:
             _check_address("clients", client)
         if not self.clients and not ip_address(self.address).is_loopback:
             raise ValueError(
-                f"address: {self.address} is open to the network; name in clients who may connect, or listen "
-                "on 127.0.0.1"
+                f"address: {self.address} is open to the network; list the allowed addresses in clients, or "
+                "listen on 127.0.0.1"
             )
 
-    def lets_in(self, client: str) -> bool:
-        """Tell whether who calls from `client` may connect."""
+    def accepts(self, client: str) -> bool:
+        """Return whether address `client` may connect."""
         return client in self.clients if self.clients else ip_address(client).is_loopback
 
 
@@ -72,4 +72,4 @@ def _check_address(name: str, address: str) -> None:
     try:
         ip_address(address)
     except ValueError:
-        raise ValueError(f"{name}: an IP address as 127.0.0.1 or ::1, not {address!r}") from None
+        raise ValueError(f"{name}: an IP address such as 127.0.0.1 or ::1, not {address!r}") from None

@@ -1,1 +1,1 @@
-"""The simulated plant beside a running loop."""
+"""The simulated plant of a running bench."""

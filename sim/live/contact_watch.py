@@ -1,4 +1,4 @@
-"""Which balls a simulated plant launches: for whoever plays the launch monitor beside it."""
+"""Detect the balls that a simulated plant launches, for a simulated launch monitor."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from sim.truth import Contact, contact_in
 
 
 def warm_up() -> None:
-    """Compile what a contact's launch needs: the first ball must not wait for it."""
+    """Compile the launch computation, so that the first ball is not delayed."""
     at_rest = (0.0, 0.0, 0.0)
     _ = Contact(0.0, at_rest, at_rest, (60.0, 10.0, 0.0), (0.0, 0.0, -300.0)).launch
 
 
 class ContactWatch:
-    """Looks at the report of the plant in a folder; plants may come and go."""
+    """Reads the report of the plant in a folder; the plant may stop and restart."""
 
     def __init__(self, folder: Path) -> None:
-        """`folder` is the plant's; neither need be there yet."""
+        """Watch the plant in `folder`; neither need exist yet."""
         self._path = folder / REPORT_FILE
         self._report = np.zeros(1, PLANT_REPORT)
         self._shared: SharedRecord | None = None
@@ -30,14 +30,14 @@ class ContactWatch:
 
     @property
     def attached(self) -> bool:
-        """There was a plant when `look` was called last."""
+        """Whether a plant existed at the last call of `attach`."""
         return self._shared is not None
 
     def attach(self) -> None:
-        """See whether the plant is there, or another one than before; now and then is enough.
+        """Attach to the plant if it exists or was replaced; call it occasionally.
 
         Raises:
-            SharedMemoryError: there is one, of other code.
+            SharedMemoryError: the plant runs another version of the code.
         """
         try:
             inode = self._path.stat().st_ino
@@ -51,12 +51,12 @@ class ContactWatch:
             except SharedMemoryError:
                 if self._path.exists():
                     raise
-                return  # it went just now
+                return  # it was removed just now
             self._inode = inode
             self._contacts = int(self._report["contacts"][0]) if self._shared.read(self._report) else 0
 
     def look(self) -> Contact | None:
-        """Return how the newest ball was struck, None when that was known already."""
+        """Return the newest contact, None if already returned."""
         if self._shared is None or not self._shared.read(self._report):
             return None
         contacts = int(self._report["contacts"][0])
@@ -66,7 +66,7 @@ class ContactWatch:
         return contact_in(self._report["contact"])
 
     def close(self) -> None:
-        """Let go of the plant's file. Allowed twice."""
+        """Unmap the plant's file. May be called twice."""
         if self._shared is not None:
             self._shared.close()
         self._shared, self._inode = None, 0

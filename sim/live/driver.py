@@ -1,6 +1,6 @@
-"""The plant in its own process behind the driver contract: a bench whose valves outlive the loop.
+"""Driver of the plant in its own process: a bench whose valves keep running when the loop stops.
 
-Each call of a tick is a copy from or to shared memory; nothing waits. Times are CLOCK_MONOTONIC (s).
+Each call copies from or to shared memory without blocking. Times are CLOCK_MONOTONIC (s).
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from sim.live.valve_watchdog import Mode
 from sim.truth import Contact, contact_in
 
 _NEAR = 1e-9
-_BETWEEN_LOOKS = 0.0005
+_POLL_PERIOD = 0.0005
 _COUNTERS = 2**62 - 1
-"""So that counting on from garbage does not overflow."""
+"""Mask that keeps a counter from overflowing when it continues from garbage."""
 
 
 class ProcessPlantDriver:
     """The loop's side of `sim.live.process`.
 
-    `report` (PLANT_REPORT) is what the plant told last, truth and its node's state among it.
+    `report` (PLANT_REPORT) is the last report of the plant, with true state and node state.
     """
 
     def __init__(self, folder: Path | str, watchdog: float = 0.02, timeout: float = 1.0) -> None:
-        """`folder` is the plant's; `watchdog` (s) the longest that its node may have.
+        """Connect to the plant in `folder`, whose node's watchdog time may be at most `watchdog` (s).
 
         `timeout` (s) bounds how long `open` waits for the node.
         """
         self.folder, self.watchdog, self.timeout = Path(folder), watchdog, timeout
         self.report = np.zeros(1, PLANT_REPORT)
         self.applied = PASSIVE
-        """The command sent last, within the device's limits."""
+        """Last command sent, within the device's limits."""
         self._readings, self._operational = self.report["readings"], self.report["node"]["operational"]
         self._truth = [(name, self.report["truth"][name]) for name in TRUTH.names or ()]
         self._outgoing = np.zeros(1, PLANT_COMMAND)
@@ -50,17 +50,17 @@ class ProcessPlantDriver:
 
     @property
     def operational(self) -> bool:
-        """Whether the node obeyed when the plant reported last."""
+        """Whether the node followed commands in the last report."""
         return bool(self._operational[0])
 
     def open(self) -> None:
-        """Attach, read back the node's watchdog and set the node operational, passive at first.
+        """Attach, read back the node's watchdog and set the node operational with the passive command.
 
         Raises:
-            DriverError: open already, no plant, one whose watchdog is absent or too long, or no answer.
+            DriverError: already open, no plant, watchdog missing or too long, or no answer.
         """
         if self._sender is not None:
-            raise DriverError("plant driver: open() found it open already; call close() first")
+            raise DriverError("plant driver: open() while already open; call close() first")
         try:
             self._incoming = SharedRecord.open(self.folder / REPORT_FILE, PLANT_REPORT)
             self._sender = SharedRecord.open(self.folder / COMMAND_FILE, PLANT_COMMAND)
@@ -74,17 +74,17 @@ class ProcessPlantDriver:
             raise
 
     def read(self, time: float) -> Readings:
-        """Return the plant's newest readings with their ages at `time` (s); old when the plant stands still.
+        """Return the plant's newest readings with their ages at `time` (s); they age if the plant stalls.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         if self._incoming is None:
             raise _closed("read")
         if not self._last_time <= time < math.inf:
             raise DriverError(
-                f"plant driver: read() found time {time} s, expected a finite one from {self._last_time} s "
-                "on; give it CLOCK_MONOTONIC"
+                f"plant driver: read() at invalid time {time} s, expected finite and at least "
+                f"{self._last_time} s; pass CLOCK_MONOTONIC"
             )
         self._last_time = time
         self._incoming.read(self.report)
@@ -111,7 +111,7 @@ class ProcessPlantDriver:
         )
 
     def write(self, command: Command) -> Command:
-        """Send `command` within the device's limits; return it, PASSIVE when the node said it has let go.
+        """Send `command` within the device's limits; return it, or PASSIVE if the node went passive.
 
         Raises:
             DriverError: not open.
@@ -122,30 +122,30 @@ class ProcessPlantDriver:
         return self.applied if self._operational[0] else PASSIVE
 
     def make_passive(self) -> None:
-        """Send the passive command if the device is open; else it is passive already."""
+        """Send the passive command if the device is open; otherwise already passive."""
         self.applied = PASSIVE
-        with suppress(Exception):  # never raises, whatever became of the plant
+        with suppress(Exception):  # never raises, whatever the state of the plant
             self._send(PASSIVE)
 
     def close(self) -> None:
-        """Take the node out of operation, which leaves it passive, and let go of the plant."""
+        """Stop the node, which makes it passive, and detach from the plant."""
         self.applied = PASSIVE
-        with suppress(Exception):  # whatever became of the plant
+        with suppress(Exception):  # whatever the state of the plant
             self._send(PASSIVE, Mode.STOP)
         self._detach()
 
     def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
-        """Write the fields `plant_*` of a CYCLE record (a one-element array), of the readings' tick."""
+        """Write the fields `plant_*` of a CYCLE record (a one-element array) at the readings' tick."""
         for name, value in self._truth:
             cycle[name] = value
 
     @property
     def contact(self) -> Contact | None:
-        """How the ball last on the tee was struck, its time CLOCK_MONOTONIC; None when it was not."""
+        """Contact with the last ball on the tee, in CLOCK_MONOTONIC; None if it was not struck."""
         return contact_in(self.report["contact"])
 
     def _enable(self, deadline: float) -> None:
-        """Begin a session with the node, and wait for its answer until `deadline` (s)."""
+        """Start a session with the node and wait for its answer until `deadline` (s)."""
         node = self.report["node"]
         while not self._look():
             self._wait(deadline, "no report")
@@ -156,7 +156,7 @@ class ProcessPlantDriver:
                 f"plant driver: open() read back the node's watchdog: found {found}, expected one of at most "
                 f"{self.watchdog:g} s; start the plant with a shorter one, or raise driver.watchdog"
             )
-        # On from what was sent last, which the node need not have heard yet.
+        # Continue from the last command sent, which the node may not have received yet.
         if self._sender is not None:
             self._sender.read(self._outgoing)
         self._counter = max(int(self._outgoing["counter"][0]), int(node["counter"][0])) & _COUNTERS
@@ -172,9 +172,9 @@ class ProcessPlantDriver:
         if wall.monotonic() > deadline:
             raise DriverError(
                 f"plant driver: open() found {found} within {self.timeout:g} s, expected the plant process "
-                f"at {self.folder} to answer; start it, or end and start one that hangs"
+                f"at {self.folder} to answer; start it, or restart it if it hangs"
             )
-        wall.sleep(_BETWEEN_LOOKS)
+        wall.sleep(_POLL_PERIOD)
 
     def _send(self, command: Command, mode: Mode = Mode.OPERATE) -> None:
         if self._sender is not None:
@@ -192,4 +192,4 @@ class ProcessPlantDriver:
 
 
 def _closed(call: str) -> DriverError:
-    return DriverError(f"plant driver: {call}() found it closed, expected it open; call open() first")
+    return DriverError(f"plant driver: {call}() while closed; call open() first")

@@ -1,7 +1,7 @@
-"""What a loop and the software plant in its own process have in common: a plan, and three shared records.
+"""Interface between loop and plant process: a plan, and three shared records.
 
-All lie in one folder of memory. `PLANT_COMMAND` goes from the loop to the plant, `PLANT_REPORT` back, and
-`PLANT_SURROUNDINGS` comes from whoever plays the operator and the faults (`sim.live.surroundings`).
+All are in one folder of shared memory. `PLANT_COMMAND` goes from the loop to the plant, `PLANT_REPORT` back,
+and `PLANT_SURROUNDINGS` carries operator actions and faults (`sim.live.surroundings`).
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ SURROUNDINGS_FILE = "plant-surroundings"
 
 @dataclass(frozen=True)
 class PlantPlan:
-    """What the plant's process is started with."""
+    """Parameters of the plant process."""
 
     folder: Path
-    """Of shared memory; the plant makes its files in it, replaces those of a dead one, and removes them."""
+    """Folder of shared memory, in which the plant creates, replaces and finally removes its files."""
     plant: PlantParameters
     watchdog: float
-    """Silence after which the valve node goes passive by itself, s."""
+    """Watchdog time of the valve node, s."""
     angle: Triple | None = None
-    """Joint angles at the start, rad; as the robot hangs when None."""
+    """Joint angles at the start, rad; None for the hanging pose."""
     priority: int = 0
-    """SCHED_FIFO priority asked for, one below the loop's; 0: none."""
+    """Requested SCHED_FIFO priority, one below the loop's; 0 for none."""
     cpu: int = -1
-    """The core it stays on; -1: any."""
+    """Processor core; -1 for any."""
     burst: int = 5
-    """Most ticks made up at once after a stall; what is left slips."""
+    """Max ticks caught up at once after a stall; the rest slips."""
     lonely: float = 5.0
-    """Without a command for so long (s), and without the process that started it, the plant ends."""
+    """Time without a command after which an orphaned plant ends, s."""
     faults: tuple[Fault, ...] = ()
-    """What breaks; no onset by phase, as the plant knows none."""
+    """Faults; no onset by phase, as the plant does not know phases."""
 
 
 PLANT_COMMAND = np.dtype(
@@ -65,7 +65,7 @@ TRUTH = np.dtype(
     ],
     align=True,
 )
-"""The fields of a cycle record that only the plant knows, same names."""
+"""Fields of a cycle record that only the plant knows, same names."""
 
 CONTACT = np.dtype(
     [
@@ -77,7 +77,7 @@ CONTACT = np.dtype(
     ],
     align=True,
 )
-"""How the ball that was last on the tee was struck, as in PLANT_STATE: `sim.truth.contact_in` reads it."""
+"""Contact with the last ball on the tee, as in PLANT_STATE: `sim.truth.contact_in` reads it."""
 
 NODE = np.dtype(
     [
@@ -95,8 +95,8 @@ NODE = np.dtype(
 )
 """The valve node, fields as in `sim.live.valve_watchdog`.
 
-`counter` of the command heard last, the ticks at which one was obeyed last and at which the watchdog struck
-last, and the command in force. `watchdog` is in s.
+`counter` of the last command received, the ticks of the last applied command and of the last watchdog trip,
+and the command in force. `watchdog` is in s.
 """
 
 PLANT_REPORT = np.dtype(
@@ -114,13 +114,13 @@ PLANT_REPORT = np.dtype(
         ("plant_slips", "i8"),
         ("slipped_ticks", "i8"),
         ("lateness", "f8"),
-        ("greatest_lateness", "f8"),
+        ("max_lateness", "f8"),
     ],
     align=True,
 )
-"""One tick of the plant. Times are CLOCK_MONOTONIC (s). `contacts` counts struck balls, `ticks` those that
-the plant has lived through: its own clock, which stands still where it slips. `plant_slips` counts the slips,
-`slipped_ticks` the ticks lost in them; `lateness` (s) is how long after its instant this tick began."""
+"""One tick of the plant. Times are CLOCK_MONOTONIC (s). `contacts` counts struck balls, `ticks` the executed
+ticks: the plant's own clock, which stops during a slip. `plant_slips` counts the slips, `slipped_ticks` the
+ticks lost in them; `lateness` (s) is the delay of this tick."""
 
 BALL = np.dtype(
     [
@@ -132,7 +132,7 @@ BALL = np.dtype(
     ],
     align=True,
 )
-"""What the impact needs of a `sim.ball.Ball`, same names; all zero: the plan's ball."""
+"""Fields of a `sim.ball.Ball` for the impact, same names; all zero for the plan's ball."""
 
 PLANT_SURROUNDINGS = np.dtype(
     [
@@ -147,5 +147,5 @@ PLANT_SURROUNDINGS = np.dtype(
     ],
     align=True,
 )
-"""`frozen`: readings stay as they are, with their old time stamps. Whenever `ball_handled` changes, the tee
-is made full or empty as `ball_present` says; `ball` is what lies there next."""
+"""`frozen`: readings and their time stamps freeze. Whenever `ball_handled` changes, the ball is placed or
+removed according to `ball_present`; `ball` is the next ball."""

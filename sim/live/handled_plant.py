@@ -13,18 +13,18 @@ from sim.plant import Plant
 
 
 class HandledPlant:
-    """Applies what happens around the robot to a plant and its state."""
+    """Applies operator actions and surroundings to a plant and its state."""
 
     def __init__(self, plant: Plant, state: np.ndarray[Any, Any]) -> None:
         """Act on `plant` and its `state` (PLANT_STATE)."""
         self._plant, self._state = plant, state
         self.frozen = False
-        """Readings stay as they are, with their old time stamps."""
+        """Whether readings and their time stamps are frozen."""
         self._ball_handled = 0
         self._ball = np.zeros(1, BALL).tobytes()
 
-    def surround(self, record: np.ndarray[Any, Any]) -> None:
-        """Take over a PLANT_SURROUNDINGS record."""
+    def set_surroundings(self, record: np.ndarray[Any, Any]) -> None:
+        """Apply a PLANT_SURROUNDINGS record."""
         state, new = self._state, record[0]
         for name in ("emergency_stop_clear", "guard_closed", "local_reset"):
             state[name] = bool(new[name])
@@ -40,7 +40,7 @@ class HandledPlant:
             self._change_ball(new["ball"])
 
     def _change_ball(self, ball: Any) -> None:
-        """Strike another ball from here on; one that is no ball is not taken."""
+        """Use another ball from now on; an invalid one is ignored."""
         parameters = self._plant.parameters
         try:
             fields = dict(zip(BALL.names or (), ball.item(), strict=True))

@@ -1,7 +1,7 @@
-"""The plant in step with the loop, in a bench that lives: its surroundings can be changed, its balls seen.
+"""Driver of a plant paced by the loop, with controllable surroundings and reported contacts.
 
-The files are those of a plant process (`sim.live.exchange`), so that whoever plays the operator or the
-launch monitor need not know which of the two it is. Of the report only the contact is kept up.
+The files are those of a plant process (`sim.live.exchange`), so that operator and launch monitor simulations
+work with both. Only the contact is updated in the report.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from sim.plant import PlantParameters
 
 
 class PacedPlantDriver:
-    """A `sim.driver.SimDriver` with hands and eyes around it."""
+    """A `sim.driver.SimDriver` with surroundings and contact reports in shared memory."""
 
     def __init__(
         self, folder: Path, plant: PlantParameters, *, faults: tuple[Fault, ...] = (), watchdog: float = 0.02
     ) -> None:
-        """`folder` is the bench's, where the files are while it is open; `faults` as of the `SimDriver`."""
+        """Use `folder` of the bench for the files; `faults` as for `SimDriver`."""
         self._folder = folder
         self._driver = SimDriver(plant, faults=faults, watchdog=watchdog, seed=plant.seed)
         self.note_truth = self._driver.note_truth
@@ -40,18 +40,18 @@ class PacedPlantDriver:
 
     @property
     def operational(self) -> bool:
-        """Unless a fault silenced the link for too long: the plant moves only when it is read."""
+        """Whether the device follows commands; false only after a fault silenced the link too long."""
         return self._driver.operational
 
-    def tell_phase(self, phase: int) -> None:
-        """Hear the bench's phase before a tick, for faults that begin with one."""
+    def set_phase(self, phase: int) -> None:
+        """Set the bench's phase before a tick, for faults with an onset by phase."""
         self._driver.phase = phase
 
     def open(self) -> None:
-        """Make the files and start with the passive command.
+        """Create the files and start with the passive command.
 
         Raises:
-            DriverError: it is open already, or the files cannot be made.
+            DriverError: already open, or the files cannot be created.
         """
         self._driver.open()
         try:
@@ -62,19 +62,19 @@ class PacedPlantDriver:
         self._surrounded = 0
 
     def read(self, time: float) -> Readings:
-        """Move the plant on to `time` (s), tell of a ball that was struck, return what its sensors show.
+        """Advance the plant to `time` (s), report a struck ball, return the readings.
 
         Raises:
-            DriverError: not open, or `time` is not finite or before the last one.
+            DriverError: not open, or `time` is not finite or earlier than the last.
         """
         if self._files is not None and self._files.surroundings.newest != self._surrounded:
             self._surrounded = self._files.surroundings.read(self._surroundings)
-            self._handled.surround(self._surroundings)
+            self._handled.set_surroundings(self._surroundings)
         readings = self._driver.read(time)
         if (struck := bool(self._driver.plant_state["struck"][0])) != self._was_struck:
             self._was_struck = struck
             if struck:
-                self._tell_contact()
+                self._report_contact()
         if self._handled.frozen and (last := self._readings) is not None:
             a, b, c = last.encoder_time
             return last._replace(time=time, encoder_age=(time - a, time - b, time - c))
@@ -82,7 +82,7 @@ class PacedPlantDriver:
         return readings
 
     def write(self, command: Command) -> Command:
-        """Apply `command` within the device's limits; DriverError when it is not open."""
+        """Apply `command` within the device's limits; DriverError if not open."""
         return self._driver.write(command)
 
     def make_passive(self) -> None:
@@ -90,14 +90,14 @@ class PacedPlantDriver:
         self._driver.make_passive()
 
     def close(self) -> None:
-        """Leave the device passive and closed, in any state, and remove the files."""
+        """Make the device passive, close it in any state, and remove the files."""
         self._driver.close()
         if self._files is not None:
             self._files.close()
             self._files = None
 
-    def _tell_contact(self) -> None:
-        """Write how club and ball met; their time is the loop's."""
+    def _report_contact(self) -> None:
+        """Write the contact of club and ball, with loop time."""
         report: Any = self._report
         for name in CONTACT.names or ():
             report["contact"][name] = self._driver.plant_state[name]

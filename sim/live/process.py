@@ -1,9 +1,9 @@
-"""The software plant as a process of its own: it lives on the wall's clock, whatever becomes of the loop.
+"""The plant process: simulates the plant in wall-clock time, independent of the loop.
 
-`python -m sim.live.process` takes a pickled PlantPlan on stdin and tells of itself with JSON lines on
-stdout: "ready" once its code is warm and its files stand, "failed" with the reason, "stopped" with the
-reason. It ends on SIGTERM, when another plant has taken its folder, or when the process that started it is
-gone and no command has come for a while. Passive it runs on: the robot sinks, the chambers vent.
+`python -m sim.live.process` reads a pickled PlantPlan on stdin and reports JSON lines on stdout: "ready" once
+its code is compiled and its files exist, "failed" with the reason, "stopped" with the reason. It ends on
+SIGTERM, when another plant has taken its folder, or when its parent is gone and no command has come for a
+while. While passive it keeps running: the robot sinks, the chambers vent.
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ from sim.live.exchange import (
 from sim.live.wall_grid import WallGrid
 from sim.live.wall_plant import WallPlant
 
-_BETWEEN_LOOKS = 0.02
-"""s between two looks at signals, parent and files."""
+_POLL_PERIOD = 0.02
+"""Polling period of signals, parent and files, s."""
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_SET_THP_DISABLE = 29, 41
 
 
-# The side of the one who starts it -------------------------------------------------------------------
+# Starting the process --------------------------------------------------------------------------------
 
 
 def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[bytes]:
-    """Start the plant's process and wait until it is ready; `timeout` (s) covers compiling everything.
+    """Start the plant process and wait until it is ready; `timeout` (s) includes compiling.
 
-    Its stdout stays open for later events. End it with `terminate()`, and `with` closes its pipes.
+    Its stdout stays open for later events. End it with `terminate()`; `with` closes its pipes.
 
     Raises:
-        DriverError: it failed, ended or was not ready in time; it runs no longer then.
+        DriverError: it failed, ended or was not ready in time; it is stopped then.
     """
-    # What this process can import, its child can; one BLAS thread, for every other one disturbs the timing.
+    # The child gets this process' import path; one BLAS thread, as further threads disturb the timing.
     path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(
@@ -78,8 +78,8 @@ def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[byt
 
 def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: float) -> None:
     if process.stdin is None or process.stdout is None:
-        raise DriverError("plant process: it was started without pipes")
-    with suppress(BrokenPipeError), process.stdin:  # should it be dead already, its stdout tells
+        raise DriverError("plant process: started without pipes")
+    with suppress(BrokenPipeError), process.stdin:  # if already dead, its stdout has the reason
         process.stdin.write(pickle.dumps(plan))
     heard = b""
     while True:
@@ -87,24 +87,24 @@ def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: fl
         for event in filter(None, map(_event, lines)):
             if event["event"] == "ready":
                 return
-            raise DriverError(f"plant process: it told {event['event']!r}: {event.get('reason', '')}")
+            raise DriverError(f"plant process: {event['event']}: {event.get('reason', '')}")
         heard = rest
         left = deadline - time.monotonic()
         if left <= 0.0 or not select.select([process.stdout], [], [], left)[0]:
             raise DriverError(
-                "plant process: found it not ready in time, expected it to be; the first start compiles for "
-                "about half a minute: start it again, with a NUMBA_CACHE_DIR that is kept"
+                "plant process: not ready in time; the first start compiles for about half a minute: "
+                "restart it, with a persistent NUMBA_CACHE_DIR"
             )
         new = os.read(process.stdout.fileno(), 4096)
         if not new:
             raise DriverError(
-                f"plant process: it ended with exit code {process.wait()} before it was ready; see its stderr"
+                f"plant process: ended with exit code {process.wait()} before it was ready; see its stderr"
             )
         heard += new
 
 
 def _event(line: bytes) -> dict[str, Any] | None:
-    """Return the event told in `line`, None when it is no event."""
+    """Return the event in `line`, None if invalid."""
     with suppress(ValueError):
         event = json.loads(line)
         if isinstance(event, dict) and isinstance(event.get("event"), str):
@@ -116,9 +116,9 @@ def _event(line: bytes) -> dict[str, Any] | None:
 
 
 def main() -> int:
-    """Be the plant that the plan on stdin describes; return the exit code."""
+    """Run the plant of the plan on stdin; return the exit code."""
     parent = os.getppid()
-    for number in (signal.SIGINT, signal.SIGABRT):  # they go to all processes at once; the parent decides
+    for number in (signal.SIGINT, signal.SIGABRT):  # sent to the whole process group; the parent decides
         signal.signal(number, signal.SIG_IGN)
     try:
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
@@ -128,27 +128,27 @@ def main() -> int:
         plant = WallPlant(plan)
         with PlantFiles(plan.folder) as files:
             scheduling = ask_for_scheduling(plan)
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # looked for between ticks
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # polled between ticks
             gc.collect()
             gc.freeze()
             gc.disable()
-            tell("ready", pid=os.getpid(), scheduling=scheduling)
+            send_event("ready", pid=os.getpid(), scheduling=scheduling)
             reason = _live(plan, plant, files, lambda: _is_orphan(parent))
-        tell("stopped", reason=reason)
+        send_event("stopped", reason=reason)
         return 0
     except (ValueError, TypeError, pickle.UnpicklingError, EOFError, SharedMemoryError) as error:
-        tell("failed", reason=f"{error}")
+        send_event("failed", reason=f"{error}")
     except Exception as error:
-        tell("failed", reason=f"{type(error).__name__}: {error}")
+        send_event("failed", reason=f"{type(error).__name__}: {error}")
         raise
     return 1
 
 
 class PlantFiles:
-    """The three shared records, made in place of what a dead plant left, removed at the end."""
+    """The three shared records; stale ones are replaced, and the files are removed at the end."""
 
     def __init__(self, folder: Path) -> None:
-        """Make them in `folder`; SharedMemoryError when that fails."""
+        """Create the files in `folder`; SharedMemoryError on failure."""
         self._stack = ExitStack()
         self._paths: dict[Path, int] = {}
         try:
@@ -161,11 +161,11 @@ class PlantFiles:
 
     @property
     def are_there(self) -> bool:
-        """They still lie in the folder: nobody removed or replaced them."""
+        """Whether the files still exist and have not been replaced."""
         return all(_number(path) == number for path, number in self._paths.items())
 
     def close(self) -> None:
-        """Unmap and remove them, but not those of a successor."""
+        """Unmap and remove the files, but not those of a successor."""
         self._stack.close()
 
     def __enter__(self) -> PlantFiles:
@@ -175,7 +175,7 @@ class PlantFiles:
         self.close()
 
     def _make(self, path: Path, dtype: np.dtype[Any]) -> SharedRecord:
-        with suppress(OSError):  # a folder that cannot be written shows in the next line
+        with suppress(OSError):  # an unwritable folder fails in the next line
             path.unlink(missing_ok=True)
         record = SharedRecord.create(path, dtype)
         self._paths[path] = _number(path)
@@ -189,7 +189,7 @@ class PlantFiles:
 
 
 def _number(path: Path) -> int:
-    """Return the inode at `path`, 0 when there is none."""
+    """Return the inode at `path`, 0 if missing."""
     try:
         return path.stat().st_ino
     except OSError:
@@ -197,17 +197,17 @@ def _number(path: Path) -> int:
 
 
 def _warm_up(plan: PlantPlan) -> None:
-    """Call everything once that a tick calls, on a plant of its own."""
+    """Call every function of a tick once, on a separate plant."""
     plant = WallPlant(plan)
-    plant.hear(new_record(PLANT_COMMAND))
-    plant.surround(new_record(PLANT_SURROUNDINGS))
+    plant.receive(new_record(PLANT_COMMAND))
+    plant.set_surroundings(new_record(PLANT_SURROUNDINGS))
     plant.move(plan.plant.tick)
-    plant.tell()
+    plant.update_report()
 
 
 def ask_for_scheduling(plan: PlantPlan) -> str:
-    """Ask for the plan's core and priority; return what was granted."""
-    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; by default a sleep may last 50 us longer
+    """Request the plan's core and priority; return what was granted."""
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; by default a sleep may last 50 us longer
     granted = []
     if plan.cpu >= 0:
         with suppress(OSError):
@@ -217,8 +217,8 @@ def ask_for_scheduling(plan: PlantPlan) -> str:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(plan.priority))
     is_fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
     granted.append(f"SCHED_FIFO {os.sched_getparam(0).sched_priority}" if is_fifo else "SCHED_OTHER")
-    # All stays in memory, where it is: a page fetched from disk in a tick is a stall of milliseconds, small
-    # pages gathered into a huge one are a stall of one.
+    # Lock all memory: a page fault from disk stalls a tick for milliseconds, collapsing small pages into a
+    # huge one for one millisecond.
     ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
     locked = ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0
     granted.append("memory locked" if locked else "memory not locked")
@@ -227,11 +227,11 @@ def ask_for_scheduling(plan: PlantPlan) -> str:
 
 
 def _live(plan: PlantPlan, plant: WallPlant, files: PlantFiles, is_orphan: Callable[[], bool]) -> str:
-    """Run the plant on the wall's clock; return why it ended."""
+    """Run the plant in wall-clock time; return why it ended."""
     command, surroundings = new_record(PLANT_COMMAND), new_record(PLANT_SURROUNDINGS)
     report = plant.report
     clock, sleep = time.monotonic, time.sleep
-    heard_counter, heard_time = 0, clock()
+    last_counter, last_command_time = 0, clock()
     looked, surrounded = 0.0, 0
     grid = WallGrid(plan.plant.tick, clock(), plan.burst)
     while True:
@@ -242,27 +242,27 @@ def _live(plan: PlantPlan, plant: WallPlant, files: PlantFiles, is_orphan: Calla
             continue
         due = grid.take_due(now)
         if files.command.read(command):
-            plant.hear(command)
+            plant.receive(command)
         if (version := files.surroundings.read(surroundings)) != surrounded:
             surrounded = version
-            plant.surround(surroundings)
+            plant.set_surroundings(surroundings)
         for _ in range(due):
             plant.move(grid.instant)
             grid.line += 1
-        plant.tell()
+        plant.update_report()
         report["lateness"] = -early
-        report["greatest_lateness"] = max(report["greatest_lateness"][0], -early)
+        report["max_lateness"] = max(report["max_lateness"][0], -early)
         report["plant_slips"], report["slipped_ticks"] = grid.slips, grid.slipped_ticks
         files.report.write(report)
-        if now - looked > _BETWEEN_LOOKS:
+        if now - looked > _POLL_PERIOD:
             looked = now
-            if plant.node.counter != heard_counter:
-                heard_counter, heard_time = plant.node.counter, now
+            if plant.node.counter != last_counter:
+                last_counter, last_command_time = plant.node.counter, now
             if signal.SIGTERM in signal.sigpending():
                 return "SIGTERM"
             if not files.are_there:
                 return "another plant took the folder, or its files were removed"
-            if now - heard_time > plan.lonely and is_orphan():
+            if now - last_command_time > plan.lonely and is_orphan():
                 return f"its parent is gone and no command has come for {plan.lonely:g} s"
 
 
@@ -270,8 +270,8 @@ def _is_orphan(parent: int) -> bool:
     return os.getppid() != parent
 
 
-def tell(event: str, **fields: object) -> None:
-    """Tell the parent, if it still listens."""
+def send_event(event: str, **fields: object) -> None:
+    """Send an event to the parent, if it still reads."""
     with suppress(OSError):
         sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
         sys.stdout.flush()

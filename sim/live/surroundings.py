@@ -1,4 +1,4 @@
-"""What happens around the robot of a plant process: the operator's hands, and faults that are put in."""
+"""Surroundings of a plant process: operator actions and injected faults."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _QUIET = {"emergency_stop_clear": True, "guard_closed": True, "encoder_valid": 1
 
 
 class SurroundingsWriter:
-    """The one writer of the surroundings; what another one left stands until it is changed."""
+    """The single writer of the surroundings; values of an earlier writer remain until changed."""
 
     def __init__(self, folder: Path) -> None:
-        """Attach to the plant whose files lie in `folder`; SharedMemoryError when there is none."""
+        """Attach to the plant with files in `folder`; SharedMemoryError if missing."""
         self._shared = SharedRecord.open(folder / SURROUNDINGS_FILE, PLANT_SURROUNDINGS)
         self._record = np.zeros(1, PLANT_SURROUNDINGS)
         if not self._shared.read(self._record):
@@ -34,7 +34,7 @@ class SurroundingsWriter:
         encoder_valid: tuple[bool, bool, bool] | None = None,
         frozen: bool | None = None,
     ) -> None:
-        """Change what is given and leave the rest; `frozen` keeps readings and their times as they are."""
+        """Change the given values only; `frozen` freezes readings and their time stamps."""
         for name, value in {
             "emergency_stop_clear": emergency_stop_clear,
             "guard_closed": guard_closed,
@@ -47,16 +47,16 @@ class SurroundingsWriter:
         self._shared.write(self._record)
 
     def place_ball(self, ball: Ball | None = None) -> None:
-        """Put a ball on the tee by hand: the plan's, or another one."""
+        """Put a ball on the tee by hand, by default the plan's ball."""
         self.choose_ball(ball)
         self._handle_ball(True)
 
     def take_ball(self) -> None:
-        """Take the ball away, if there is one."""
+        """Remove the ball, if present."""
         self._handle_ball(False)
 
     def choose_ball(self, ball: Ball | None) -> None:
-        """Let the tee raise balls like this one from here on; None: the plan's."""
+        """Let the tee supply this ball from now on; None for the plan's ball."""
         self._record["ball"] = 0
         if ball is not None:
             for name in BALL.names or ():
@@ -64,7 +64,7 @@ class SurroundingsWriter:
         self._shared.write(self._record)
 
     def close(self) -> None:
-        """Let go of the file; the surroundings stay as they are. Allowed twice."""
+        """Unmap the file; the surroundings remain. May be called twice."""
         self._shared.close()
 
     def __enter__(self) -> SurroundingsWriter:

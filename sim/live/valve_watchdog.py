@@ -1,10 +1,10 @@
-"""The valve node: what takes the commands of a loop, and lets go of the valves when they stop coming.
+"""The valve node: applies the commands of a loop and goes passive when they stop.
 
 It behaves as a CANopen node with a watchdog on its commands. After power-up it is passive. START with the
 number of the next session sets it operational; its watchdog runs from the first command of that session on.
-When no new command comes for the watchdog's time the node goes passive by itself and stays so until it is
-started again: a later command alone does not revive it. Commands of another session, such as those of a loop
-that was stopped and runs on after its successor took over, are not heard at all.
+Without a new command for the watchdog time the node goes passive and stays so until it is restarted: a later
+command alone does not reactivate it. Commands of another session, such as those of a stopped loop that
+resumes after its successor took over, are ignored.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from drivers.base import PASSIVE, Command, device_limited
 
 
 class Mode(IntEnum):
-    """What the node is to do with a command."""
+    """Action requested with a command."""
 
     STOP = 0
-    """Go passive, and obey nothing more in this session."""
+    """Go passive and ignore further commands of this session."""
     OPERATE = 1
-    """Apply it."""
+    """Apply the command."""
     START = 2
-    """Begin the next session, passive at first."""
+    """Start the next session, initially passive."""
 
 
 class ValveNode:
@@ -31,21 +31,21 @@ class ValveNode:
     def __init__(self, watchdog_ticks: int) -> None:
         self.watchdog_ticks = watchdog_ticks
         self.applied = PASSIVE
-        """The command in force."""
+        """Command in force."""
         self.session = 0
         self.operational = False
         self.passive_by_watchdog = False
         self.trips = 0
         self.counter = 0
-        """Of the command heard last."""
+        """Counter of the last command received."""
         self.command_tick = 0
-        """When a command was obeyed last."""
+        """Tick of the last applied command."""
         self.passive_tick = 0
-        """When the watchdog struck last."""
+        """Tick of the last watchdog trip."""
         self._watched = False
 
-    def hear(self, tick: int, counter: int, session: int, mode: int, command: Command) -> None:
-        """Take what stands in the loop's record at `tick`; the same `counter` again is no new command."""
+    def receive(self, tick: int, counter: int, session: int, mode: int, command: Command) -> None:
+        """Process the loop's command record at `tick`; an unchanged `counter` is not a new command."""
         if counter == self.counter:
             return
         if mode == Mode.START:
@@ -64,7 +64,7 @@ class ValveNode:
         self.counter = counter
 
     def watch(self, tick: int) -> None:
-        """Go passive at `tick` when no command was heard for too long."""
+        """Go passive at `tick` if no command was received within the watchdog time."""
         if self.operational and self._watched and tick - self.command_tick >= self.watchdog_ticks:
             self.operational, self.passive_by_watchdog = False, True
             self.applied, self.passive_tick = PASSIVE, tick

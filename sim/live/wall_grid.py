@@ -1,4 +1,4 @@
-"""Ticks on the wall's clock: late ones are made up, at most some at once, and the rest is let go."""
+"""Ticks in wall-clock time: a limited number of late ticks is caught up, the rest is skipped."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ class WallGrid:
     def __init__(self, period: float, now: float, burst: int) -> None:
         self.period, self.burst = period, burst
         self.line = ceil(now / period)
-        """Number of the next tick; its instant is that many periods."""
+        """Number of the next tick; due at this multiple of the period."""
         self.slips = 0
         self.slipped_ticks = 0
 
     @property
     def instant(self) -> float:
-        """When the next tick is due, s."""
+        """Time at which the next tick is due, s."""
         return self.line * self.period
 
     def take_due(self, now: float) -> int:
-        """Return how many ticks are to be done at `now` (s), 0 … burst, after slipping what is too late.
+        """Return how many ticks are due at `now` (s), 0 … burst, after skipping those too late.
 
-        The caller does them and adds one to `line` for each.
+        The caller executes them and adds one to `line` for each.
         """
         due = floor(now / self.period) - self.line + 1
         if due > self.burst:

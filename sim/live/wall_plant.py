@@ -1,4 +1,4 @@
-"""The plant with its valve node and its surroundings, moved tick by tick at instants that are given."""
+"""The plant with its valve node and surroundings, advanced tick by tick at given times."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from sim.plant import advance, build_plant, initial_state, sense
 from sim.truth import note_truth
 
 _NEAR = 1e-6
-"""Share of a tick by which the watchdog may fall short of one, for rounding."""
+"""Rounding tolerance of the watchdog time, as a share of a tick."""
 
 
 class WallPlant:
-    """Everything of the plant's process but the process: no clock, no shared memory.
+    """The logic of the plant process, without clock and shared memory.
 
-    `report` (PLANT_REPORT) holds what is told of the last tick.
+    `report` (PLANT_REPORT) describes the last tick.
     """
 
     def __init__(self, plan: PlantPlan) -> None:
-        """Stand vented at the plan's angles.
+        """Start vented at the plan's angles.
 
         Raises:
-            ValueError: parameters, angles or watchdog do not hold.
+            ValueError: parameters, angles or watchdog are invalid.
         """
         self.plant = build_plant(plan.plant)
         angle = np.asarray(hanging_pose(plan.plant) if plan.angle is None else plan.angle, dtype=float)
@@ -55,7 +55,7 @@ class WallPlant:
             self.plant = own_records(self.plant)
             self.faults = new_faults(plan.faults, self.plant, watchdog=math.inf, seed=plan.plant.seed)
         self.link_up = True
-        """Whether commands arrive in this tick."""
+        """Whether commands are received in this tick."""
         self.state = initial_state(self.plant, angle)
         self.node = ValveNode(watchdog_ticks)
         self.ticks = 0
@@ -69,19 +69,19 @@ class WallPlant:
         self._handled = HandledPlant(self.plant, self.state)
         sense(self.plant.plant, self.state, self._readings)
 
-    def hear(self, record: np.ndarray[Any, Any]) -> None:
-        """Let the valve node hear a PLANT_COMMAND record."""
+    def receive(self, record: np.ndarray[Any, Any]) -> None:
+        """Pass a PLANT_COMMAND record to the valve node."""
         if not self.link_up:
             return
         counter, session, mode, _ = record.item()
-        self.node.hear(self.ticks, counter, session, mode, unpack_command(record["command"]))
+        self.node.receive(self.ticks, counter, session, mode, unpack_command(record["command"]))
 
-    def surround(self, record: np.ndarray[Any, Any]) -> None:
-        """Take over a PLANT_SURROUNDINGS record."""
-        self._handled.surround(record)
+    def set_surroundings(self, record: np.ndarray[Any, Any]) -> None:
+        """Apply a PLANT_SURROUNDINGS record."""
+        self._handled.set_surroundings(record)
 
     def move(self, instant: float) -> None:
-        """Move on by one tick, which ends at `instant` (s on the wall's clock)."""
+        """Advance by one tick, which ends at `instant` (s, wall clock)."""
         node, state = self.node, self.state
         node.watch(self.ticks)
         if node.applied is not self._in_force:
@@ -96,8 +96,8 @@ class WallPlant:
         self.ticks += 1
         self.contacts += int(state["struck"][0] and not was_struck)
 
-    def tell(self) -> None:
-        """Bring `report` up to date, all but the fields on the process's own timing."""
+    def update_report(self) -> None:
+        """Update `report` except for the timing fields of the process."""
         state, report, node = self.state, self.report, self.node
         if not self._handled.frozen:
             if self.faults is None:
@@ -124,11 +124,11 @@ class WallPlant:
         )
 
     def _spoilt(self, faults: Faults) -> np.ndarray[Any, Any]:
-        """Return the command that reaches the plant in this tick; break what is to break in it."""
+        """Return the command that reaches the plant in this tick; apply faults of parts."""
         robot, plant, _ = self.plant.records
         notice_onsets(faults, plant, self.state, -1)
         self.link_up = bool(faults.device["link_up"][0])
-        faults.device["link_up"] = True  # what the link loses the node has not heard; it lets go by itself
+        faults.device["link_up"] = True  # commands lost on the link do not reach the node: its watchdog trips
         deliver_command(faults, plant, self._command, True)
         break_parts(faults, robot, plant, self.state)
         return faults.sent  # type: ignore[no-any-return]

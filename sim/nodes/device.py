@@ -1,7 +1,7 @@
-"""A CANopen device after CiA 301: object dictionary from its EDS, SDO, NMT, heartbeat, SYNC, PDO, EMCY.
+"""A CANopen device (CiA 301): object dictionary from its EDS, SDO, NMT, heartbeat, SYNC, PDO, EMCY.
 
-What a device is comes from its EDS file, which is read as data, and from what a master writes into it. Time
-is given; frames come in by `hear` and go out by the function it was made with. Nothing here knows the bench's
+A device is defined by its EDS file, read as data, and by the objects that a master writes. Time is passed in;
+frames are received by `receive` and sent by a given function. This module is independent of the bench's
 driver.
 """
 
@@ -21,25 +21,25 @@ from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
 Send = Callable[[int, bytes], None]
-"""Takes identifier and data of a frame to send."""
+"""Sends a frame of identifier and data."""
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
-"""States as a heartbeat tells them."""
+"""NMT states as in a heartbeat."""
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 """NMT commands."""
 
 RPDO_TIMEOUT, HEARTBEAT_LOST, PDO_TOO_SHORT, NO_ERROR = 0x8250, 0x8130, 0x8210, 0x0000
-_COMMUNICATION = 0x8000
-"""Emergency error codes from here on are of monitoring and communication."""
 """Emergency error codes."""
+_COMMUNICATION = 0x8000
+"""First emergency error code of monitoring and communication errors."""
 
 _ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
 _CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT, _ERROR_BEHAVIOUR = 0x1016, 0x1017, 0x1029
 _STORE, _SAVE = 0x1010, int.from_bytes(b"save", "little")
 _INVALID = 0x80000000
 _EVENT = 254
-"""Transmission type from which on a PDO goes by events instead of SYNC."""
+"""First event-driven transmission type of a PDO; lower ones are synchronous."""
 
 _NOT_READABLE, _NOT_WRITABLE, _NO_OBJECT, _NO_SUB_INDEX = 0x06010001, 0x06010002, 0x06020000, 0x06090011
 _NOT_MAPPABLE, _PDO_TOO_LONG, _WRONG_LENGTH, _NO_VALUE = 0x06040041, 0x06040042, 0x06070010, 0x060A0023
@@ -54,35 +54,35 @@ class Mapped:
     index: int
     subindex: int
     size: int
-    """Bytes."""
+    """Size in bytes."""
 
 
 @dataclass
 class Pdo:
-    """One PDO as it is set at present."""
+    """Present configuration of one PDO."""
 
     number: int
-    """From 0."""
+    """PDO number from 0."""
     identifier: int
     kind: int
     """Transmission type."""
     period: float
-    """Event timer, s; infinite without one."""
+    """Event timer, s; infinite if unused."""
     mapped: tuple[Mapped, ...]
     due: float = math.inf
-    """When the event timer runs out."""
+    """Expiry time of the event timer, s."""
     syncs: int = 0
     held: bytes | None = field(default=None, repr=False)
-    """Received, and to be applied with the next SYNC."""
+    """Received data to be applied with the next SYNC."""
 
     @property
     def length(self) -> int:
-        """Bytes of a frame."""
+        """Length of a frame in bytes."""
         return sum(one.size for one in self.mapped)
 
 
 class _Wire(canopen.Network):
-    """What canopen's SDO server answers into."""
+    """Network stub that sends the SDO server's responses."""
 
     def __init__(self, send: Send) -> None:
         super().__init__(None)
@@ -93,10 +93,10 @@ class _Wire(canopen.Network):
 
 
 class CanopenDevice:
-    """One device. A subclass gives its objects meaning: `sampled`, `written` and `fall_back`."""
+    """One device. A subclass implements the behaviour: `sampled`, `written` and `fall_back`."""
 
     def __init__(self, number: int, eds: Path, send: Send) -> None:
-        """Node `number` (1 … 127) as the file `eds` describes it; it is without power until `boot`."""
+        """Create node `number` (1 … 127) from the file `eds`; it is unpowered until `boot`."""
         self.number, self._send = number, send
         self.object_dictionary = import_od(str(eds), number)
         self._objects: dict[tuple[int, int], ODVariable] = {}
@@ -105,7 +105,7 @@ class CanopenDevice:
             self._objects |= {(index, subindex): part for subindex, part in parts.items()}
         self.state = INITIALISING
         self.errors = 0
-        """Emergency messages sent that told of an error."""
+        """Number of emergency messages sent that report an error."""
         self._values: dict[tuple[int, int], bytes] = {}
         self._stored: dict[tuple[int, int], bytes] = {}
         self._sdo = SdoServer(0x600 + number, 0x580 + number, self)
@@ -115,27 +115,27 @@ class CanopenDevice:
         self._rpdos: dict[int, Pdo] = {}
         self._heartbeat, self._heartbeat_due = math.inf, math.inf
         self._watched: dict[int, tuple[float, float]] = {}
-        """Node -> longest silence (s), when it is over."""
+        """Consumer heartbeats: node -> time-out (s), time of expiry (s)."""
         self._sync = 0x80
         self._now = 0.0
         self._trouble = False
 
-    # What a subclass says ------------------------------------------------------------------------
+    # Implemented by subclasses -------------------------------------------------------------------
 
     def sampled(self) -> bool:
-        """Bring the objects of a synchronous TPDO up to date; return False not to answer this SYNC."""
+        """Update the objects of a synchronous TPDO; return False to skip this SYNC."""
         return True
 
     def written(self, index: int) -> None:
-        """Act on what a master has written into object `index`."""
+        """React to a write to object `index`."""
 
     def fall_back(self) -> None:
-        """Set the outputs to what they are to be while nobody commands them."""
+        """Set the outputs to their fallback values."""
 
-    # Life ----------------------------------------------------------------------------------------
+    # Operation -----------------------------------------------------------------------------------
 
     def boot(self, now: float) -> None:
-        """Come up at `now` (s) with what was stored, else the EDS's values: boot-up, then pre-operational."""
+        """Power up at `now` (s) with stored or EDS values: send boot-up, then enter pre-operational."""
         self._now = now
         self._values = self._stored.copy()
         self._watched.clear()
@@ -146,13 +146,13 @@ class CanopenDevice:
         self.state = PRE_OPERATIONAL
         self._send(0x700 + self.number, bytes([INITIALISING]))
 
-    def hear(self, identifier: int, data: bytes, now: float) -> None:
-        """Take a data frame from the bus at `now` (s)."""
+    def receive(self, identifier: int, data: bytes, now: float) -> None:
+        """Process a data frame received at `now` (s)."""
         self._now = now
         if identifier == self._sync:
-            self._hear_sync()
+            self._receive_sync()
         elif (pdo := self._rpdos.get(identifier)) is not None:
-            self._hear_rpdo(pdo, data)
+            self._receive_rpdo(pdo, data)
         elif identifier == 0:
             if len(data) == 2 and data[1] in (0, self.number):
                 self._obey(data[0])
@@ -185,30 +185,30 @@ class CanopenDevice:
 
     @property
     def next_due(self) -> float:
-        """When `run_timers` has something to do next, s."""
+        """Time at which `run_timers` is due next, s."""
         dues = [self._heartbeat_due, *(pdo.due for pdo in self._tpdos)]
         dues += [pdo.due for pdo in self._rpdos.values()] + [due for _, due in self._watched.values()]
         return min(dues)
 
     def fail(self, code: int, register: int) -> None:
-        """Tell of a communication error, let the outputs fall back, and change state as 1029h says."""
-        self.tell_error(code, register)
+        """Report a communication error, set the outputs to fallback, and change state according to 1029h."""
+        self.send_emergency(code, register)
         behaviour = self.number_at(_ERROR_BEHAVIOUR, 1) if (_ERROR_BEHAVIOUR, 1) in self else 0
         if behaviour in (0, 2):
             self._enter(STOPPED if behaviour == 2 else PRE_OPERATIONAL)
         self.fall_back()
 
-    def tell_error(self, code: int, register: int) -> None:
-        """Send an emergency message; code 0 tells that the errors are over."""
-        # Over with the next start, unlike an error of the device itself.
+    def send_emergency(self, code: int, register: int) -> None:
+        """Send an emergency message; code 0 reports the error reset."""
+        # A communication error is reset by the next start, unlike a device error.
         self._trouble = code >= _COMMUNICATION
         self.errors += code != NO_ERROR
         self.put(_ERROR_REGISTER, 0, register)
         if self.state != STOPPED:
             self._send(self.number_at(_EMERGENCY_COB_ID) & 0x7FF, struct.pack("<HB5x", code, register))
 
-    def tell_change(self, index: int) -> None:
-        """Send every event-driven TPDO that has object `index` in it."""
+    def send_changed(self, index: int) -> None:
+        """Send every event-driven TPDO that maps object `index`."""
         if self.state == OPERATIONAL:
             for pdo in self._tpdos:
                 if pdo.kind >= _EVENT and any(one.index == index for one in pdo.mapped):
@@ -217,16 +217,16 @@ class CanopenDevice:
     # Values --------------------------------------------------------------------------------------
 
     def __contains__(self, key: tuple[int, int]) -> bool:
-        """Tell whether the dictionary has the object (index, sub-index)."""
+        """Return whether the dictionary has the object (index, sub-index)."""
         return key in self._objects
 
     def number_at(self, index: int, subindex: int = 0) -> int:
-        """Return the value of a whole-number object."""
+        """Return the value of an integer object."""
         signed = self._find(index, subindex).data_type in SIGNED_TYPES
         return int.from_bytes(self.get_data(index, subindex), "little", signed=signed)
 
     def factor_of(self, index: int, subindex: int) -> float:
-        """Return what a count of an object is in its unit."""
+        """Return the unit per count of an object."""
         return float(self._find(index, subindex).factor)
 
     def put(self, index: int, subindex: int, value: int) -> None:
@@ -234,10 +234,10 @@ class CanopenDevice:
         self._values[index, subindex] = self._find(index, subindex).encode_raw(value)
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
-        """Return the bytes of an object: what canopen's SDO server asks for.
+        """Return the bytes of an object for canopen's SDO server.
 
         Raises:
-            SdoAbortedError: there is none, or it cannot be read.
+            SdoAbortedError: the object is missing or not readable.
         """
         found = self._find(index, subindex)
         if check_readable and not found.readable:
@@ -250,10 +250,10 @@ class CanopenDevice:
         return bytes(found.encode_raw(found.default))
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
-        """Take the bytes that a master writes.
+        """Write bytes from a master into an object.
 
         Raises:
-            SdoAbortedError: as CiA 301 has it.
+            SdoAbortedError: as specified in CiA 301.
         """
         found = self._find(index, subindex)
         if check_writable and not found.writable:
@@ -277,7 +277,7 @@ class CanopenDevice:
         self.written(index)
 
     def _store(self, value: int) -> None:
-        """Keep all settings over a loss of power."""
+        """Store all settings over a power loss."""
         if value != _SAVE:
             raise SdoAbortedError(_NOT_STORED)
         self._stored = {
@@ -295,7 +295,7 @@ class CanopenDevice:
     # PDO -----------------------------------------------------------------------------------------
 
     def _check_pdo(self, index: int, subindex: int, value: int) -> None:
-        """Refuse what CiA 301 refuses while a PDO is set up.
+        """Check a PDO setting according to CiA 301.
 
         Raises:
             SdoAbortedError: a valid PDO is changed, or an object cannot be mapped.
@@ -345,7 +345,7 @@ class CanopenDevice:
             )
 
     def _read_settings(self) -> None:
-        """Read from the dictionary what is needed at every frame."""
+        """Read the settings needed for every frame from the dictionary."""
         self._tpdos = list(self._pdos(0x1800, 0x1A00))
         self._rpdos = {pdo.identifier: pdo for pdo in self._pdos(0x1400, 0x1600)}
         if self.state == OPERATIONAL:
@@ -366,7 +366,7 @@ class CanopenDevice:
         self._watched = watched
 
     def _start_timers(self) -> None:
-        """Let the event timers of the TPDOs run; those of RPDOs begin with the first frame."""
+        """Start the event timers of the TPDOs; those of RPDOs start with the first frame."""
         for pdo in self._tpdos:
             pdo.due = self._now + pdo.period if pdo.kind >= _EVENT else math.inf
 
@@ -375,7 +375,7 @@ class CanopenDevice:
             pdo.due = self._now + pdo.period
         self._send(pdo.identifier, b"".join([self.get_data(one.index, one.subindex) for one in pdo.mapped]))
 
-    def _hear_sync(self) -> None:
+    def _receive_sync(self) -> None:
         if self.state != OPERATIONAL:
             return
         for pdo in self._rpdos.values():
@@ -390,11 +390,11 @@ class CanopenDevice:
                     pdo.syncs = 0
                     self._transmit(pdo)
 
-    def _hear_rpdo(self, pdo: Pdo, data: bytes) -> None:
+    def _receive_rpdo(self, pdo: Pdo, data: bytes) -> None:
         if self.state != OPERATIONAL:
             return
         if len(data) < pdo.length:
-            self.tell_error(PDO_TOO_SHORT, 0x11)
+            self.send_emergency(PDO_TOO_SHORT, 0x11)
             return
         pdo.due = self._now + pdo.period
         if pdo.kind < _EVENT:
@@ -429,7 +429,7 @@ class CanopenDevice:
         self.state = state
         if state == OPERATIONAL:
             if self._trouble:
-                self.tell_error(NO_ERROR, 0)
+                self.send_emergency(NO_ERROR, 0)
             self._read_settings()
             for pdo in self._tpdos:
                 if pdo.kind >= _EVENT:

@@ -1,4 +1,4 @@
-"""An absolute single-turn encoder after CiA 406, on a joint of the plant."""
+"""An absolute single-turn encoder (CiA 406) on a joint of the plant."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ _PRESET, _POSITION, _RESOLUTION, _REVOLUTIONS, _ALARMS, _OFFSET = (
     0x6509,
 )
 _POSITION_ERROR = 0x0001
-"""Alarm."""
+"""Alarm bit."""
 _HARDWARE_ERROR = 0x5000
 """Emergency error code."""
 
 
 class EncoderNode(CanopenDevice):
-    """The node; `count` returns the shaft's position in counts, or None while the device hangs."""
+    """Encoder node; `count` returns the shaft position in counts, or None while the device hangs."""
 
     def __init__(
         self, number: int, eds: Path, send: Send, resolution: int, count: Callable[[], int | None]
     ) -> None:
-        """`resolution` is in counts per revolution."""
+        """Create the node; `resolution` in counts per revolution."""
         super().__init__(number, eds, send)
         self._resolution, self._count = resolution, count
         self._offset = 0
         self._healthy = True
 
     def boot(self, now: float) -> None:
-        """Come up; the resolution is what was built in, the preset what the EDS says."""
+        """Power up with the built-in resolution and the preset of the EDS."""
         self._offset, self._healthy = 0, True
         super().boot(now)
         self.put(_RESOLUTION, 0, self._resolution)
         self.sampled()
 
     def sampled(self) -> bool:
-        """Take a sample of the shaft."""
+        """Sample the shaft."""
         count = self._count()
         if count is None:
             return False
@@ -50,7 +50,7 @@ class EncoderNode(CanopenDevice):
         return True
 
     def written(self, index: int) -> None:
-        """Shift the position so that it is the preset value here."""
+        """Shift the position to the preset value."""
         if index == _PRESET:
             preset = self.number_at(_PRESET)
             self._offset += preset - self.number_at(_POSITION)
@@ -58,8 +58,8 @@ class EncoderNode(CanopenDevice):
             self.put(_POSITION, 0, preset)
 
     def set_health(self, healthy: bool) -> None:
-        """Let the disc be read, or not: then the position stands still and alarm and emergency tell of it."""
+        """Set whether the disc is readable; if not, freeze the position and report alarm and emergency."""
         if healthy != self._healthy:
             self._healthy = healthy
             self.put(_ALARMS, 0, 0 if healthy else _POSITION_ERROR)
-            self.tell_error(NO_ERROR if healthy else _HARDWARE_ERROR, 0 if healthy else 0x21)
+            self.send_emergency(NO_ERROR if healthy else _HARDWARE_ERROR, 0 if healthy else 0x21)

@@ -1,4 +1,4 @@
-"""What the process of the simulated nodes is started with."""
+"""Parameters of the process of the simulated nodes."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from sim.plant import PlantParameters
 
 @dataclass(frozen=True)
 class NodesPlan:
-    """What the process is started with."""
+    """Parameters of the process."""
 
     interface: str
-    """python-can's name of it."""
+    """python-can interface name."""
     channel: str
     bitrate: int
     encoders: tuple[int, int, int]
-    """Node numbers, joints in their usual order."""
+    """Node numbers in the order of the joints."""
     valve_node: int
     plant: PlantParameters
     folder: Path
-    """Of the plant's shared records, see `sim.live.exchange`."""
+    """Folder of the plant's shared records, see `sim.live.exchange`."""
     angle: Triple | None = None
-    """Joint angles at the start, rad; as the robot hangs when None."""
+    """Joint angles at the start, rad; None for the hanging pose."""
     priority: int = 0
-    """SCHED_FIFO priority asked for; 0: none."""
+    """Requested SCHED_FIFO priority; 0 for none."""
     cpu: int = -1
-    """The core it stays on; -1: any."""
+    """Processor core; -1 for any."""
     burst: int = 5
-    """Most ticks of the plant made up at once after a stall."""
+    """Max plant ticks caught up at once after a stall."""
     faults: tuple[Fault, ...] = ()
-    """What breaks; no onset by phase."""
+    """Faults; no onset by phase."""
 
     @property
     def plant_plan(self) -> PlantPlan:
-        """What the plant is started with; its own valve node is out of work."""
+        """Parameters of the plant; its own valve node is unused."""
         return PlantPlan(
             self.folder, self.plant, 1.0, self.angle, self.priority, self.cpu, self.burst, faults=self.faults
         )

@@ -1,8 +1,8 @@
-"""The bench's devices as CANopen nodes around the plant: a process of its own, in real time, on any CAN bus.
+"""Process of the simulated CANopen nodes around the plant, in real time, on any CAN bus.
 
-Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as their EDS files describe them. A
-SYNC samples the shafts where they are at that instant: the plant's last tick, moved on with its speed. The
-operator's actions and faults come by `sim.live.surroundings`; the plant reports as in `sim.live.process`.
+Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as described by their EDS files. A SYNC
+samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Operator actions and
+faults come from `sim.live.surroundings`; the plant reports as in `sim.live.process`.
 
 `python -m sim.nodes.process` takes a pickled NodesPlan on stdin and reports "ready", "failed" or "stopped"
 as a JSON line on stdout. It ends on SIGTERM, or when its parent is gone.
@@ -31,7 +31,7 @@ from drivers.base import Command, unpack_readings
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedMemoryError
 from sim.live.exchange import PLANT_SURROUNDINGS
-from sim.live.process import PlantFiles, ask_for_scheduling, tell
+from sim.live.process import PlantFiles, ask_for_scheduling, send_event
 from sim.live.wall_grid import WallGrid
 from sim.live.wall_plant import WallPlant
 from sim.nodes.device import OPERATIONAL, CanopenDevice
@@ -42,29 +42,29 @@ from sim.nodes.valves import ValveNode401
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen"
 """Folder of the EDS files."""
 
-_BETWEEN_LOOKS = 0.02
-"""s between two looks at signals, parent and files."""
-_BETWEEN_ATTEMPTS = 0.5
-"""s between two attempts to open an interface that has gone."""
-_LONGEST_EXTRAPOLATION = 0.005
-"""s: a plant that stands still is not moved on for longer."""
+_POLL_PERIOD = 0.02
+"""Polling period of signals, parent and files, s."""
+_RETRY_PERIOD = 0.5
+"""Time between two attempts to reopen an interface, s."""
+_MAX_EXTRAPOLATION = 0.005
+"""Max extrapolation of a stalled plant, s."""
 _SYNC = 0x80
-_LEAD, _PULL, _LONGEST_PULL = 0.3, 0.05, 20e-6
-"""The plant's ticks are drawn to shortly before the SYNCs, so that little is left to extrapolate: share of a
-tick before them, share of the distance that one SYNC draws, and at most so many s."""
+_LEAD, _PULL, _MAX_PULL = 0.3, 0.05, 20e-6
+"""Synchronisation of the plant's ticks to shortly before the SYNCs, so that little is extrapolated: lead as a
+share of a tick, correction per SYNC as a share of the deviation, and max correction per SYNC (s)."""
 _FRAMES_AT_ONCE = 64
-"""Most frames taken between two ticks of the plant: a babbling participant does not stop it."""
+"""Max frames processed between two ticks of the plant: a babbling participant does not stop it."""
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
 
 
 class NodeBus:
-    """The bus as the nodes have it: what cannot be sent is lost, an interface that went is awaited."""
+    """Bus access of the nodes: unsendable frames are dropped, a lost interface is reopened."""
 
     def __init__(self, plan: NodesPlan) -> None:
-        """Open it.
+        """Open the interface.
 
         Raises:
-            OSError, can.CanError: that fails.
+            OSError, can.CanError: the interface cannot be opened.
         """
         self._settings = {"interface": plan.interface, "channel": plan.channel, "bitrate": plan.bitrate}
         self._bus: can.BusABC | None = self._open()
@@ -86,9 +86,9 @@ class NodeBus:
             self._note(error)
 
     def receive(self, timeout: float) -> can.Message | None:
-        """Return the next frame, None when there is none for `timeout` s."""
+        """Return the next frame, or None after `timeout` s."""
         if self._bus is None:
-            time.sleep(min(timeout, _BETWEEN_LOOKS))
+            time.sleep(min(timeout, _POLL_PERIOD))
             return None
         try:
             return self._bus.recv(timeout)
@@ -96,15 +96,15 @@ class NodeBus:
             self._note(error)
             return None
 
-    def mend(self, now: float) -> None:
-        """Try at times to open an interface that has gone."""
-        if self._bus is None and now - self._closed_at > _BETWEEN_ATTEMPTS:
+    def reopen_if_closed(self, now: float) -> None:
+        """Try to reopen a lost interface, every _RETRY_PERIOD."""
+        if self._bus is None and now - self._closed_at > _RETRY_PERIOD:
             self._closed_at = now
             with suppress(OSError, can.CanError):
                 self._bus = self._open()
 
     def close(self) -> None:
-        """Close it. Allowed twice."""
+        """Close the interface. May be called twice."""
         if self._bus is not None:
             self._bus.shutdown()
             self._bus = None
@@ -115,10 +115,10 @@ class NodeBus:
 
 
 class BenchNodes:
-    """The devices around the plant: no clock, no bus."""
+    """The devices around the plant, without clock and bus."""
 
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
-        """Stand vented and without power; ValueError when the plan does not hold."""
+        """Start vented and unpowered; ValueError if the plan is invalid."""
         self.plant = plant = WallPlant(plan.plant_plan)
 
         def speak(identifier: int, data: bytes) -> None:
@@ -128,7 +128,7 @@ class BenchNodes:
         self._latency = plan.plant.encoders.latency
         self._tick, resolution = plan.plant.tick, plan.plant.encoders.counts_per_revolution
         self._now = self.instant = 0.0
-        """`instant` (s): the end of the plant's last tick."""
+        """`instant` is the end of the plant's last tick, s."""
         self._frozen = False
         self._scale: list[float] = self.plant.plant.plant["encoder_scale"][0].tolist()
         self._speed = self._speed_before = [0.0, 0.0, 0.0]
@@ -141,45 +141,45 @@ class BenchNodes:
         self.devices: list[CanopenDevice] = [*self.encoders, self.valve_node]
 
     def boot(self, now: float) -> None:
-        """Switch the power of all devices on at `now` (s)."""
+        """Power up all devices at `now` (s)."""
         self._now = self.instant = now
         for device in self.devices:
             device.boot(now)
         self.valve_node.sense(self.readings)
 
-    def hear(self, identifier: int, data: bytes, now: float) -> None:
-        """Let the devices hear a frame."""
+    def receive(self, identifier: int, data: bytes, now: float) -> None:
+        """Pass a frame to all devices."""
         self._now = now
         if not self.plant.link_up:
             return
         for device in self.devices:
-            device.hear(identifier, data, now)
+            device.receive(identifier, data, now)
 
-    def surround(self, record: np.ndarray[Any, Any]) -> None:
-        """Take over a PLANT_SURROUNDINGS record."""
-        self.plant.surround(record)
+    def set_surroundings(self, record: np.ndarray[Any, Any]) -> None:
+        """Apply a PLANT_SURROUNDINGS record."""
+        self.plant.set_surroundings(record)
         self._frozen = bool(record["frozen"][0])
 
     def move(self, instant: float) -> None:
-        """Move the plant on by one tick, which ends at `instant` (s)."""
+        """Advance the plant by one tick, which ends at `instant` (s)."""
         self.plant.move(instant)
         self.instant = instant
         self._speed_before, self._speed = self._speed, self.plant.state["speed"][0].tolist()
 
-    def tell(self, now: float) -> None:
-        """Show the devices what the plant has come to at `now` (s), and bring its report up to date."""
+    def send_event(self, now: float) -> None:
+        """Update the devices and the plant's report from the plant at `now` (s)."""
         node = self.plant.node
         node.operational = self.valve_node.state == OPERATIONAL
         if node.trips != self.valve_node.errors:
             node.trips, node.passive_tick = self.valve_node.errors, self.plant.ticks
-        self.plant.tell()
+        self.plant.update_report()
         self.readings = unpack_readings(self.plant.report["readings"])
         for encoder, valid in zip(self.encoders, self.readings.encoder_valid, strict=True):
             encoder.set_health(valid)
         self.valve_node.sense(self.readings)
 
     def run_timers(self, now: float) -> None:
-        """Let the devices do what is due."""
+        """Run the due timers of all devices."""
         for device in self.devices:
             if now >= device.next_due:
                 device.run_timers(now)
@@ -191,13 +191,13 @@ class BenchNodes:
             node.command_tick = self.plant.ticks
 
     def _count(self, joint: int) -> int | None:
-        """Return the joint's count now: the last tick's, moved on with its speed and acceleration."""
+        """Return the joint's present count: the last tick's, extrapolated with speed and acceleration."""
         if self._frozen:
             return None
         count = self.readings.encoder_count[joint]
         if not self.readings.encoder_valid[joint]:
             return count
-        limit = _LONGEST_EXTRAPOLATION
+        limit = _MAX_EXTRAPOLATION
         ahead = max(-limit, min(limit, self._now - self.instant)) + self._latency
         speed, before = self._speed[joint], self._speed_before[joint]
         turned = ahead * (speed + 0.5 * ahead * (speed - before) / self._tick)
@@ -207,12 +207,12 @@ class BenchNodes:
 # The process -----------------------------------------------------------------------------------------
 
 
-def run_nodes(plan: NodesPlan, ready: Callable[[str], None], wants_end: Callable[[], bool]) -> None:
-    """Be the nodes until `wants_end`, asked every 20 ms; `ready` is told the scheduling once they live.
+def run_nodes(plan: NodesPlan, ready: Callable[[str], None], stop_requested: Callable[[], bool]) -> None:
+    """Run the simulated nodes until `stop_requested`, polled every 20 ms; `ready` gets the scheduling.
 
     Raises:
         OSError, can.CanError: the bus cannot be opened.
-        SharedMemoryError, ValueError: the plant's files cannot be made, the plan does not hold.
+        SharedMemoryError, ValueError: the plant's files cannot be created, or the plan is invalid.
     """
     _warm_up(plan)
     with PlantFiles(plan.folder) as files, _open_bus(plan) as bus:
@@ -224,7 +224,7 @@ def run_nodes(plan: NodesPlan, ready: Callable[[str], None], wants_end: Callable
         try:
             nodes.boot(time.monotonic())
             ready(scheduling)
-            _live(plan, nodes, bus, files, wants_end)
+            _live(plan, nodes, bus, files, stop_requested)
         finally:
             gc.enable()
             gc.unfreeze()
@@ -240,25 +240,25 @@ def _open_bus(plan: NodesPlan) -> Iterator[NodeBus]:
 
 
 def _warm_up(plan: NodesPlan) -> None:
-    """Call everything once that a tick calls, on nodes without a bus."""
+    """Call every function of a tick once, on nodes without a bus."""
     nodes = BenchNodes(plan, lambda identifier, data: None)
     nodes.boot(0.0)
-    nodes.surround(_quiet(new_record(PLANT_SURROUNDINGS)))
+    nodes.set_surroundings(_undisturbed(new_record(PLANT_SURROUNDINGS)))
     for tick in (1, 2):
         nodes.move(tick * plan.plant.tick)
-        nodes.tell(tick * plan.plant.tick)
+        nodes.update_report(tick * plan.plant.tick)
 
 
-def _quiet(surroundings: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _undisturbed(surroundings: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     for name in ("emergency_stop_clear", "guard_closed", "encoder_valid"):
         surroundings[name] = 1
     return surroundings
 
 
 def _live(
-    plan: NodesPlan, nodes: BenchNodes, bus: NodeBus, files: PlantFiles, wants_end: Callable[[], bool]
+    plan: NodesPlan, nodes: BenchNodes, bus: NodeBus, files: PlantFiles, stop_requested: Callable[[], bool]
 ) -> None:
-    """Run plant and devices on the wall's clock."""
+    """Run plant and devices in wall-clock time."""
     surroundings, report, clock = new_record(PLANT_SURROUNDINGS), nodes.plant.report, time.monotonic
     looked, surrounded, tick = 0.0, 0, plan.plant.tick
     grid, offset = WallGrid(tick, clock(), plan.burst), 0.0
@@ -267,63 +267,63 @@ def _live(
         while left and (message := bus.receive(max(0.0, grid.instant + offset - clock()))) is not None:
             left -= 1
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
-                # The stamp of the bus, not this process' turn, is when a device latches its shaft at a SYNC.
+                # A device latches its shaft at the bus time stamp of the SYNC, not when this process runs.
                 age = time.time() - message.timestamp
-                heard = clock() - (age if 0.0 < age < _LONGEST_EXTRAPOLATION else 0.0)
-                nodes.hear(message.arbitration_id, bytes(message.data), heard)
+                received = clock() - (age if 0.0 < age < _MAX_EXTRAPOLATION else 0.0)
+                nodes.receive(message.arbitration_id, bytes(message.data), received)
                 if message.arbitration_id == _SYNC:
-                    apart = (heard - nodes.instant - _LEAD * tick + tick / 2) % tick - tick / 2
-                    offset += max(-_LONGEST_PULL, min(_LONGEST_PULL, _PULL * apart))
+                    apart = (received - nodes.instant - _LEAD * tick + tick / 2) % tick - tick / 2
+                    offset += max(-_MAX_PULL, min(_MAX_PULL, _PULL * apart))
         now = clock()
         late = now - offset - grid.instant
         if late < 0.0:
             continue
         if (version := files.surroundings.read(surroundings)) != surrounded:
             surrounded = version
-            nodes.surround(surroundings)
+            nodes.set_surroundings(surroundings)
         for _ in range(grid.take_due(now - offset)):
             nodes.move(grid.instant + offset)
             grid.line += 1
-        nodes.tell(now)
+        nodes.update_report(now)
         nodes.run_timers(now)
         report["lateness"] = late
-        report["greatest_lateness"] = max(report["greatest_lateness"][0], late)
+        report["max_lateness"] = max(report["max_lateness"][0], late)
         report["plant_slips"], report["slipped_ticks"] = grid.slips, grid.slipped_ticks
         files.report.write(report)
-        if now - looked > _BETWEEN_LOOKS:
+        if now - looked > _POLL_PERIOD:
             looked = now
-            bus.mend(now)
-            if wants_end() or not files.are_there:
+            bus.reopen_if_closed(now)
+            if stop_requested() or not files.are_there:
                 return
 
 
 class StopRequest:
-    """The wish to end: a signal, or the parent's death."""
+    """Stop request: by a signal, or by the parent's death."""
 
     def __init__(self, *signals: int) -> None:
-        self._parent, self._heard = os.getppid(), False
+        self._parent, self._signalled = os.getppid(), False
         for number in signals:
             signal.signal(number, self._note)
 
     def __call__(self) -> bool:
-        """Tell whether there is one."""
-        return self._heard or os.getppid() != self._parent
+        """Return whether a stop was requested."""
+        return self._signalled or os.getppid() != self._parent
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self._heard = True
+        self._signalled = True
 
 
 def main() -> int:
-    """Be the nodes that the plan on stdin describes; return the exit code."""
-    wish = StopRequest(signal.SIGTERM)
-    for number in (signal.SIGINT, signal.SIGABRT):  # they go to all processes at once; the parent decides
+    """Run the simulated nodes of the plan on stdin; return the exit code."""
+    stop = StopRequest(signal.SIGTERM)
+    for number in (signal.SIGINT, signal.SIGABRT):  # sent to the whole process group; the parent decides
         signal.signal(number, signal.SIG_IGN)
     try:
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
         if not isinstance(plan, NodesPlan):
             raise TypeError(f"plan: found {type(plan).__name__}, expected a NodesPlan")
-        run_nodes(plan, lambda scheduling: tell("ready", pid=os.getpid(), scheduling=scheduling), wish)
-        tell("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
+        run_nodes(plan, lambda scheduling: send_event("ready", pid=os.getpid(), scheduling=scheduling), stop)
+        send_event("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
         return 0
     except (
         ValueError,
@@ -334,7 +334,7 @@ def main() -> int:
         can.CanError,
         SharedMemoryError,
     ) as error:
-        tell("failed", reason=f"{error}")
+        send_event("failed", reason=f"{error}")
     return 1
 
 

@@ -1,4 +1,4 @@
-"""The node of valves and interlocks after CiA 401: what stands between the bus and voltages and contacts."""
+"""The node of valves and interlocks (CiA 401): valve voltages, contacts and pressure sensors on the bus."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from sim.nodes.device import CanopenDevice, Send
 _INPUTS, _OUTPUTS, _OUTPUT_ERROR_MODE, _OUTPUT_ERROR_VALUE = 0x6000, 0x6200, 0x6206, 0x6207
 _VOLTAGE_IN, _VOLTAGE_OUT, _VOLTAGE_ERROR_MODE, _VOLTAGE_ERROR_VALUE = 0x6401, 0x6411, 0x6443, 0x6444
 _CENTRE = 5.0
-"""V that centre a spool; half as much on either side is half of the stroke."""
+"""Spool-centre voltage, V; 0 V and twice this voltage are full stroke."""
 _PRESSURE_PER_VOLT = 1.6e5
-"""Pa absolute per V of the pressure sensors."""
+"""Sensitivity of the pressure sensors, Pa absolute per V."""
 
 
 class ValveNode401(CanopenDevice):
-    """The node; `obey` takes the command that its outputs make, wherever they come from.
+    """Valve node; `obey` applies the command given by its outputs.
 
     Wiring. Digital inputs from bit 0: emergency stop clear, guard closed, guard locked, local reset, ball
     present. Digital outputs from bit 0: supply, exhaust closed, release of the guard's lock, beacon, tee.
@@ -28,15 +28,15 @@ class ValveNode401(CanopenDevice):
         super().__init__(number, eds, send)
         self._obey_outputs = obey
         self._volts = self.factor_of(_VOLTAGE_OUT, 1)
-        """V per count."""
+        """Voltage per count, V."""
 
     def written(self, index: int) -> None:
-        """Switch and drive the outputs."""
+        """Apply the outputs."""
         if index in (_OUTPUTS, _VOLTAGE_OUT):
             self._drive()
 
     def fall_back(self) -> None:
-        """Set each output to its error value, where its error mode asks for one."""
+        """Set each output to its error value if its error mode requires that."""
         before = self.number_at(_OUTPUTS, 1)
         chosen = self.number_at(_OUTPUT_ERROR_MODE, 1)
         self.put(_OUTPUTS, 1, before & ~chosen | self.number_at(_OUTPUT_ERROR_VALUE, 1) & chosen)
@@ -46,7 +46,7 @@ class ValveNode401(CanopenDevice):
         self._drive()
 
     def sense(self, readings: Readings) -> None:
-        """Take what the contacts and the pressure sensors show."""
+        """Update contacts and pressures from `readings`."""
         contacts = (
             readings.emergency_stop_clear,
             readings.guard_closed,
@@ -58,7 +58,7 @@ class ValveNode401(CanopenDevice):
         self._measure((readings.supply_pressure, *readings.chamber_pressure))
         if inputs != self.number_at(_INPUTS, 1):
             self.put(_INPUTS, 1, inputs)
-            self.tell_change(_INPUTS)
+            self.send_changed(_INPUTS)
 
     def _measure(self, pressures: Sequence[float]) -> None:
         for channel, pressure in enumerate(pressures, start=1):

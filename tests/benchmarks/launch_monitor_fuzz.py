@@ -214,11 +214,11 @@ def rows_of(result: Result, title: str) -> list[Row]:
     in_no_class = counts.objects - counts.shots - counts.statuses - counts.refused
     note = ", ".join(f"{name} {count}" for name, count in vars(counts).items())
     untaken = counts.shots - result.records - result.probes - link.lost
-    unserved = result.connections + result.probes - link.connections - link.turned_away
+    unserved = result.connections + result.probes - link.connections - link.rejected
     return [
         Row(title, "objects in no class", in_no_class, "", note, 0, 0),
         Row(title, "shots that did not come out", untaken, "", f"{result.records} came out", 0, 0),
-        Row(title, "connections not served", unserved, "", f"{link.let_go} let go", 0, 0),
+        Row(title, "connections not served", unserved, "", f"{link.disconnected} disconnected", 0, 0),
         Row(title, "records with impossible figures", len(result.impossible), "", "", at_most=0),
         Row(
             title, "exceptions", len(result.escaped) + link.failures, "", "; ".join(result.escaped[:3]), 0, 0
@@ -234,5 +234,6 @@ def reached() -> list[str]:
     code = "import sys, drivers.launch_monitor.server, drivers.launch_monitor.client; print(*sys.modules)"
     names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     own = {name for name in names.split() if name.split(".")[0] in ("drivers", "bench", "sim")}
-    harmless = {("drivers",), ("drivers", "launch_monitor"), ("drivers", "base")}
-    return sorted(name for name in own if tuple(name.split(".")[:2]) not in harmless)
+    return sorted(
+        n for n in own if n != "drivers" and not n.startswith(("drivers.launch_monitor", "drivers.base"))
+    )

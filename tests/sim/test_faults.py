@@ -19,12 +19,12 @@ from sim.faults import (
     break_parts,
     deliver_command,
     deliver_readings,
+    faulty_time,
     new_faults,
     notice_onsets,
     own_records,
     revive,
     sort_of,
-    told_time,
 )
 from sim.plant import PLANT_STATE, Plant, PlantParameters, build_plant, initial_state
 
@@ -272,8 +272,8 @@ def test_a_loop_that_says_nothing_is_let_go_of() -> None:
 )
 def test_clocks(kind: str, value: float, expected: float) -> None:
     bed = Bed(broken("clock", kind, value)).run()
-    told_time(bed.faults, 2.0)
-    assert told_time(bed.faults, 3.0) == pytest.approx(expected, nan_ok=True)
+    faulty_time(bed.faults, 2.0)
+    assert faulty_time(bed.faults, 3.0) == pytest.approx(expected, nan_ok=True)
 
 
 def test_a_lost_head_leaves_the_club_that_remains() -> None:

@@ -22,7 +22,7 @@ from sim.launch_monitor import (
     ClubMotion,
     MonitorParameters,
     SimulatedMonitor,
-    messages_of,
+    monitor_messages,
 )
 
 STRUCK = Launch(65.0, 0.2, 0.01, 300.0, -0.05)
@@ -39,7 +39,7 @@ def server() -> Iterator[LaunchMonitorServer]:
 
 def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[LaunchRecord]:
     records = []
-    for delay, message in messages_of(launch, number, parameters):
+    for delay, message in monitor_messages(launch, number, parameters):
         record = read_message(message, delay)
         assert isinstance(record, LaunchRecord)
         records.append(judged(record, PlausibleFigures()))
@@ -59,13 +59,13 @@ def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: 
 def test_it_tells_of_the_club_where_it_is_one_that_does(text: bool) -> None:
     club = ClubMotion(43.0, -0.02)
     parameters = replace(EXACT, club=True, text_numbers=text)
-    ((_, message),) = messages_of(STRUCK, 1, parameters, club)
+    ((_, message),) = monitor_messages(STRUCK, 1, parameters, club)
     record = read_message(message, 0.0)
     assert isinstance(record, LaunchRecord)
     assert record.club[:2] == pytest.approx(club, rel=1e-3)
-    assert messages_of(STRUCK, 1, EXACT, club) == messages_of(STRUCK, 1, EXACT)
+    assert monitor_messages(STRUCK, 1, EXACT, club) == monitor_messages(STRUCK, 1, EXACT)
     assert told(STRUCK, 2, replace(MonitorParameters(), club=True)) == told(STRUCK, 2, MonitorParameters())
-    seen = [messages_of(STRUCK, n, replace(MonitorParameters(), club=True), club)[0] for n in range(300)]
+    seen = [monitor_messages(STRUCK, n, replace(MonitorParameters(), club=True), club)[0] for n in range(300)]
     speeds = [json.loads(message)["ClubData"]["Speed"] * MPH for _, message in seen]
     assert np.std(speeds) == pytest.approx(MonitorParameters().speed_noise * club.speed, rel=0.15)
 
@@ -83,13 +83,13 @@ def test_the_noise_has_the_size_asked_for() -> None:
 )
 def test_each_fault_has_its_share_and_moves_nothing_else(fault: str, messages: int) -> None:
     faults = replace(MonitorParameters(), **{fault: 0.25})  # type: ignore[arg-type]
-    clean = [messages_of(STRUCK, n, MonitorParameters()) for n in range(400)]
-    faulty = [messages_of(STRUCK, n, faults) for n in range(400)]
+    clean = [monitor_messages(STRUCK, n, MonitorParameters()) for n in range(400)]
+    faulty = [monitor_messages(STRUCK, n, faults) for n in range(400)]
     struck = [n for n in range(400) if clean[n] != faulty[n]]
     assert len(struck) == pytest.approx(100, abs=30)
     assert {len(faulty[n]) for n in struck} == {messages}
-    assert faulty == [messages_of(STRUCK, n, faults) for n in range(400)]
-    assert clean != [messages_of(STRUCK, n, MonitorParameters(seed=2)) for n in range(400)]
+    assert faulty == [monitor_messages(STRUCK, n, faults) for n in range(400)]
+    assert clean != [monitor_messages(STRUCK, n, MonitorParameters(seed=2)) for n in range(400)]
 
 
 def test_every_misread_shot_is_noticed_and_no_other() -> None:
@@ -106,7 +106,7 @@ def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
     for n in range(300):
         impact = 100.0 * n
         swings.append(SwingImpact(f"shot {n}", impact))
-        planned = messages_of(STRUCK, n, p)
+        planned = monitor_messages(STRUCK, n, p)
         heard = [replace(record, time=impact + record.time) for record in told(STRUCK, n, p)]
         records += heard
         if not planned:

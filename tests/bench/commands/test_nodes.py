@@ -82,7 +82,7 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
 @pytest.mark.parametrize(
     ("text", "place", "told"),
     [
-        ("bitrate = 500_000", "canopen.bitrate", "a bus load of 10"),
+        ("bitrate = 500_000", "canopen.bitrate", "bus load 10"),
         ("answer_time = 0.0009", "canopen.answer_time", "0.0009 s"),
         ("answer_time = 0.0", "canopen.answer_time", "0.0"),
         ("master = 22", "canopen", "contradictory values"),

@@ -121,7 +121,7 @@ class Wire:
         if self.now == tick:
             self._ticks += 1
             self.nodes.move(tick)
-            self.nodes.tell(tick)
+            self.nodes.update_report(tick)
         self.nodes.run_timers(self.now)
         self._deliver()
 
@@ -129,7 +129,7 @@ class Wire:
         """Let the nodes hear what has arrived."""
         while self._under_way and self._under_way[0][0] <= self.now:
             _, identifier, data = self._under_way.popleft()
-            self.nodes.hear(identifier, data, self.now)
+            self.nodes.receive(identifier, data, self.now)
 
     def put(self, identifier: int, data: bytes = b"", length: int | None = None) -> None:
         """Put a frame on the wire, past all nodes."""
@@ -137,7 +137,7 @@ class Wire:
 
     def order(self, command: int, node: int) -> None:
         """Let another master command a node."""
-        self.nodes.hear(0, bytes([command, node]), self.now)
+        self.nodes.receive(0, bytes([command, node]), self.now)
 
     @property
     def in_force(self) -> Command:

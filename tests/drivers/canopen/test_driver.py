@@ -319,7 +319,7 @@ TROUBLES: dict[str, tuple[Callable[[Bench], None], str, int]] = {
     "the valve node tells of an error": (put(0x8A, emergency(0x2310)), "node 10 .* error 2310h", 2),
     "the valve node is silent": (drop(0x70A, 0x18A), "interlocks|node 10 .* no heartbeat", 200),
     "an encoder's heartbeat is lost": (drop(0x702), r"node 2 \(encoder of the arm\) .* no heartbeat", 200),
-    "the interlocks come no more": (drop(0x18A), "interlocks have not come", 200),
+    "the interlocks come no more": (drop(0x18A), "interlocks have not been received", 200),
     "a node restarts": (order(129, 3), r"node 3 \(encoder of the wrist\) has restarted", 3),
     "a node is stopped by another": (order(2, 10), "node 10 .* state 4", 60),
     "an encoder is made pre-operational": (order(128, 1), "node 1 .* state 127", 60),
@@ -328,7 +328,7 @@ TROUBLES: dict[str, tuple[Callable[[Bench], None], str, int]] = {
     "interface down": (refuse(errno.ENETDOWN), "sending failed", 2),
     "interface gone": (refuse(errno.ENODEV), "sending failed", 2),
     "receiving fails": (fail_to_receive, "receiving failed", 2),
-    "no room for commands": (refuse(errno.ENOBUFS), "no room|error 8250h", 60),
+    "no room for commands": (refuse(errno.ENOBUFS), "queue is full|error 8250h", 60),
 }
 
 

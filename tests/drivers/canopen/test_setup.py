@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
-from drivers.canopen.frames import bus_load, greatest_rate, traffic, worst_bits
+from drivers.canopen.frames import bus_load, max_rate, traffic, worst_bits
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 from sim.nodes.device import CanopenDevice
 from tests.drivers.canopen.in_step import SETTINGS, Wire, make
@@ -79,7 +79,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "no such node": (
         SETTINGS,
         silent(2),
-        r"node 2 \(encoder of the arm\), object 1000h:0 .* no answer within 0.1 s; see whether",
+        r"node 2 \(encoder of the arm\), object 1000h:0 .* no answer within 0.1 s; check",
     ),
     "another kind of device": (
         SETTINGS,
@@ -115,7 +115,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "an error value that is not kept": (
         SETTINGS,
         forgetful,
-        r"object 6444h:1 .*: found 0x0, expected 0x40000000; take a device that keeps",
+        r"object 6444h:1 .*: found 0x0, expected 0x40000000; use a device that keeps",
     ),
     "no watchdog at all": (
         SETTINGS,
@@ -125,7 +125,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "an output that cannot be in a PDO": (
         SETTINGS,
         unmappable,
-        r"node 10 .* object 1600h:2 .* abort code 06040041h, .*cannot put this object",
+        r"node 10 .* object 1600h:2 .* abort code 06040041h, .*cannot map this object",
     ),
     "inputs without a timer": (
         SETTINGS,
@@ -296,13 +296,13 @@ def test_too_full_a_bus_is_refused_before_anything_is_opened() -> None:
     settings = replace(SETTINGS, bitrate=500_000)
     driver = CanopenDriver(settings, open_bus=lambda *_: pytest.fail("opened"))
     with pytest.raises(
-        DriverError, match=r"bus load of 10\d% at 1000 ticks .* at most 75%; lower loop.rate to (\d+)"
+        DriverError, match=r"bus load 10\d% at 1000 Hz .* at most 75%; lower loop.rate to (\d+)"
     ) as raised:
         driver.open()
     rate = int(str(raised.value).split("lower loop.rate to ")[1].split()[0])
     assert 650 < rate < 750
     assert bus_load(settings, 1.0 / rate, 0.02) == pytest.approx(0.75, abs=0.002)
-    assert greatest_rate(settings, 0.02) == pytest.approx(rate, abs=1.0)
+    assert max_rate(settings, 0.02) == pytest.approx(rate, abs=1.0)
 
 
 # Interfaces ------------------------------------------------------------------------------------------
@@ -311,7 +311,7 @@ def test_too_full_a_bus_is_refused_before_anything_is_opened() -> None:
 @pytest.mark.parametrize(
     ("interface", "channel", "told"),
     [
-        ("no_such", "x", r"interface 'no_such'.*set canopen.interface to one that python-can knows"),
+        ("no_such", "x", r"interface 'no_such'.*set canopen.interface to one that python-can supports"),
         (
             "socketcan",
             "nocan7",

@@ -187,7 +187,7 @@ def test_a_bus_switched_off_and_on(driver: CanopenDriver, nodes: Nodes) -> None:
         assert "Network is down" in driver.trouble
         wait(lambda: nodes.in_force == PASSIVE)
         driver.close()
-        with pytest.raises(DriverError, match="see whether the interface is up"):
+        with pytest.raises(DriverError, match="check that the interface is up"):
             driver.open()
     finally:
         switch(nodes.settings.channel, on=True)

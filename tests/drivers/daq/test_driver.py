@@ -286,7 +286,7 @@ def test_a_card_without_single_point_reads_one_after_the_other(bench: Bench, car
 
 def test_a_sync_wire_that_is_missing_is_noticed_at_the_start(bench: Bench, card: Card) -> None:
     card.wire = ""
-    with pytest.raises(DriverError, match=r"ctr0 \(encoder of the shoulder\).*sync line; see its wire"):
+    with pytest.raises(DriverError, match=r"ctr0 \(encoder of the shoulder\).*sync line; check its wire"):
         bench(SYNC).open()
 
 
@@ -310,7 +310,7 @@ def test_what_does_not_fit_the_card_is_refused_by_name(
 def test_a_card_in_use_is_told(bench: Bench, driver: DaqDriver) -> None:
     with pytest.raises(DriverError, match=r"watchdog|reserved"):
         bench().open()
-    with pytest.raises(DriverError, match="open already"):
+    with pytest.raises(DriverError, match="already open"):
         driver.open()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.base import DriverError
-from drivers.launch_monitor.client import MOST_WAITING, SimulatorClient
+from drivers.launch_monitor.client import MAX_WAITING, SimulatorClient
 from drivers.launch_monitor.open_connect import write_answer, write_player
 from drivers.launch_monitor.record import ClubFigures
 from drivers.launch_monitor.server import LaunchMonitorServer
@@ -56,8 +56,8 @@ def test_a_shot_arrives_and_is_taken(gspro: socket.socket, client: SimulatorClie
         assert tree["ShotNumber"] == 1
         assert tree["DeviceID"] == "bench"
         connection.sendall(write_player("DR") + write_answer(200, "Shot received successfully"))
-        wait_for(lambda: client.passing().taken == 1)
-        passing = client.passing()
+        wait_for(lambda: client.status().taken == 1)
+        passing = client.status()
         assert (passing.connected, passing.trouble, passing.waiting) == (True, "", 0)
         assert passing.player is not None
         assert passing.player.club == "DR"
@@ -69,8 +69,8 @@ def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
     client.send(LAUNCH)
     with accept(gspro) as connection:
         assert message(connection) == message(connection)
-        wait_for(lambda: client.passing().refused == 1)
-        assert "not answered" in client.passing().trouble
+        wait_for(lambda: client.status().refused == 1)
+        assert "not answered" in client.status().trouble
 
 
 def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, client: SimulatorClient) -> None:
@@ -78,12 +78,12 @@ def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, clien
     with accept(gspro) as connection:
         message(connection)
         connection.sendall(write_answer(501, "no player"))
-        wait_for(lambda: client.passing().refused == 1)
-        assert "501: no player" in client.passing().trouble
+        wait_for(lambda: client.status().refused == 1)
+        assert "501: no player" in client.status().trouble
         client.send(LAUNCH)
         message(connection)
         connection.sendall(write_answer(200, ""))
-        wait_for(lambda: client.passing().taken == 1)
+        wait_for(lambda: client.status().taken == 1)
 
 
 def test_it_connects_again_and_sends_what_was_not_taken(
@@ -95,7 +95,7 @@ def test_it_connects_again_and_sends_what_was_not_taken(
     with accept(gspro) as connection:
         assert message(connection) == first
         connection.sendall(write_answer(200, ""))
-        wait_for(lambda: client.passing().taken == 1)
+        wait_for(lambda: client.status().taken == 1)
 
 
 def test_an_endless_answer_ends_the_connection_only(gspro: socket.socket, client: SimulatorClient) -> None:
@@ -103,7 +103,7 @@ def test_an_endless_answer_ends_the_connection_only(gspro: socket.socket, client
         while True:
             connection.sendall(b'{"a' + b"x" * 100_000)
     with accept(gspro):
-        wait_for(lambda: client.passing().connected)
+        wait_for(lambda: client.status().connected)
 
 
 def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() -> None:
@@ -112,15 +112,15 @@ def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() ->
         port = held.getsockname()[1]
     client = SimulatorClient(SimulatorSettings(True, "127.0.0.1", port), clock=lambda: now[0], reconnect=0.01)
     client.open()
-    with pytest.raises(DriverError, match="open already"):
+    with pytest.raises(DriverError, match="already open"):
         client.open()
     try:
         client.send(LAUNCH)
-        wait_for(lambda: "refused" in client.passing().trouble)
-        assert client.passing().waiting == 1
+        wait_for(lambda: "refused" in client.status().trouble)
+        assert client.status().waiting == 1
         now[0] = 11.0
-        wait_for(lambda: client.passing().out_of_date == 1)
-        assert not client.passing().connected
+        wait_for(lambda: client.status().out_of_date == 1)
+        assert not client.status().connected
     finally:
         client.close()
 
@@ -129,9 +129,9 @@ def test_the_queue_is_bounded_and_bad_figures_are_the_callers_mistake() -> None:
     client = SimulatorClient(SimulatorSettings())
     with pytest.raises(ValueError, match="JSON"):
         client.send(LAUNCH._replace(speed=math.nan))
-    numbers = [client.send(LAUNCH) for _ in range(MOST_WAITING + 2)]
-    assert numbers == list(range(1, MOST_WAITING + 3))
-    assert (client.passing().waiting, client.passing().out_of_date) == (MOST_WAITING, 2)
+    numbers = [client.send(LAUNCH) for _ in range(MAX_WAITING + 2)]
+    assert numbers == list(range(1, MAX_WAITING + 3))
+    assert (client.status().waiting, client.status().out_of_date) == (MAX_WAITING, 2)
     client.close()
 
 
@@ -141,12 +141,12 @@ def test_our_client_and_our_server_understand_each_other() -> None:
     client = SimulatorClient(SimulatorSettings(True, *server.address), "bench")
     client.open()
     try:
-        server.tell_player("PT")
+        server.announce_player("PT")
         client.send(LAUNCH)
-        wait_for(lambda: client.passing().taken == 1)
+        wait_for(lambda: client.status().taken == 1)
         (record,) = server.take()
         assert record.launch == pytest.approx(LAUNCH, abs=1e-4)
-        wait_for(lambda: client.passing().player is not None)
+        wait_for(lambda: client.status().player is not None)
     finally:
         client.close()
         server.close()

@@ -70,7 +70,7 @@ def test_a_window_ends_where_the_next_swing_begins() -> None:
 
 
 def test_two_swings_of_one_id_are_refused() -> None:
-    with pytest.raises(ValueError, match="one id"):
+    with pytest.raises(ValueError, match="the same id"):
         match([SwingImpact("7", 1.0), SwingImpact("7", 2.0)], [], 3.0, WINDOW)
 
 

@@ -5,7 +5,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.launch_monitor.objects import DEEPEST, GREATEST, ObjectStream
+from drivers.launch_monitor.objects import MAX_DEPTH, MAX_OBJECT_SIZE, ObjectStream
 
 OBJECTS = st.dictionaries(
     st.text(max_size=6),
@@ -40,32 +40,32 @@ def test_no_byte_is_lost_or_counted_twice(pieces: list[bytes]) -> None:
     stream, inside = ObjectStream(), 0
     for piece in pieces:
         inside += sum(map(len, stream.feed(piece)))
-    if not stream.useless:
+    if not stream.error:
         assert inside + stream.pending + stream.passed_over == sum(map(len, pieces))
 
 
 def test_an_object_without_end_makes_the_stream_useless_and_what_came_before_is_kept() -> None:
     stream = ObjectStream()
-    assert stream.feed(b'{"a":1}{"b":"' + b"x" * (GREATEST // 2)) == [b'{"a":1}']
-    assert stream.useless == ""
-    assert stream.feed(b"x" * GREATEST) == []
-    assert str(GREATEST) in stream.useless
+    assert stream.feed(b'{"a":1}{"b":"' + b"x" * (MAX_OBJECT_SIZE // 2)) == [b'{"a":1}']
+    assert stream.error == ""
+    assert stream.feed(b"x" * MAX_OBJECT_SIZE) == []
+    assert str(MAX_OBJECT_SIZE) in stream.error
     assert stream.pending == 0
     assert stream.feed(b'{"a":1}') == []
 
 
 def test_a_whole_object_that_is_too_long_is_none() -> None:
     stream = ObjectStream()
-    assert stream.feed(b'{"a":1}{"b":"' + b"x" * GREATEST + b'"}{"c":2}') == [b'{"a":1}']
-    assert stream.useless
+    assert stream.feed(b'{"a":1}{"b":"' + b"x" * MAX_OBJECT_SIZE + b'"}{"c":2}') == [b'{"a":1}']
+    assert stream.error
 
 
 def test_depth_is_bounded() -> None:
     stream = ObjectStream()
-    deepest = b'{"a":' * (DEEPEST - 1) + b"{}" + b"}" * (DEEPEST - 1)
+    deepest = b'{"a":' * (MAX_DEPTH - 1) + b"{}" + b"}" * (MAX_DEPTH - 1)
     assert stream.feed(deepest) == [deepest]
-    stream.feed(b'{"a":' * (DEEPEST + 1))
-    assert "deep" in stream.useless
+    stream.feed(b'{"a":' * (MAX_DEPTH + 1))
+    assert "deep" in stream.error
 
 
 def test_what_was_cut_off_can_be_given_up() -> None:

@@ -190,18 +190,18 @@ def test_club_data_alone_is_a_record_without_a_launch() -> None:
 @pytest.mark.parametrize(
     ("data", "says"),
     [
-        (b"{", "no JSON"),
-        (b"{'a': 1}", "no JSON"),
-        (b'{"a": \xff}', "no JSON"),
-        (b"[1]", "no JSON object"),
+        (b"{", "invalid JSON"),
+        (b"{'a': 1}", "invalid JSON"),
+        (b'{"a": \xff}', "invalid JSON"),
+        (b"[1]", "not a JSON object"),
         (b"{}", "neither"),
         (b'{"DeviceID": "x"}', "neither"),
         (b'{"BallData": {}, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
         (b'{"BallData": 3, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
         (b'{"APIversion": "2", "BallData": {"Speed": 3}}', "APIversion"),
-        (b'{"Speed": ' + b"9" * 5000 + b"}", "no JSON"),
-        (b"{" * 100_000, "no JSON"),
-        (b'{"a":' + b"[" * 100_000, "no JSON"),
+        (b'{"Speed": ' + b"9" * 5000 + b"}", "invalid JSON"),
+        (b"{" * 100_000, "invalid JSON"),
+        (b'{"a":' + b"[" * 100_000, "invalid JSON"),
     ],
 )
 def test_what_is_no_message_is_refused_with_its_reason(data: bytes, says: str) -> None:

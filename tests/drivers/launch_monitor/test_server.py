@@ -106,7 +106,7 @@ def test_an_object_without_end_is_refused_with_413_and_let_go(
     other.sendall(shot())
     assert b"200" in receive(other, 1)
     wait_for(lambda: len(server.link().connected) == 1)
-    assert (server.link().counts.too_large, server.link().let_go) == (1, 1)
+    assert (server.link().counts.too_large, server.link().disconnected) == (1, 1)
 
 
 def test_an_object_cut_off_is_given_up_and_the_next_one_heard(
@@ -129,7 +129,7 @@ def test_a_monitor_that_reads_no_answers_is_let_go(server: LaunchMonitorServer, 
         for _ in range(1000):
             connection.sendall(b'{"a":1}' * 5000)
     wait_for(lambda: not server.link().connected)
-    assert server.link().let_go == 1
+    assert server.link().disconnected == 1
 
 
 def test_silence_after_heartbeats_lets_go_and_without_them_does_not(
@@ -158,10 +158,10 @@ def test_a_monitor_may_go_and_come_again(server: LaunchMonitorServer, connect: C
 
 
 def test_no_more_connections_than_there_is_room_for(server: LaunchMonitorServer, connect: Connect) -> None:
-    first = [connect() for _ in range(server_module.MOST_CONNECTIONS)]
+    first = [connect() for _ in range(server_module.MAX_CONNECTIONS)]
     wait_for(lambda: len(server.link().connected) == len(first))
     assert connect().recv(1) == b""
-    assert server.link().turned_away == 1
+    assert server.link().rejected == 1
 
 
 def test_the_player_is_told_to_who_is_there_and_who_comes(
@@ -169,7 +169,7 @@ def test_the_player_is_told_to_who_is_there_and_who_comes(
 ) -> None:
     before = connect()
     wait_for(lambda: server.link().connected)
-    server.tell_player("I7", "LH")
+    server.announce_player("I7", "LH")
     assert b'"Club": "I7"' in receive(before, 1)
     assert b'"Handed": "LH"' in receive(connect(), 1)
 
@@ -187,7 +187,7 @@ def test_a_doubtful_shot_is_kept_with_its_doubt(server: LaunchMonitorServer, con
 def test_records_nobody_takes_are_lost_and_counted(
     server: LaunchMonitorServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server_module, "MOST_WAITING", 3)
+    monkeypatch.setattr(server_module, "MAX_WAITING", 3)
     connection = connect()
     connection.sendall(b"".join(map(shot, range(5))))
     receive(connection, 5)
@@ -220,7 +220,7 @@ def test_closing_ends_thread_and_sockets_and_opening_again_works(clock: Clock) -
         server.open()
         with socket.create_connection(server.address) as connection:
             wait_for(lambda: server.link().connected)
-            with pytest.raises(DriverError, match="open already"):
+            with pytest.raises(DriverError, match="already open"):
                 server.open()
             server.close()
             assert connection.recv(1) == b""
@@ -248,9 +248,9 @@ def test_the_network_is_for_named_clients_only() -> None:
     with pytest.raises(ValueError, match="IP address"):
         SimulatorSettings(address="")
     named = LaunchMonitorSettings(address="192.0.2.1", clients=("192.0.2.7",))
-    assert named.lets_in("192.0.2.7")
-    assert not named.lets_in("127.0.0.1")
-    assert LaunchMonitorSettings().lets_in("127.0.0.1")
+    assert named.accepts("192.0.2.7")
+    assert not named.accepts("127.0.0.1")
+    assert LaunchMonitorSettings().accepts("127.0.0.1")
     assert LaunchMonitorSettings().plausible.max_direction == pytest.approx(pi / 6, abs=1e-4)
 
 
@@ -260,7 +260,7 @@ def test_who_is_not_named_is_turned_away(clock: Clock) -> None:
     try:
         with socket.create_connection(server.address) as connection:
             assert connection.recv(1) == b""
-        assert server.link().turned_away == 1
+        assert server.link().rejected == 1
     finally:
         server.close()
 

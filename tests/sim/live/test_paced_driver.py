@@ -110,5 +110,5 @@ def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver
 
 
 def test_it_is_open_once(driver: PacedPlantDriver) -> None:
-    with pytest.raises(DriverError, match="open already"):
+    with pytest.raises(DriverError, match="already open"):
         driver.open()

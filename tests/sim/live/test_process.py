@@ -280,7 +280,7 @@ def test_a_plant_that_stalls_slips_and_does_not_hurry(
     assert slipped > 100
     passed = (report["readings"]["time"] - before["readings"]["time"]) / PLANT.tick
     assert report["ticks"] - before["ticks"] == round(passed) - slipped
-    assert report["greatest_lateness"] >= 0.1
+    assert report["max_lateness"] >= 0.1
 
 
 def test_the_surroundings_reach_the_loop(

@@ -45,7 +45,7 @@ def give(plant: WallPlant) -> Give:
         record["session"], record["mode"] = 1, mode
         record["counter"] += 1
         record["command"] = command
-        plant.hear(record)
+        plant.receive(record)
 
     send(PASSIVE, Mode.START)
     return send
@@ -67,7 +67,7 @@ def live(plant: WallPlant, ticks: int) -> Any:
     """Move the plant on as its process does and return its report."""
     for _ in range(ticks):
         plant.move((plant.ticks + 1) * PERIOD)
-        plant.tell()
+        plant.update_report()
     return plant.report[0]
 
 
@@ -112,7 +112,7 @@ def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
     assert all(quiet[name] for name in ("emergency_stop_clear", "guard_closed", "guard_locked"))
     assert not quiet["local_reset"]
     assert not quiet["ball_present"]
-    plant.surround(
+    plant.set_surroundings(
         surroundings(
             emergency_stop_clear=False,
             guard_closed=False,
@@ -129,9 +129,9 @@ def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
     assert seen["local_reset"]
     assert seen["encoder_valid"].tolist() == [1, 0, 1]
     assert seen["ball_present"]
-    plant.surround(surroundings(ball_handled=1, ball_present=False))
+    plant.set_surroundings(surroundings(ball_handled=1, ball_present=False))
     assert live(plant, 1)["readings"]["ball_present"]  # nobody's hand was there again
-    plant.surround(surroundings(ball_handled=2, ball_present=False))
+    plant.set_surroundings(surroundings(ball_handled=2, ball_present=False))
     assert not live(plant, 1)["readings"]["ball_present"]
     give(MOVING._replace(tee=True))
     assert live(plant, 1)["readings"]["ball_present"]
@@ -139,11 +139,11 @@ def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
 
 def test_frozen_readings_keep_their_times_while_the_plant_moves_on(plant: WallPlant) -> None:
     before = live(plant, 3)["readings"].tobytes()
-    plant.surround(surroundings(frozen=True))
+    plant.set_surroundings(surroundings(frozen=True))
     report = live(plant, 50)
     assert report["readings"].tobytes() == before
     assert report["ticks"] == 53
-    plant.surround(surroundings())
+    plant.set_surroundings(surroundings())
     assert live(plant, 1)["readings"]["time"] == 54 * PERIOD
 
 
@@ -153,17 +153,17 @@ def test_another_ball_can_lie_on_the_tee(plant: WallPlant) -> None:
     record = surroundings()
     for name in BALL.names or ():
         record["ball"][name] = getattr(other, name)
-    plant.surround(record)
+    plant.set_surroundings(record)
     assert plant.plant.impact.tobytes() == impact_parameters(robot.club, other, robot.lie).tobytes()
     record["ball"]["mass"] = math.nan
-    plant.surround(record)
+    plant.set_surroundings(record)
     assert plant.plant.impact.tobytes() == impact_parameters(robot.club, other, robot.lie).tobytes()
-    plant.surround(surroundings())
+    plant.set_surroundings(surroundings())
     assert plant.plant.impact.tobytes() == own
 
 
 def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
-    plant.surround(surroundings(ball_handled=1, ball_present=True))
+    plant.set_surroundings(surroundings(ball_handled=1, ball_present=True))
     # The head just before the ball, on its way: what counts here is the telling.
     site = PLAN.plant.site
     q, u = _at_the_ball(site.ball_x - 0.01, site.ball_y)
@@ -175,7 +175,7 @@ def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
     assert contact == contact_in(plant.state)
     assert contact.launch.speed > 1.0
     assert 0.0 < contact.time < 5 * PERIOD
-    plant.surround(surroundings(ball_handled=2, ball_present=True))
+    plant.set_surroundings(surroundings(ball_handled=2, ball_present=True))
     plant.state["speed"] = 0.0
     report = live(plant, 1)
     assert contact_in(plant.report["contact"]) is None
@@ -224,8 +224,8 @@ def test_random_bytes_in_its_records_do_no_harm(plant: WallPlant, give: Give) ->
         command = np.frombuffer(random.bytes(PLANT_COMMAND.itemsize), PLANT_COMMAND)
         around = np.frombuffer(random.bytes(PLANT_SURROUNDINGS.itemsize), PLANT_SURROUNDINGS)
         with np.errstate(all="ignore"):
-            plant.hear(command)
-            plant.surround(around)
+            plant.receive(command)
+            plant.set_surroundings(around)
         report = live(plant, 1)
         assert np.all(np.abs(report["node"]["applied"]["valve"]) <= 1.0)
         assert np.all(np.isfinite(report["truth"]["plant_angle"]))

@@ -32,10 +32,10 @@ class Wire:
     def _note(self, identifier: int, data: bytes) -> None:
         self.sent.append((identifier, data))
 
-    def hear(self, identifier: int, data: bytes = b"") -> list[tuple[int, bytes]]:
+    def receive(self, identifier: int, data: bytes = b"") -> list[tuple[int, bytes]]:
         """Let the device hear a frame; return what it sends."""
         self.sent.clear()
-        self.device.hear(identifier, data, self.now)
+        self.device.receive(identifier, data, self.now)
         return self.sent.copy()
 
     def wait(self, duration: float) -> list[tuple[int, bytes]]:
@@ -46,7 +46,7 @@ class Wire:
         return self.sent.copy()
 
     def read(self, index: int, subindex: int = 0) -> int:
-        ((_, answer),) = self.hear(0x605, struct.pack("<BHB4x", 0x40, index, subindex))
+        ((_, answer),) = self.receive(0x605, struct.pack("<BHB4x", 0x40, index, subindex))
         if answer[0] == 0x80:
             raise Aborted(int.from_bytes(answer[4:], "little"))
         assert answer[0] & 0xF3 == 0x43, "expedited, size told"
@@ -56,7 +56,7 @@ class Wire:
     def write(self, index: int, subindex: int, value: int, size: int) -> None:
         command = 0x23 | (4 - size) << 2
         request = struct.pack("<BHB", command, index, subindex) + value.to_bytes(4, "little")
-        answers = self.hear(0x605, request)
+        answers = self.receive(0x605, request)
         answer = next(data for identifier, data in answers if identifier == 0x585)
         if answer[0] == 0x80:
             raise Aborted(int.from_bytes(answer[4:], "little"))
@@ -80,14 +80,14 @@ def valves() -> Wire:
 def test_it_boots_into_pre_operational(encoder: Wire) -> None:
     assert encoder.sent == [(0x705, b"\0")]
     assert encoder.device.state == 127
-    assert encoder.hear(0x80) == []
+    assert encoder.receive(0x80) == []
 
 
 def test_heartbeats_tell_the_state(encoder: Wire) -> None:
     assert encoder.wait(0.5) == []
     encoder.write(0x1017, 0, 100, 2)
     assert encoder.wait(0.35) == [(0x705, b"\x7f")] * 3
-    encoder.hear(0, b"\x01\x05")
+    encoder.receive(0, b"\x01\x05")
     assert (0x705, b"\x05") in encoder.wait(0.15)
 
 
@@ -97,28 +97,28 @@ def test_network_management_goes_to_one_node_or_to_all(
     encoder: Wire, command: int, state: int, node: int
 ) -> None:
     before = encoder.device.state
-    encoder.hear(0, bytes([command, node]))
+    encoder.receive(0, bytes([command, node]))
     assert encoder.device.state == (state if node in {0, 5} else before)
 
 
 def test_a_reset_forgets_what_was_set(encoder: Wire) -> None:
     encoder.write(0x1017, 0, 100, 2)
-    assert encoder.hear(0, b"\x81\x05") == [(0x705, b"\0")]
+    assert encoder.receive(0, b"\x81\x05") == [(0x705, b"\0")]
     assert encoder.read(0x1017) == 0
     assert encoder.device.state == 127
 
 
 def test_a_sync_is_answered_with_the_position_as_its_eds_maps_it(encoder: Wire) -> None:
-    encoder.hear(0, b"\x01\x05")
-    assert encoder.hear(0x80) == [(0x285, struct.pack("<I", 1000))]
+    encoder.receive(0, b"\x01\x05")
+    assert encoder.receive(0x80) == [(0x285, struct.pack("<I", 1000))]
     encoder.count = 4000
-    assert encoder.hear(0x80) == [(0x285, struct.pack("<I", 4000))]
+    assert encoder.receive(0x80) == [(0x285, struct.pack("<I", 4000))]
     encoder.count = None  # it hangs
-    assert encoder.hear(0x80) == []
+    assert encoder.receive(0x80) == []
 
 
 def test_the_asynchronous_pdo_goes_by_its_timer_until_it_is_switched_off(encoder: Wire) -> None:
-    encoder.hear(0, b"\x01\x05")
+    encoder.receive(0, b"\x01\x05")
     assert [i for i, _ in encoder.wait(0.35)] == [0x185] * 3
     encoder.write(0x1800, 1, 0x80000185, 4)
     assert encoder.wait(0.35) == []
@@ -130,8 +130,8 @@ def test_identity_resolution_and_preset(encoder: Wire) -> None:
     encoder.write(0x6003, 0, 100, 4)
     assert encoder.read(0x6004) == 100
     encoder.count = 1000 + 4095
-    encoder.hear(0, b"\x01\x05")
-    assert encoder.hear(0x80) == [(0x285, struct.pack("<I", 99))]
+    encoder.receive(0, b"\x01\x05")
+    assert encoder.receive(0x80) == [(0x285, struct.pack("<I", 99))]
 
 
 def test_an_unhealthy_encoder_tells_of_it(encoder: Wire) -> None:
@@ -177,8 +177,8 @@ def test_a_pdo_is_mapped_only_while_it_is_off_and_empty(encoder: Wire) -> None:
     encoder.write(0x1A01, 1, 0x65030010, 4)
     encoder.write(0x1A01, 0, 1, 1)
     encoder.write(0x1801, 1, 0x285, 4)
-    encoder.hear(0, b"\x01\x05")
-    assert encoder.hear(0x80) == [(0x285, b"\0\0")]
+    encoder.receive(0, b"\x01\x05")
+    assert encoder.receive(0x80) == [(0x285, b"\0\0")]
 
 
 def test_a_pdo_takes_eight_bytes_at_most(valves: Wire) -> None:
@@ -201,9 +201,9 @@ def commanded(valves: Wire) -> Wire:
     valves.write(0x1401, 1, 0x80000305, 4)
     valves.write(0x1401, 5, 20, 2)
     valves.write(0x1401, 1, 0x305, 4)
-    valves.hear(0, b"\x01\x05")
-    valves.hear(0x205, b"\x03")
-    valves.hear(0x305, struct.pack("<3h", 32767, 0, 16384))
+    valves.receive(0, b"\x01\x05")
+    valves.receive(0x205, b"\x03")
+    valves.receive(0x305, struct.pack("<3h", 32767, 0, 16384))
     return valves
 
 
@@ -215,9 +215,9 @@ def test_it_obeys_commands_while_operational(valves: Wire) -> None:
     command = commanded(valves).commands[-1]
     assert command.valve == pytest.approx((1.0, -1.0, 0.0), abs=1e-4)
     assert (command.supply_enable, command.exhaust_closed, command.guard_lock) == (True, True, True)
-    valves.hear(0, b"\x80\x05")
+    valves.receive(0, b"\x80\x05")
     before = len(valves.commands)
-    valves.hear(0x305, struct.pack("<3h", 0, 0, 0))
+    valves.receive(0x305, struct.pack("<3h", 0, 0, 0))
     assert len(valves.commands) == before
 
 
@@ -232,9 +232,9 @@ def test_silence_lets_it_fall_back_and_tell(valves: Wire) -> None:
     assert [(i, data[:3]) for i, data in sent] == [(0x85, b"\x50\x82\x11")]
     assert centred(valves.commands[-1])
     assert valves.device.state == 127
-    valves.hear(0x305, struct.pack("<3h", 32767, 0, 0))
+    valves.receive(0x305, struct.pack("<3h", 32767, 0, 0))
     assert centred(valves.commands[-1])
-    assert (0x85, bytes(8)) in valves.hear(0, b"\x01\x05")  # the error is over
+    assert (0x85, bytes(8)) in valves.receive(0, b"\x01\x05")  # the error is over
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 127), (1, 5), (2, 4)])
@@ -247,24 +247,24 @@ def test_what_it_does_after_silence_is_set(valves: Wire, behaviour: int, state: 
 
 def test_the_masters_heartbeat_is_watched_from_the_first_one_on(valves: Wire) -> None:
     valves.write(0x1016, 1, 0x7F << 16 | 30, 4)
-    valves.hear(0, b"\x01\x05")
+    valves.receive(0, b"\x01\x05")
     assert valves.wait(0.2) == []
-    valves.hear(0x77F, b"\x05")
+    valves.receive(0x77F, b"\x05")
     assert valves.wait(0.028) == []
     assert [data[:2] for _, data in valves.wait(0.004)] == [b"\x30\x81"]
     assert valves.device.state == 127
 
 
 def test_a_stop_lets_it_fall_back(valves: Wire) -> None:
-    commanded(valves).hear(0, b"\x02\x05")
+    commanded(valves).receive(0, b"\x02\x05")
     assert centred(valves.commands[-1])
-    assert valves.hear(0x605, struct.pack("<BHB4x", 0x40, 0x1000, 0)) == []
+    assert valves.receive(0x605, struct.pack("<BHB4x", 0x40, 0x1000, 0)) == []
 
 
 def test_a_command_too_short_is_told_and_not_obeyed(valves: Wire) -> None:
     commanded(valves)
     before = valves.commands[-1]
-    assert [data[:2] for _, data in valves.hear(0x305, b"abc")] == [b"\x10\x82"]
+    assert [data[:2] for _, data in valves.receive(0x305, b"abc")] == [b"\x10\x82"]
     assert valves.commands[-1] == before
 
 
@@ -272,5 +272,5 @@ def test_a_command_too_short_is_told_and_not_obeyed(valves: Wire) -> None:
     "request_", [b"", b"\x40", bytes(8), b"\xff" * 8, b"\x80" + bytes(7), b"\xc2" + bytes(7)]
 )
 def test_broken_questions_do_no_harm(valves: Wire, request_: bytes) -> None:
-    valves.hear(0x605, request_)
+    valves.receive(0x605, request_)
     assert valves.read(0x1000) == 0x000F0191
