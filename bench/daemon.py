@@ -1,7 +1,7 @@
-"""`golfbench run`: the supervisor of one bench. It starts the processes, watches them, answers at the desk.
+"""`golfbench run`: the supervisor of one bench. It starts and monitors the processes and answers commands.
 
-Nothing here is in real time. The loop decides by itself what is safe; it hears from here that somebody lives,
-who may do what, and requests.
+Nothing here is in real time. The loop decides by itself what is safe; the supervisor sends it heartbeats,
+permissions and requests.
 """
 
 from __future__ import annotations
@@ -54,29 +54,29 @@ from sim.live.process import start_plant
 _log = logging.getLogger("golfbench")
 
 _TURN = 0.01
-"""s between two turns of the supervisor."""
+"""Period of the supervisor, s."""
 _LOOP_SILENCE = 0.5
-"""s without a tick after which the loop counts as frozen."""
+"""Time without a tick after which the loop counts as frozen, s."""
 _START = 240.0
-"""s that a process may take to become ready: the first start compiles."""
-_LONGEST_STOP = 20.0
-"""s that the loop may take to bring the robot to rest and end."""
+"""Startup time-out of a process, s: the first start compiles."""
+_STOP_TIMEOUT = 20.0
+"""Time-out of the loop for bringing the robot to rest and ending, s."""
 _AFTERMATH = 1.5
-"""s that a simulated plant lives on when its loop has died: a machine would."""
+"""Time for which a simulated plant continues after its loop has died, s, as a real robot would."""
 _STATISTICS = 1.0
-"""s over which the loop's timing is summed up."""
+"""Period of the loop statistics, s."""
 
 _LATCHED = frozenset({State.ESTOP, State.FAULT})
 
 
 class LoopDied(BenchError):
-    """The loop ended without being asked to."""
+    """The loop ended unexpectedly."""
 
     exit_code = ExitCode.DEVICE
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that are stored with every record."""
+    """Return the versions stored with every record."""
     names = ("golfbench", "numpy", "numba", "scipy")
     return {name: importlib.metadata.version(name) for name in names} | {"python": platform.python_version()}
 
@@ -91,10 +91,10 @@ class Daemon:
         read_only: bool = False,
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
-        """Check what can be checked before anything is started; `now` is the calendar's.
+        """Load profile and calibration; `now` returns the date and time (UTC).
 
         Raises:
-            BenchError: the profile or the calibration does not hold.
+            BenchError: the profile or the calibration is invalid.
         """
         self._now, self.read_only = now, read_only
         self.calibration = calibration_of(configuration, now())
@@ -102,7 +102,7 @@ class Daemon:
         self.profile = load_profile(find_profile(self.configuration.swing.profile))
         self._basis, self._profile_digest = basis_of(self.profile), digest_of(self.profile)
         self.wall = not configuration.driver.paced
-        """The loop's clock is the wall's."""
+        """Whether the loop runs in wall-clock time."""
         self.children: dict[str, Child] = {}
         self._run = run_id(now())
         self._support: list[ManagedProcess] = []
@@ -117,46 +117,44 @@ class Daemon:
         self._ending = False
         self._started = time.monotonic()
 
-    # The desk ------------------------------------------------------------------------------------
+    # Commands ------------------------------------------------------------------------------------
 
     def request(self, request: Request) -> Reply:
-        """Put `request` to the loop and wait for its answer; nothing is armed with an expired calibration."""
+        """Send `request` to the loop and wait for its answer; arming needs a valid calibration."""
         if request is Request.ARM and (problems := self.calibration.problems(self._now())):
             return Reply(False, self._link.state, "; ".join(problems))
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
     def correct(self, profile: str, weights: Sequence[float]) -> Reply:
-        """Swing with a correction learned for this profile from now on; without weights as designed."""
+        """Apply a correction learned for this profile from now on; without weights none."""
         if profile != self._profile_digest:
-            return self._not_corrected("learned for another profile, or another version of it: learn it anew")
+            return self._not_corrected("learned for another profile, or another version of it: learn again")
         if len(weights) not in (0, self._basis.size):
-            return self._not_corrected(
-                f"{len(weights)} weights, {self._basis.size} are needed: learn it anew"
-            )
+            return self._not_corrected(f"{len(weights)} weights, expected {self._basis.size}: learn again")
         if weights and self.configuration.control.feed_forward != "planned":
             return self._not_corrected(
-                'corrections change planned openings: control.feed_forward = "planned"'
+                'corrections need planned openings: set control.feed_forward = "planned"'
             )
         if weights:
             corrected = self._basis.corrected(self.profile, weights)
             if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
-                return self._not_corrected(f"corrected, {beyond}: learn it anew on a better model")
+                return self._not_corrected(f"corrected, {beyond}: learn again on a better model")
         return self._link.correct(weights)
 
     def _not_corrected(self, reason: str) -> Reply:
         return Reply(False, self._link.state, reason)
 
     def stop(self) -> Reply:
-        """Stop as the stopping table says."""
+        """Stop according to the stopping table."""
         return self._link.stop(Request.STOP)
 
     def emergency_stop(self) -> Reply:
-        """Stop as for an open emergency stop circuit."""
+        """Stop as with an open emergency stop circuit."""
         return self._link.stop(Request.EMERGENCY_STOP)
 
     def status(self) -> BenchStatus:
-        """Return the snapshot; `lease` and `counts` are the command plane's."""
+        """Return the status; the command plane adds `lease` and `counts`."""
         support = {supporter.name: supporter for supporter in self._attending}
         children = self.children | {name: s.child for name, s in support.items() if s.child is not None}
         return status_of(
@@ -185,36 +183,41 @@ class Daemon:
 
     @property
     def _attending(self) -> list[ManagedProcess]:
-        """All processes beside loop and plant; that of the launch monitor nothing waits for."""
+        """All processes except loop and plant; arming does not depend on the launch monitor's."""
         return [*self._support, *filter(None, [self._launch_monitor])]
 
     def _launch_monitor_status(self) -> LaunchMonitorStatus | None:
-        """Return what its process told last; while that is not well, nobody listens."""
-        process, told = self._launch_monitor, self._monitored
+        """Return the last status of the launch monitor process; not listening while it is not ready."""
+        process, reported = self._launch_monitor, self._monitored
         if process is None or process.ready:
-            return None if process is None else told
-        kept = LaunchMonitorStatus(**told)
-        kept |= {"listening": "", "present": False, "monitors": [], "note": told["note"] or process.note}
-        return kept
+            return None if process is None else reported
+        status = LaunchMonitorStatus(**reported)
+        status |= {
+            "listening": "",
+            "present": False,
+            "monitors": [],
+            "note": reported["note"] or process.note,
+        }
+        return status
 
     # The run -------------------------------------------------------------------------------------
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Start everything, live until SIGTERM or Ctrl-C, and bring the robot to rest before the end.
+        """Start all processes, run until SIGTERM or Ctrl-C, then bring the robot to rest and shut down.
 
         `ready` is called once commands are answered.
 
         Raises:
-            BenchError: something did not start, or the loop died (LoopDied).
+            BenchError: a process did not start, or the loop died (LoopDied).
             DriverError: the plant did not start.
         """
         c = self.configuration
         with ExitStack() as stack:
-            wish = stack.enter_context(stop_on_signals())
+            stop = stack.enter_context(stop_on_signals())
             owner = stack.enter_context(take_bench(c.bench.id))
             self._marker = RunMarker(c.bench.data_dir, c.bench.id)
-            in_order = False
-            stack.callback(lambda: self._marker.end(in_order=in_order))
+            clean = False
+            stack.callback(lambda: self._marker.end(clean=clean))
             self._marker.begin(os.getpid(), self._now().isoformat())
             notifier = ServiceNotifier.of_environment(os.environ)
             stack.callback(notifier.close)
@@ -222,15 +225,15 @@ class Daemon:
                 self._start(stack, owner)
                 notifier.ready(f"bench {c.bench.id}: {self._link.state}")
                 ready()
-                self._live(notifier, wish)
+                self._live(notifier, stop)
                 notifier.stopping()
                 self._bring_to_end()
-                in_order = True
+                clean = True
             except LoopDied:
                 time.sleep(_AFTERMATH)
                 raise
             except Exception:
-                in_order = "loop" not in self.children  # nothing could move yet
+                clean = "loop" not in self.children  # nothing could move yet
                 raise
 
     def _start(self, stack: ExitStack, owner: Ownership) -> None:
@@ -255,9 +258,9 @@ class Daemon:
         )
         self.children["loop"] = loop
         owner.note_loop(loop.pid)
-        told = loop.wait_until_ready(_START)
-        self._real_time = told["real_time"]
-        _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * told["tick_ns"])
+        report = loop.wait_until_ready(_START)
+        self._real_time = report["real_time"]
+        _log.info("the loop is ready, a tick takes %.0f us", 1e-3 * report["tick_ns"])
         self._link.connect()
         self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
         self._before_timing = self._timing.snapshot()
@@ -323,19 +326,19 @@ class Daemon:
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)
 
-    def _live(self, notifier: ServiceNotifier, wish: StopFlag) -> None:
-        """Take turns until somebody wishes the end; pet systemd only while the loop advances.
+    def _live(self, notifier: ServiceNotifier, stop: StopFlag) -> None:
+        """Run until asked to stop; reset systemd's watchdog only while the loop advances.
 
         Raises:
             LoopDied: the loop ended or froze.
         """
-        interval, petted = watchdog_interval(os.environ, os.getpid()), -np.inf
-        while not wish.wait(_TURN):
+        interval, notified = watchdog_interval(os.environ, os.getpid()), -np.inf
+        while not stop.wait(_TURN):
             now = time.monotonic()
             self._turn(now)
-            if interval is not None and now - petted >= interval / 3 and self._advanced == now:
+            if interval is not None and now - notified >= interval / 3 and self._advanced == now:
                 notifier.alive()
-                petted = now
+                notified = now
 
     def _turn(self, now: float) -> None:
         """Do what is due at `now` (s)."""
@@ -351,19 +354,19 @@ class Daemon:
             self._plane.publish_state(self.status())
 
     def _grant(self) -> None:
-        """Tell the loop that somebody lives here, and what is granted."""
+        """Send heartbeat and permissions to the loop."""
         if self._plane is not None:
             lease = self._plane.lease()
             number = 0 if lease is None else lease.number
             self._link.beat(lease=number, support_ready=self._support_ready)
 
     def _sum_up(self, now: float) -> None:
-        """Sum up the loop's timing since the last time."""
+        """Update the loop statistics since the last call."""
         after = self._timing.snapshot()
-        told = summary(after, self._before_timing)
-        wake, tick = told["segments"]["wake_up"], told["segments"]["tick"]
+        timing = summary(after, self._before_timing)
+        wake, tick = timing["segments"]["wake_up"], timing["segments"]["tick"]
         self._statistics = LoopStatus(
-            rate_hz=told["ticks"] / (now - self._summed_up),
+            rate_hz=timing["ticks"] / (now - self._summed_up),
             skipped=int(after["skipped"][0]),
             late=int(after["late"][0]),
             wake_p50_s=1e-6 * (wake["p50_us"] or 0.0),
@@ -373,10 +376,10 @@ class Daemon:
         self._before_timing, self._summed_up = after, now
 
     def _watch_loop(self, now: float) -> None:
-        """Note what the loop did since the last turn.
+        """Process the loop's records and events since the last turn.
 
         Raises:
-            LoopDied: it ended, or stands still and was killed.
+            LoopDied: it ended, or was killed because it froze.
         """
         cycles = self._link.news()
         if len(cycles):
@@ -390,12 +393,12 @@ class Daemon:
             elif event["event"] == "device":
                 self._device = DeviceStatus(trouble=event["trouble"], counters=event["counters"])
         if self._ending:
-            return  # unlocking its memory it stands still for longer than it may otherwise
+            return  # unlocking its memory stalls it longer than allowed otherwise
         if not loop.alive:
             raise self._loop_died(loop.ending)
         if now - self._advanced > _LOOP_SILENCE:
             loop.kill()
-            raise self._loop_died(f"stood still for {now - self._advanced:.1f} s and was killed")
+            raise self._loop_died(f"froze for {now - self._advanced:.1f} s and was killed")
 
     def _loop_died(self, how: str) -> LoopDied:
         state, phase, _, _ = self._before
@@ -406,11 +409,11 @@ class Daemon:
             f"bench {self.configuration.bench.id}: loop",
             f"it {how}; state {state.name}, phase {phase.name}",
             "it to run; the device has gone passive by its own watchdog",
-            "Look at the robot, then start the bench anew: it comes up in ESTOP.",
+            "Check the robot, then restart the bench: it starts in ESTOP.",
         )
 
     def _note_changes(self, cycles: np.ndarray[Any, Any]) -> None:
-        """Tell of every change of state, phase, reaction and cause in `cycles`."""
+        """Log and publish every change of state, phase, reaction and cause in `cycles`."""
         keys = np.stack([cycles[name] for name in ("state", "phase", "reaction", "trip")], axis=1)
         before = np.vstack([np.array([self._before], dtype=keys.dtype), keys[:-1]])
         for k in np.flatnonzero(np.any(keys != before, axis=1)):
@@ -448,38 +451,38 @@ class Daemon:
             "time_utc": self._now().isoformat(),
         }
 
-    def _note_record(self, told: dict[str, Any]) -> None:
-        """Publish where a swing's record is."""
-        if self._plane is None or told["event"] != "stored" or told["kind"] != "swing":
+    def _note_record(self, event: dict[str, Any]) -> None:
+        """Publish the path of a swing's record."""
+        if self._plane is None or event["event"] != "stored" or event["kind"] != "swing":
             return
-        path, shot = os.path.abspath(told["path"]), told["shot_id"]
+        path, shot = os.path.abspath(event["path"]), event["shot_id"]
         if shot is not None:
             self._shots.note_record(shot, path)
-        facts = {name: told[name] for name in ("number", "lost_records", "complete", "replayable", "cause")}
+        facts = {name: event[name] for name in ("number", "lost_records", "complete", "replayable", "cause")}
         message = {"version": SHOT_VERSION, "shot_id": shot, "shot": None, "record": path, **facts}
         self._plane.publish_shot(message)
 
-    def _note_launch(self, told: dict[str, Any]) -> None:
-        """Publish what became of a swing or a launch, and keep how the launch monitor is."""
-        if told["event"] == "link":
-            self._monitored = told["link"]
-        elif told["event"] == "shot":
-            self._shots.note_outcome(told["message"], time.monotonic())
+    def _note_launch(self, event: dict[str, Any]) -> None:
+        """Store the launch monitor's status, or queue the outcome of a swing or launch for publishing."""
+        if event["event"] == "link":
+            self._monitored = event["link"]
+        elif event["event"] == "shot":
+            self._shots.note_outcome(event["message"], time.monotonic())
 
     def _publish(self, event: str, content: dict[str, Any]) -> None:
         if self._plane is not None:
             self._plane.publish_event(event, content)
 
     def _bring_to_end(self) -> None:
-        """Let the loop bring the robot to rest, then end the others in the order in which data flows.
+        """Let the loop bring the robot to rest, then stop the other processes in the order of the data flow.
 
         Raises:
-            LoopDied: it did not end in time.
+            LoopDied: the loop did not end in time.
         """
         self._link.shut_down()
         for supporter in self._attending:
-            supporter.leave_dead()
-        loop, deadline = self.children["loop"], time.monotonic() + _LONGEST_STOP
+            supporter.stop_restarting()
+        loop, deadline = self.children["loop"], time.monotonic() + _STOP_TIMEOUT
         self._ending = True
         while loop.alive and time.monotonic() < deadline:
             self._turn(time.monotonic())

@@ -1,1 +1,1 @@
-"""The processes of a running bench, what they share, and what each is watched by."""
+"""The processes of a running bench, their shared files and their supervision."""

@@ -1,4 +1,4 @@
-"""Where a running bench keeps what its processes share."""
+"""The folder of shared files of a running bench."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 from bench.errors import BenchError
 
 MEMORY = Path("/dev/shm")  # noqa: S108 - the folder made in it is checked to be ours alone
-"""Where shared memory has its files unless systemd gives a place."""
+"""Folder of shared memory, unless systemd provides another one."""
 
 BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
-"""What a bench may be called: its id is part of addresses and of files' names."""
+"""Pattern of a bench id, which is part of network keys and file names."""
 
 
 def bench_folder(bench_id: str, memory: Path = MEMORY) -> Path:
-    """Return the folder in `memory` of bench `bench_id`, which exists while the bench is run.
+    """Return the folder in `memory` of bench `bench_id`, which exists while the bench runs.
 
-    It is at the same place for a service and for a bench started by hand: they must meet.
+    A service and a bench started by hand use the same folder, so that they exclude each other.
 
     Raises:
-        BenchError: `bench_id` is not of the form BENCH_ID.
+        BenchError: `bench_id` does not match BENCH_ID.
     """
     if not re.fullmatch(BENCH_ID, bench_id):
         raise BenchError(

@@ -1,4 +1,4 @@
-"""A process of the bench as its supervisor sees it: started with a plan, heard by lines, ended in order."""
+"""A child process of the supervisor: starts it with a plan, reads its output and stops it cleanly."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ _READ = 65536
 
 
 class NotStarted(BenchError):
-    """A process of the bench did not come up."""
+    """A process of the bench did not become ready."""
 
     exit_code = ExitCode.DEVICE
 
 
 class Child:
-    """One process; `events` holds what it told and nobody has taken yet."""
+    """One child process; `events` holds its received events."""
 
     def __init__(self, name: str, process: subprocess.Popen[bytes]) -> None:
         """Adopt `process`, whose stdout is a pipe of JSON lines."""
         self.name, self.process = name, process
         self.events: list[dict[str, Any]] = []
-        self._heard = b""
+        self._partial_line = b""
         if process.stdout is not None:
             os.set_blocking(process.stdout.fileno(), False)
 
     @classmethod
     def start(cls, name: str, module: str, plan: object, pass_fds: tuple[int, ...] = ()) -> Child:
-        """Start `python -m module` with `plan` pickled on its stdin; never waits for it.
+        """Start `python -m module` with `plan` pickled on its stdin, without waiting.
 
-        The plan lies in memory: into a pipe a large one would go only as the child, still importing, reads.
-        Signals that are not meant for the child are blocked in it from its first instruction on.
+        The plan is passed in a memory file: writing a large one to a pipe would block until the child reads.
+        Signals meant for the parent are blocked in the child from its first instruction on.
         """
-        # What this process can import, its child can; more BLAS threads only disturb.
+        # The child gets this process' import path; further BLAS threads disturb the timing.
         path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))
@@ -65,30 +65,30 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self.process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether it runs; a stopped one does."""
+        """Whether it runs or is stopped by a signal."""
         return self.process.poll() is None
 
     @property
     def ending(self) -> str:
-        """How it ended, in words; empty while it runs."""
+        """How it ended, as text; empty while it runs."""
         code = self.process.poll()
         if code is None:
             return ""
         return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def listen(self) -> None:
-        """Take in what it told, without waiting."""
+        """Read its events without blocking."""
         if self.process.stdout is None or self.process.stdout.closed:
             return
         with suppress(BlockingIOError):
             while new := os.read(self.process.stdout.fileno(), _READ):
-                self._heard += new
-        *lines, self._heard = self._heard.split(b"\n")
+                self._partial_line += new
+        *lines, self._partial_line = self._partial_line.split(b"\n")
         for line in lines:
             with suppress(ValueError):
                 event = json.loads(line)
@@ -96,7 +96,7 @@ class Child:
                     self.events.append(event)
 
     def take_events(self) -> list[dict[str, Any]]:
-        """Return what it told since the last call."""
+        """Return its events since the last call."""
         self.listen()
         taken, self.events = self.events, []
         return taken
@@ -105,7 +105,7 @@ class Child:
         """Wait up to `timeout` (s) for its event `ready` and return it.
 
         Raises:
-            NotStarted: it told that it failed, it ended, or its time is up.
+            NotStarted: it reported a failure, ended, or the time-out expired.
         """
         deadline = time.monotonic() + timeout
         stdout = self.process.stdout
@@ -113,21 +113,21 @@ class Child:
             ended = not self.alive
             self.listen()
             while self.events:
-                event = self.events.pop(0)  # what it told after it stays to be taken
+                event = self.events.pop(0)  # later events remain for `take_events`
                 if event["event"] == "ready":
                     return event
                 if event["event"] == "failed":
                     raise self._failure(event)
             if ended:
                 raise NotStarted(
-                    f"{self.name} process", self.ending, "it to become ready", "See what it wrote above."
+                    f"{self.name} process", self.ending, "it to become ready", "See its output above."
                 )
             select.select([stdout] if stdout else [], [], [], 0.1)
         raise NotStarted(
             f"{self.name} process",
             f"not ready after {timeout:g} s",
             "it to become ready",
-            "The first start compiles for about half a minute: start again, with a cache that is kept.",
+            "The first start compiles for about half a minute: restart with a persistent cache.",
         )
 
     def _failure(self, event: dict[str, Any]) -> NotStarted:
@@ -135,14 +135,14 @@ class Child:
             str(event.get("place", f"{self.name} process")),
             str(event.get("found", event.get("reason", event.get("text", "it failed")))),
             str(event.get("expected", "it to become ready")),
-            str(event.get("cure", "See what it wrote above.")),
+            str(event.get("cure", "See its output above.")),
         )
         with suppress(ValueError):
             error.exit_code = ExitCode(event.get("exit_code", ExitCode.DEVICE))
         return error
 
     def end(self, patience: float) -> None:
-        """Ask it to end, wait up to `patience` (s), then kill it; allowed when it has ended."""
+        """Terminate it, wait up to `patience` (s), then kill it; allowed when it has ended."""
         with suppress(ProcessLookupError):
             self.process.terminate()
         with suppress(subprocess.TimeoutExpired):
@@ -150,7 +150,7 @@ class Child:
         self.kill()
 
     def kill(self) -> None:
-        """End it at once and close its pipe."""
+        """Kill it and close its pipe."""
         with suppress(ProcessLookupError):
             self.process.kill()
         self.process.wait()

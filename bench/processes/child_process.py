@@ -1,6 +1,6 @@
-"""A process of the bench as its supervisor starts it: plan on stdin, JSON lines on stdout, heartbeat beside.
+"""The child's side of a supervised process: plan on stdin, JSON lines on stdout, heartbeat in shared memory.
 
-The plan is a pickled frozen dataclass: it comes from the parent through a pipe that nobody else can write to.
+The plan is a pickled frozen dataclass from the parent, through a file that no other process can write to.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 FOR_PARENT = (signal.SIGINT, signal.SIGABRT)
-"""Signals that come to all processes at once and are the parent's: SIGINT from a shared terminal or as
-systemd's stop, SIGABRT from systemd's watchdog. A child is started with them blocked."""
+"""Signals sent to the whole process group and handled by the parent: SIGINT from a terminal or systemd's
+stop, SIGABRT from systemd's watchdog. A child starts with them blocked."""
 
 
 class Condition(IntEnum):
-    """How a child says it is."""
+    """Condition reported by a child."""
 
     STARTING = 0
     WORKING = 1
     TROUBLE = 2
-    """It cannot do its work for now and tries again; nothing more is to be armed."""
+    """Temporarily unable to work, retrying; arming is refused."""
     ENDING = 3
 
 
@@ -53,21 +53,21 @@ HEARTBEAT = np.dtype(
     ],
     align=True,
 )
-"""What a child tells many times a second: beats so far, CLOCK_MONOTONIC of this one (s), `Condition`, ring
-records lost by this process, work done (files stored, batches sent) and kept for later, and the last tick
-that is done with. For the recorder after this one: the tick after which it is to read, which spares the lead
-of a record to come, and of the record that is being stored the number, its begin (s, UTC) and its last tick.
-The supervisor makes the file, so that a child started anew goes on in it."""
+"""Heartbeat of a child, many times a second: beat counter, time of the beat (s, CLOCK_MONOTONIC),
+`Condition`, ring records lost, work done (files stored, batches sent) and waiting, and the last completed
+tick. For a restarted recorder: the tick after which to resume reading, which includes the lead of the next
+record, and number, begin (s, UTC) and last tick of the record being stored. The supervisor creates the file,
+so that a restarted child continues in it."""
 
 
 class HeartbeatSender:
     """The child's side of a heartbeat."""
 
     def __init__(self, path: Path) -> None:
-        """Go on in the file at `path`, or make it.
+        """Open the file at `path`, or create it.
 
         Raises:
-            SharedMemoryError: it cannot be made or used.
+            SharedMemoryError: it cannot be created or used.
         """
         try:
             self._shared = SharedRecord.open(path, HEARTBEAT)
@@ -76,11 +76,11 @@ class HeartbeatSender:
                 raise
             self._shared = SharedRecord.create(path, HEARTBEAT)
         self.last = np.zeros(1, HEARTBEAT)
-        """What was told last, also by the process before this one."""
+        """Last heartbeat, initially that of the previous process."""
         self._shared.read(self.last)
 
     def beat(self, time: float, condition: Condition, **figures: float) -> None:
-        """Tell `condition` and any of `figures` (fields of HEARTBEAT) at `time` (s)."""
+        """Write a heartbeat with `condition` and `figures` (fields of HEARTBEAT) at `time` (s)."""
         self.last["count"] += 1
         self.last["time"], self.last["condition"] = time, condition
         for name, value in figures.items():
@@ -93,15 +93,15 @@ class HeartbeatSender:
 
 
 class Parent:
-    """What the supervisor wants: an end, by SIGTERM or by not being there any more. Ctrl-C is its own."""
+    """Stop requests of the supervisor: SIGTERM, or its death. Ctrl-C is left to the supervisor."""
 
     def __init__(self) -> None:
         self._parent = os.getppid()
-        self.wants_end = False
-        """SIGTERM has come."""
+        self.stop_requested = False
+        """Whether SIGTERM was received."""
 
     def listen(self) -> None:
-        """Take SIGTERM as a wish, from now on, and ignore FOR_PARENT; before, SIGTERM ends it at once."""
+        """Handle SIGTERM as a stop request and ignore FOR_PARENT; before this call SIGTERM kills."""
         signal.signal(signal.SIGTERM, self._note)
         for number in FOR_PARENT:
             signal.signal(number, signal.SIG_IGN)
@@ -113,30 +113,30 @@ class Parent:
         return os.getppid() != self._parent
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        self.wants_end = True
+        self.stop_requested = True
 
 
 def read_plan() -> Any:
-    """Return the plan that the parent sent."""
+    """Return the plan sent by the parent."""
     return pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent, see above
 
 
-def tell(event: str, **details: Any) -> None:
-    """Write one JSON line to the parent. Nobody there to read it: it is dropped, never waited for."""
+def send_event(event: str, **details: Any) -> None:
+    """Write one JSON line to the parent; dropped if the parent does not read, never blocking."""
     line = json.dumps({"event": event, **details}) + "\n"
     descriptor = sys.stdout.fileno()
     with suppress(OSError):
         os.set_blocking(descriptor, False)
-        os.write(descriptor, line.encode())  # below PIPE_BUF it is written whole or not at all
+        os.write(descriptor, line.encode())  # below PIPE_BUF writes are atomic
 
 
-def tell_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
-    """Tell the parent that this process cannot work because of `error`, and return its exit code."""
+def send_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
+    """Report `error` to the parent as the reason of failure, and return the exit code."""
     if isinstance(error, DriverError):
         place, found = "driver", str(error)
-        expected, cure = "a device that does its work", "Mend it, then start again."
+        expected, cure = "a working device", "Correct the fault, then restart."
     else:
         place, found, expected, cure = error.args
     code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
-    tell("failed", place=place, found=found, expected=expected, cure=cure, exit_code=int(code))
+    send_event("failed", place=place, found=found, expected=expected, cure=cure, exit_code=int(code))
     return int(code)

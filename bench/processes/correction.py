@@ -1,8 +1,8 @@
-"""A learned correction on its way into a running loop, and what the loop made of it.
+"""Transfer of a learned correction from the supervisor into the running loop.
 
-The supervisor orders weights; the loop takes them where nothing swings, and tells since which tick they hold.
-What is taken are tables for the swings to come: reference and feed-forward up to the impact. Everything that
-limits a swing limits the corrected one alike.
+The supervisor orders weights; the loop applies them between swings and reports the tick since which they are
+active. A correction changes tables of the following swings: reference and feed-forward up to the impact. All
+limits of a swing apply to the corrected one as well.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from drivers.base.shared_record import SharedRecord
 CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
 
 CORRECTION = np.dtype([("number", "i8"), ("size", "i8"), ("weights", "f8", (MOST_WEIGHTS,))], align=True)
-"""An order: `size` weights; none is the profile as designed. A new `number` makes it a new order."""
+"""Order of a correction with `size` weights, 0 for the profile as designed; a new `number` is a new order."""
 
 CORRECTED = np.dtype([("asked", "i8"), ("tick", "i8"), ("order", CORRECTION)], align=True)
-"""`asked` is the order looked at last. `order` is the one that swings are made with since `tick`."""
+"""`asked` is the number of the last order processed, `order` the one active since `tick`."""
 
 
 def pack_correction(number: int, weights: Sequence[float]) -> np.ndarray[Any, Any]:
@@ -42,26 +42,26 @@ def weights_of(order: np.ndarray[Any, Any]) -> list[float]:
 
 
 class CorrectionReader:
-    """The loop's side."""
+    """The loop's side of the transfer."""
 
     def __init__(self, folder: Path, profile: Profile) -> None:
         """Open the bench's files for corrections of `profile`.
 
         Raises:
-            SharedMemoryError: the supervisor made none.
+            SharedMemoryError: the supervisor has not created them.
         """
         self._profile, self._basis = profile, basis_of(profile)
         self._orders = SharedRecord.open(folder / CORRECTION_FILE, CORRECTION)
-        self._told = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
+        self._active = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
         self._order, self._answer = new_record(CORRECTION), new_record(CORRECTED)
         self._version = self._orders.newest
-        self._told.write(self._answer)
+        self._active.write(self._answer)
 
     def take(self, tick: int, *, resting: bool) -> Profile | None:
-        """Return the profile to swing from `tick` on, if another was ordered; None: as before.
+        """Return the profile to swing from `tick` on if a new one was ordered, else None.
 
-        An order that comes while the robot does not rest, or is for another profile, is answered by `asked`
-        alone, and forgotten.
+        An order that arrives while the robot is not resting, or for another profile, only updates `asked`
+        and is dropped.
         """
         if self._orders.newest == self._version:
             return None
@@ -74,10 +74,10 @@ class CorrectionReader:
             if weights:
                 taken = self._basis.corrected(taken, weights)
             self._answer["tick"], self._answer["order"] = tick, self._order
-        self._told.write(self._answer)
+        self._active.write(self._answer)
         return taken
 
     def close(self) -> None:
         """Unmap the files."""
         self._orders.close()
-        self._told.close()
+        self._active.close()

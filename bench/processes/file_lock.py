@@ -1,4 +1,4 @@
-"""A lock on an open file that ends with whoever holds it, however that ends."""
+"""A lock on an open file that is released when its owner ends for any reason."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import fcntl
 
 
 def try_lock(descriptor: int) -> bool:
-    """Lock the open file for us, and for those who inherit it; False when another has it."""
+    """Lock the open file for this process and those that inherit it; False if locked by another."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,18 +1,18 @@
-"""The launch monitor's side of a running bench. `python -m bench.processes.launch_monitor`.
+"""The launch monitor process of a running bench. `python -m bench.processes.launch_monitor`.
 
-It listens for a launch monitor, sees the swings go by in the ring, matches both and tells what became of
-each; it passes launches on to GSPro where that is configured. Plan: a pickled LaunchMonitorPlan on stdin.
-Told on stdout, one JSON line each:
+It listens for launch monitors, detects swings in the ring, matches both and reports each outcome; if
+configured it forwards launches to GSPro. Plan: a pickled LaunchMonitorPlan on stdin. Output on stdout, one
+JSON line each:
 
-`ready`      it reads the ring; whether it listens, `link` tells
+`ready`      it reads the ring; `link` reports whether it listens
 `shot`       `message`: a settled outcome, as `bench.shot.shot_message` describes it, without its record
-`link`       `link`: how the connections are (`LaunchMonitorStatus`); on change and every second
-`trouble`    `text`: it cannot listen; it tries again
-`relieved`   that is over
+`link`       `link`: status of the connections (`LaunchMonitorStatus`); on change and every second
+`trouble`    `text`: it cannot listen and retries
+`relieved`   it listens again
 `failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work at all
-`ended`      nothing else
+`ended`      no further keys
 
-It ends by SIGTERM or when its supervisor is gone. What is not settled then stays unsettled.
+It ends on SIGTERM or when its supervisor is gone. Outcomes not settled by then stay unsettled.
 """
 
 from __future__ import annotations
@@ -25,7 +25,14 @@ from typing import Any
 
 from bench.errors import BenchError, ExitCode
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
-from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import (
+    Condition,
+    HeartbeatSender,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
 from bench.shot.shot_matcher import LaunchBook, Told
@@ -38,20 +45,20 @@ from drivers.launch_monitor.client import SimulatorClient
 from drivers.launch_monitor.server import LaunchMonitorServer
 
 POLL = 0.01
-"""s between two looks."""
+"""Polling period, s."""
 _RING = 1 << 16
-"""More records than the ring holds."""
+"""Max records read at once: more than the ring holds."""
 _LINK = 1.0
-"""s between two words about the connections when nothing changes."""
+"""Period of unchanged status reports, s."""
 _LISTEN = 2.0
-"""s between two attempts to listen."""
+"""Time between two attempts to listen, s."""
 
 
-class LaunchMonitorDesk:
-    """One run of the process; `turn` is everything it does between two sleeps."""
+class LaunchMonitorService:
+    """One run of the process; call `turn` once per polling period."""
 
     def __init__(self, plan: LaunchMonitorPlan) -> None:
-        """Open the shared files and begin to connect to the simulator, if there is to be one.
+        """Open the shared files and start connecting to the simulator, if enabled.
 
         Raises:
             BenchError, SharedMemoryError: a shared file is unusable.
@@ -59,8 +66,8 @@ class LaunchMonitorDesk:
         settings = plan.settings
         self._stack = ExitStack()
         try:
-            self._heart = HeartbeatSender(plan.heartbeat)
-            self._stack.callback(self._heart.close)
+            self._heartbeat = HeartbeatSender(plan.heartbeat)
+            self._stack.callback(self._heartbeat.close)
             self._ring = RingReader(plan.ring)
             self._stack.callback(self._ring.close)
             self._server = LaunchMonitorServer(settings)
@@ -84,29 +91,29 @@ class LaunchMonitorDesk:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens; DriverError when it does not."""
+        """Address and port it listens at; DriverError if not listening."""
         return self._server.address
 
     def turn(self, now: float, utc: datetime) -> None:
-        """Listen, look, match and tell, at `now` (s, CLOCK_MONOTONIC) and `utc`."""
+        """Listen, read swings and launches, match and report, at `now` (s, CLOCK_MONOTONIC) and `utc`."""
         if self._trouble and now >= self._listen_at:
             self._listen(now)
-        # All there are: the newest tells how far the loop's clock is behind, and no launch is given up for
-        # want of a swing that is in the ring already.
+        # Read all records: the newest shows how far the loop's clock is behind, and a launch must not expire
+        # while its swing is already in the ring.
         cycles = self._ring.read(_RING)
         lost, self._lost = self._ring.lost > self._lost, self._ring.lost
         for swing in self._watch.take(cycles, now, lost=lost):
             self._book.note_swing(swing, utc)
         self._book.note_launches(self._server.take())
         for told in self._book.settle(now):
-            tell("shot", message=message_of(told))
+            send_event("shot", message=message_of(told))
             self._pass_on(told)
-        self._tell_link(now)
+        self._report_link(now)
         condition = Condition.TROUBLE if self._trouble else Condition.WORKING
-        self._heart.beat(now, condition, lost=self._ring.lost, done=sum(self._book.counts.values()))
+        self._heartbeat.beat(now, condition, lost=self._ring.lost, done=sum(self._book.counts.values()))
 
     def close(self) -> None:
-        """End all connections and unmap the shared files."""
+        """Close all connections and unmap the shared files."""
         self._stack.close()
 
     def _listen(self, now: float) -> None:
@@ -114,21 +121,21 @@ class LaunchMonitorDesk:
             self._server.open()
         except DriverError as error:
             if str(error) != self._trouble:
-                tell("trouble", text=str(error))
+                send_event("trouble", text=str(error))
             self._trouble, self._listen_at = str(error), now + _LISTEN
             return
         if self._listen_at > 0.0:
-            tell("relieved")
+            send_event("relieved")
         self._trouble = ""
 
     def _pass_on(self, told: Told) -> None:
-        """Pass a launch of ours on that nothing speaks against."""
+        """Forward an undoubted launch of this bench to the simulator."""
         launch = None if told.launch is None or told.reason else told.launch.launch
         if self._client is not None and launch is not None and told.launch is not None:
             carry = None if told.shot is None else told.shot.carry_m
             self._client.send(launch, told.launch.club, carry)
 
-    def _tell_link(self, now: float) -> None:
+    def _report_link(self, now: float) -> None:
         link = self._status()
         essence = (
             [(one["address"], one["device"], one["ready"]) for one in link["monitors"]],
@@ -138,7 +145,7 @@ class LaunchMonitorDesk:
         )
         if essence != self._linked or now - self._link_at >= _LINK:
             self._linked, self._link_at = essence, now
-            tell("link", link=link)
+            send_event("link", link=link)
 
     def _status(self) -> LaunchMonitorStatus:
         link = self._server.link()
@@ -164,7 +171,7 @@ class LaunchMonitorDesk:
             )
         note = self._trouble
         if len(monitors) > 1:
-            note = note or f"{len(monitors)} monitors are connected: two launches of one swing are doubtful"
+            note = note or f"{len(monitors)} monitors are connected: duplicate launches are marked doubtful"
         return LaunchMonitorStatus(
             listening=listening,
             present=bool(monitors) and not self._trouble,
@@ -178,7 +185,7 @@ class LaunchMonitorDesk:
 
 
 def message_of(told: Told) -> dict[str, Any]:
-    """Return the message of a settled outcome; its record is the supervisor's to add."""
+    """Return the message of a settled outcome; the supervisor adds its record."""
     return {
         "version": SHOT_VERSION,
         "shot_id": told.shot_id or None,
@@ -191,23 +198,23 @@ def message_of(told: Told) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Serve until the supervisor ends it or is gone."""
+    """Run until stopped by the supervisor or orphaned."""
     parent = Parent()
     try:
         plan: LaunchMonitorPlan = read_plan()
         warm_up_shots(plan.plant, FlightConditions(plan.air, plan.wind, plan.turf))
-        desk = LaunchMonitorDesk(plan)
+        service = LaunchMonitorService(plan)
     except (BenchError, SharedMemoryError, DriverError) as error:
-        return tell_failure(error)
+        return send_failure(error)
     parent.listen()
-    tell("ready")
+    send_event("ready")
     try:
-        while not (parent.wants_end or parent.gone):
-            desk.turn(time.monotonic(), datetime.now(UTC))
+        while not (parent.stop_requested or parent.gone):
+            service.turn(time.monotonic(), datetime.now(UTC))
             time.sleep(POLL)
     finally:
-        desk.close()
-    tell("ended")
+        service.close()
+    send_event("ended")
     return ExitCode.OK
 
 

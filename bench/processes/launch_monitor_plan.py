@@ -1,4 +1,4 @@
-"""What the launch monitor's process is started with."""
+"""Parameters of the launch monitor process."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from sim.turf import Turf
 
 @dataclass(frozen=True)
 class LaunchMonitorPlan:
-    """Made by the supervisor, sent to the process; it does not share its many imports."""
+    """Parameters sent by the supervisor; a module of its own, without the imports of the process."""
 
     run: str
     """Id of the bench's run."""
     ring: Path
     heartbeat: Path
-    """Shared record of HEARTBEAT."""
+    """File of the HEARTBEAT record."""
     settings: LaunchMonitorSettings
     plant: PlantParameters
     air: Air
     wind: Wind
     turf: Turf
     wall: bool = True
-    """The loop's time is CLOCK_MONOTONIC; otherwise virtual."""
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""

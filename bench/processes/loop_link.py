@@ -1,4 +1,4 @@
-"""The supervisor's side of the loop: orders go into shared memory, answers are read from the ring.
+"""The supervisor's link to the loop: orders go into shared memory, answers are read from the ring.
 
 The loop is never waited for beyond a bound, and never asked to compute anything: its newest record tells
 state, request answered last and reason.
@@ -31,19 +31,19 @@ from drivers.base.shared_record import SharedRecord
 Cycles = np.ndarray[Any, Any]
 
 _ANSWER = 0.2
-"""s in which the loop must have answered."""
-_BETWEEN_LOOKS = 0.001
+"""Time-out of the loop's answer, s."""
+_POLL_PERIOD = 0.001
 _COUNTERS = {Request.STOP: "stop_count", Request.EMERGENCY_STOP: "emergency_stop_count"}
 
 
 class LoopLink:
-    """Orders to the loop and what it tells; every method may be called from any thread."""
+    """Orders to the loop and its records; every method may be called from any thread."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the file of orders in the bench's `folder`; the loop may be started now.
+        """Create the file of orders in the bench's `folder`, before the loop is started.
 
         Raises:
-            SharedMemoryError: it cannot be made.
+            SharedMemoryError: it cannot be created.
         """
         self._folder = folder
         self._shared = SharedRecord.create(folder / SUPERVISION_FILE, SUPERVISION)
@@ -57,10 +57,10 @@ class LoopLink:
         self._news: RingReader | None = None
 
     def connect(self) -> None:
-        """Open the ring, which the loop has made.
+        """Open the ring created by the loop.
 
         Raises:
-            NoRing: there is none.
+            NoRing: the ring is missing.
         """
         self._looks = RingReader(self._folder / RING_FILE)
         self._news = RingReader(self._folder / RING_FILE, from_oldest=True)
@@ -83,7 +83,7 @@ class LoopLink:
         )
 
     def shut_down(self) -> None:
-        """Order the loop to end as soon as the robot stands."""
+        """Order the loop to end as soon as the robot is at rest."""
         self._order(shutdown=True)
 
     def newest(self) -> Cycles | None:
@@ -93,21 +93,21 @@ class LoopLink:
 
     @property
     def state(self) -> str:
-        """Name of the state of the bench."""
+        """Name of the bench state."""
         newest = self.newest()
         return State.STARTING.name if newest is None else State(int(newest["state"][0])).name
 
     def news(self) -> Cycles:
-        """Return the records since the last call; for one thread, which calls it many times a second."""
+        """Return the records since the last call; for one thread that calls it many times a second."""
         if self._news is None:
-            raise RuntimeError("connect() comes first")
+            raise RuntimeError("call connect() first")
         cycles = self._news.read(1 << 16)
         for request in _COUNTERS:
             self._stops_seen[request] += int(np.count_nonzero(cycles["request"] == request))
         return cycles
 
     def request(self, request: Request) -> Reply:
-        """Put `request` to the loop and wait for its answer; one at a time."""
+        """Send `request` to the loop and wait for its answer; one at a time."""
         with self._request_lock:
             number = int(self._orders["request_number"][0]) + 1
             lease = int(self._orders["lease"][0])
@@ -117,38 +117,38 @@ class LoopLink:
                 newest = self.newest()
                 if newest is not None and newest["request_number"][0] >= number:
                     return _reply(newest)
-                time.sleep(_BETWEEN_LOOKS)
-        return Reply(False, self.state, "the loop does not answer: it may stand still; look at its timing")
+                time.sleep(_POLL_PERIOD)
+        return Reply(False, self.state, "the loop does not answer: it may be stalled; check its timing")
 
     def correct(self, weights: Sequence[float]) -> Reply:
-        """Order a correction of the swings to come, and wait for the loop's answer; one at a time."""
+        """Order a correction of the following swings and wait for the loop's answer; one at a time."""
         with self._request_lock:
             self._corrections_ordered += 1
             self._corrections.write(pack_correction(self._corrections_ordered, weights))
             deadline = time.monotonic() + _ANSWER
             while time.monotonic() < deadline:
-                told = self._told_correction()
+                told = self._active_correction()
                 if told["asked"] == self._corrections_ordered:
                     if told["order"]["number"] == self._corrections_ordered:
                         return Reply(True, self.state, "")
-                    return Reply(False, self.state, "the robot moves: correct it standing or at its address")
-                time.sleep(_BETWEEN_LOOKS)
-        return Reply(False, self.state, "the loop does not answer: it may stand still; look at its timing")
+                    return Reply(False, self.state, "the robot moves: correct it at rest or at address")
+                time.sleep(_POLL_PERIOD)
+        return Reply(False, self.state, "the loop does not answer: it may be stalled; check its timing")
 
     @property
     def correction(self) -> int:
-        """Number of the correction that swings are made with; 0: as designed."""
-        order = self._told_correction()["order"]
+        """Number of the active correction; 0 for the profile as designed."""
+        order = self._active_correction()["order"]
         return int(order["number"]) if order["size"] else 0
 
-    def _told_correction(self) -> Any:
+    def _active_correction(self) -> Any:
         told = np.zeros(1, CORRECTED)
         if self._corrected is not None:
             self._corrected.read(told)
         return told[0]
 
     def stop(self, request: Request) -> Reply:
-        """Put `request`, STOP or EMERGENCY_STOP, to the loop, past any other; wait until it was seen."""
+        """Send STOP or EMERGENCY_STOP to the loop, ahead of other requests; wait until it is received."""
         counter, seen = _COUNTERS[request], self._stops_seen[request]
         with self._order_lock:
             self._orders[counter] += 1
@@ -157,7 +157,7 @@ class LoopLink:
         while time.monotonic() < deadline:
             if self._stops_seen[request] > seen:
                 return Reply(True, self.state, "")
-            time.sleep(_BETWEEN_LOOKS)
+            time.sleep(_POLL_PERIOD)
         return Reply(False, self.state, "the loop does not answer: press the button beside the robot")
 
     def _order(self, **values: int) -> None:

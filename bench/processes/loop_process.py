@@ -1,14 +1,15 @@
-"""The loop as a process of its own: one thread, a driver, the control numerics and a ring write.
+"""The loop process: one thread with driver, control numerics and a ring write.
 
-`python -m bench.processes.loop_process` takes a pickled LoopPlan on stdin and tells JSON lines on stdout:
+`python -m bench.processes.loop_process` reads a pickled LoopPlan on stdin and writes JSON lines on stdout:
 
-`ready`      `real_time` (what was asked and granted), `tick_ns` (median of the warm-up)
+`ready`      `real_time` (requested and granted settings), `tick_ns` (median of the warm-up)
 `failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work
 `exception`  `text`: a tick failed, the passive command was sent in it
-`device`     `trouble`, `counters`: why the device obeys nothing, what its driver counted; once a second
+`device`     `trouble`, `counters`: why the device is not operational, its counters; once a second on change
 `ended`      `reason`
 
-It ends by SIGTERM, by order of its supervisor, or when that is gone; but never before the robot stands.
+It ends on SIGTERM, by order of its supervisor, or when the supervisor is gone; but never before the robot is
+at rest.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from bench.control.settings import build_controller, with_tables_of
 from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
-from bench.processes.child_process import Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import Parent, read_plan, send_event, send_failure
 from bench.processes.correction import CorrectionReader
 from bench.processes.ownership import adopt
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
@@ -44,25 +45,25 @@ from sim.live.driver import ProcessPlantDriver
 from sim.live.paced_driver import PacedPlantDriver
 
 WARM_UP = 200
-"""Ticks before READY can be reached: everything is compiled, paged in and measured in them."""
+"""Warm-up ticks before READY, in which all code is compiled, paged in and measured."""
 
 _MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
 _RESTING = frozenset({Phase.STANDING, Phase.HOLD})
 _GIVE_UP = 20
-"""Ticks in a row that may fail for another reason than the device's."""
+"""Max consecutive failed ticks for reasons other than the device."""
 _BETWEEN_REPORTS = 1000
-"""Failing ticks in a row between two that are told."""
-_LONGEST_STOP = 15.0
-"""s in which the robot must stand after the order to end."""
-_BETWEEN_LOOKS = 50
-"""Ticks between two looks at the parent."""
+"""Consecutive failed ticks between two reports."""
+_STOP_TIMEOUT = 15.0
+"""Time-out for bringing the robot to rest after the order to end, s."""
+_POLL_TICKS = 50
+"""Ticks between two checks of the parent."""
 
 
 def open_driver(plan: LoopPlan) -> Driver:
     """Return the driver of `plan`'s configuration, closed.
 
     Raises:
-        DriverError: there is none of that name, or it is broken.
+        DriverError: it is not installed, or broken.
     """
     settings = plan.configuration.driver
     if settings.name == "sim":
@@ -79,10 +80,10 @@ class LoopProcess:
     """The loop of a running bench."""
 
     def __init__(self, plan: LoopPlan, parent: Parent) -> None:
-        """Build everything; nothing is opened yet.
+        """Build driver and controller without opening anything.
 
         Raises:
-            DriverError: the driver cannot be had.
+            DriverError: the driver is not installed, or broken.
         """
         c = plan.configuration
         self.plan, self.parent = plan, parent
@@ -106,15 +107,15 @@ class LoopProcess:
         self._snapshot = new_record(SNAPSHOT)
         self._failures = 0
         self._trouble = ""
-        self._told_device: tuple[str, dict[str, int]] = "", {}
+        self._reported_device: tuple[str, dict[str, int]] = "", {}
 
     def run(self) -> str:
-        """Warm up, tell that the loop is ready, run it until it is to end; return why it ended.
+        """Warm up, report ready, run until stopped; return the reason of the end.
 
         Raises:
             BenchError: real time is required and not granted, the ticks are too long, or a shared file is
                 missing.
-            DriverError: the device is unfit, or every tick fails.
+            DriverError: the device is unsuitable, or every tick fails.
         """
         c, folder = self.plan.configuration, self.plan.folder
         with ExitStack() as stack:
@@ -140,14 +141,14 @@ class LoopProcess:
             granted = stack.enter_context(
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
-            self._open_anew()  # compiling may have outlasted the device's watchdog, and its heartbeats
+            self._reopen()  # compiling may have exceeded the watchdog and heartbeat time-outs
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
-            tell("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
+            send_event("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
             return self._live(clock)
 
     def _compile(self) -> None:
-        """Run one tick off the record: whatever is not compiled yet is compiled now."""
+        """Run one unrecorded tick to compile all code."""
         spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
         first = 0.0 if self.paced else wall.monotonic()
         spare.run_tick(first)
@@ -155,10 +156,10 @@ class LoopProcess:
         TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
 
     def _warm_up(self, clock: GridClock | PacedClock) -> None:
-        """Run the ticks of STARTING, in which nothing can move, and refuse a tick that takes too long.
+        """Run the ticks of STARTING, in which nothing can move, and check their duration.
 
         Raises:
-            Refused: it takes more than its share of the period.
+            Refused: the ticks exceed their share of the period.
         """
         durations = np.zeros((WARM_UP, len(self.cycle.marks)), np.int64)
         for k in range(WARM_UP):
@@ -170,20 +171,20 @@ class LoopProcess:
         self.cycle.state.control["warm"] = True
 
     def _live(self, clock: GridClock | PacedClock) -> str:
-        """Run ticks until the loop is to end and the robot stands; return why it ends."""
+        """Run ticks until a stop is requested and the robot is at rest; return the reason of the end."""
         control, reason, last = self.cycle.state.control, "", np.inf
         tick, ticks_a_second = 0, round(1.0 / self.period)
         while True:
             time = self._tick(clock)
             tick += 1
             if tick % ticks_a_second == 0:
-                self._tell_device()
-            if tick % _BETWEEN_LOOKS and not reason:
+                self._report_device()
+            if tick % _POLL_TICKS and not reason:
                 continue
             if not reason and (reason := self._reason_to_end()):
-                last = time + _LONGEST_STOP
+                last = time + _STOP_TIMEOUT
                 if self.parent.gone:
-                    self.orders.give_up()
+                    self.orders.declare_supervisor_dead()
                 else:
                     control["request"] = Request.STOP
             if reason and (control["phase"][0] == Phase.STANDING or time > last):
@@ -191,13 +192,13 @@ class LoopProcess:
 
     def _reason_to_end(self) -> str:
         if self.orders.shutdown:
-            return "its supervisor ordered it to"
-        if self.parent.wants_end:
+            return "ordered by its supervisor"
+        if self.parent.stop_requested:
             return "SIGTERM"
         return "its supervisor is gone" if self.parent.gone else ""
 
     def _tick(self, clock: GridClock | PacedClock) -> float:
-        """Run one tick; a tick that fails has made the driver passive, and is told."""
+        """Run one tick; a failed tick has made the driver passive and is reported."""
         time = clock.wait()
         cycle = self.cycle
         record, marks = cycle.record, cycle.marks
@@ -209,17 +210,17 @@ class LoopProcess:
         self.orders.put(control, time)
         if control["request"][0] == Request.RESET and control["phase"][0] == Phase.STANDING:
             try:
-                self._revive()  # a passive device is set to work before the reset is judged
+                self._revive()  # reactivate a passive device before the reset is evaluated
             except DriverError as error:
                 self._trouble = str(error)
-                tell("exception", text=f"reset: {error}")
+                send_event("exception", text=f"reset: {error}")
         try:
             cycle.run_tick(time)
         except Exception as error:  # numerics or driver may fail in any way
             if self._failures % _BETWEEN_REPORTS == 0:
-                tell("exception", text=f"{type(error).__name__}: {error}")
+                send_event("exception", text=f"{type(error).__name__}: {error}")
             self._failures += 1
-            # A device that is away leaves a bench in FAULT, which answers, and whose reset tries it again.
+            # A lost device leaves the bench in FAULT, where it answers commands; a reset retries the device.
             is_away = isinstance(error, DriverError) and bool(control["warm"][0])
             if self._failures >= _GIVE_UP and not is_away:
                 raise
@@ -233,9 +234,9 @@ class LoopProcess:
         return time
 
     def _correct(self) -> None:
-        """Take a correction that was ordered, where no swing is under way.
+        """Apply an ordered correction between swings.
 
-        The address is no part of a correction, so nothing jumps.
+        A correction does not change the address, so nothing jumps.
         """
         control = self.cycle.state.control
         taken = self.corrections.take(
@@ -246,41 +247,41 @@ class LoopProcess:
             self.cycle.parameters = with_tables_of(self.cycle.parameters, taken, c.control, c.plant)
 
     def _watch_device(self) -> None:
-        """Tell why the device went passive, if its driver knows."""
+        """Report why the device went passive, if its driver knows."""
         trouble = getattr(self.driver, "trouble", "")
         if trouble and trouble != self._trouble:
-            tell("exception", text=f"device went passive: {trouble}")
+            send_event("exception", text=f"device went passive: {trouble}")
         self._trouble = trouble
 
-    def _tell_device(self) -> None:
-        """Tell how the device is, if that is news."""
+    def _report_device(self) -> None:
+        """Report the status of the device if it changed."""
         counters = getattr(self.driver, "counters", None)
-        told = self._trouble, {} if counters is None else counters.counts()
-        if told != self._told_device:
-            self._told_device = told
-            tell("device", trouble=told[0], counters=told[1])
+        status = self._trouble, {} if counters is None else counters.counts()
+        if status != self._reported_device:
+            self._reported_device = status
+            send_event("device", trouble=status[0], counters=status[1])
 
     def _note_request(self, request: Request) -> None:
-        """Keep the controller's memory where a motion begins."""
+        """Store the controller's state at the start of a motion."""
         if request in _MOTIONS:
             pack_snapshot(self.cycle.state, self._snapshot)
             self.snapshots.write(self._snapshot)
 
     def _revive(self) -> None:
-        """Set a device that went passive to work again; the robot stands, ticks missed meanwhile are counted.
+        """Reopen a device that went passive; the robot is at rest, missed ticks are counted.
 
         Raises:
-            DriverError: it is unfit.
+            DriverError: the device is unsuitable.
         """
         if not self.driver.operational:
-            self._open_anew()
+            self._reopen()
 
-    def _open_anew(self) -> None:
+    def _reopen(self) -> None:
         self.driver.close()
         self.driver.open()
 
     def _make_passive(self) -> None:
-        """Send the passive command several times: a frame on a bus may be lost."""
+        """Send the passive command several times, as a frame on a bus may be lost."""
         for _ in range(3):
             self.driver.make_passive()
 
@@ -293,8 +294,8 @@ def main() -> int:
     try:
         reason = LoopProcess(plan, parent).run()
     except (BenchError, SharedMemoryError, DriverError) as error:
-        return tell_failure(error)
-    tell("ended", reason=reason)
+        return send_failure(error)
+    send_event("ended", reason=reason)
     return 0
 
 

@@ -1,9 +1,9 @@
-"""Who runs a bench on this machine: a folder in memory, and the lock on the file `owner` in it.
+"""Ownership of a bench on this machine: a folder in shared memory, and the lock on the file `owner` in it.
 
-The daemon takes the bench before anything moves and hands the locked descriptor to its loop, so the bench
-stays taken as long as one of the two lives. The kernel lets the lock go with the last of them, however they
-end; whoever takes the bench next clears what killed ones have left. The folder holds the files that the
-daemon's processes share.
+The daemon takes the bench before anything moves and passes the locked descriptor to its loop, so the bench
+stays taken while one of the two runs. The kernel releases the lock when both have ended for any reason; the
+next owner removes files left by killed processes. The folder holds the files that the daemon's processes
+share.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ OWNER = "owner"
 """Name of the locked file."""
 
 _SIZE = 512
-"""Bytes of that file: always the same, so that whoever reads it while it is rewritten finds it whole."""
+"""Fixed size of that file in bytes, so that a concurrent reader finds it complete."""
 _ATTEMPTS, _PAUSE = 20, 0.01
-"""How often, and after how many seconds, to look again while another process is just leaving."""
+"""Number and period (s) of retries while another process is just leaving."""
 
 
 class NoBenchFolder(BenchError):
-    """The bench's folder in memory cannot be made or used."""
+    """The bench's folder in shared memory cannot be created or used."""
 
     exit_code = ExitCode.FILE
 
 
 class Process(NamedTuple):
-    """A process, told from a later one of the same number by the instant it was started."""
+    """A process, identified by its number and start time, as numbers are reused."""
 
     pid: int
     start: int
-    """Clock ticks after the machine's start."""
+    """Start time in clock ticks since boot."""
 
     @property
     def lives(self) -> bool:
-        """Whether it still runs."""
+        """Whether it is still running."""
         return _start_of(self.pid) == self.start
 
 
 class Owner(NamedTuple):
-    """What the file `owner` says."""
+    """Content of the file `owner`."""
 
     bench_id: str
     supervisor: Process
@@ -60,23 +60,23 @@ class Owner(NamedTuple):
 
 
 class Ownership:
-    """A bench that is ours, until `leave`. Both supervisor and loop have one."""
+    """Ownership of a bench until `leave`, held by supervisor and loop."""
 
     def __init__(self, owner: Owner, folder: Path, descriptor: int) -> None:
         """Hold `descriptor`, the locked file `owner` in `folder`; see `take_bench` and `adopt`."""
         self.owner = owner
         self.folder = folder
-        """Where the processes of the bench keep the files they share."""
+        """Folder of the files shared by the processes of the bench."""
         self.descriptor = descriptor
-        """Give it to the loop process (`pass_fds`), which calls `adopt` with its number; to no other."""
+        """Locked descriptor; pass it only to the loop process (`pass_fds`), which calls `adopt` with it."""
 
     def note_loop(self, pid: int) -> None:
-        """Write down that `pid`, a child that inherits the lock, is the loop."""
+        """Record `pid`, a child that inherits the lock, as the loop."""
         self.owner = self.owner._replace(loop=Process(pid, _start_of(pid) or 0))
         _write(self.descriptor, self.owner)
 
     def leave(self) -> None:
-        """Give the bench back; the last process to leave removes the folder. Allowed twice."""
+        """Release the bench; the last process to leave removes the folder. May be called twice."""
         if self.descriptor < 0:
             return
         os.close(self.descriptor)
@@ -89,7 +89,7 @@ class Ownership:
                 os.close(folder)
 
     def _remove(self, folder: int) -> None:
-        """Empty and remove `folder` if nobody holds its lock."""
+        """Empty and remove `folder` if its lock is free."""
         descriptor = os.open(OWNER, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
         try:
             if try_lock(descriptor):
@@ -108,11 +108,11 @@ class Ownership:
 
 
 def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:
-    """Take the bench for this process; files that a killed daemon left behind are removed.
+    """Take the bench for this process; files left by a killed daemon are removed.
 
     Raises:
-        Refused: another process has it (named), or the folder of that name is not safe to use: a symbolic
-            link, another user's, or open to others.
+        Refused: another process owns it (named), or the folder of that name is unsafe: a symbolic link,
+            another user's, or open to others.
         NoBenchFolder: memory's file system is missing, read-only or full.
     """
     path = bench_folder(bench_id, memory)
@@ -125,7 +125,7 @@ def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:
         except FileNotFoundError:
             if path.parent.is_dir():
                 continue  # the last owner is just removing it
-            raise NoBenchFolder(str(path), "no folder around it", "one", "Mount /dev/shm.") from None
+            raise NoBenchFolder(str(path), "no parent folder", "an existing one", "Mount /dev/shm.") from None
         except OSError as error:
             raise NoBenchFolder(
                 str(path),
@@ -142,9 +142,9 @@ def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:
 
 
 def adopt(descriptor: int) -> Ownership:
-    """Return the bench that this process inherited with the locked `descriptor`: for the loop.
+    """Return the bench inherited with the locked `descriptor`; for the loop.
 
-    The bench stays taken while this process lives, whatever becomes of its parent.
+    The bench stays taken while this process runs, even if its parent ends.
 
     Raises:
         Refused: `descriptor` is not the locked file of a bench.
@@ -167,9 +167,9 @@ def adopt(descriptor: int) -> Ownership:
 
 
 def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
-    """Return the bench, or who has it (None: a process that has not yet said).
+    """Return the bench, or its owner (None if not yet written).
 
-    Raises FileNotFoundError when the folder goes away meanwhile, OSError, and Refused.
+    Raises FileNotFoundError if the folder is removed meanwhile, OSError, and Refused.
     """
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
@@ -195,9 +195,10 @@ def _try_to_take(bench_id: str, path: Path) -> Ownership | Owner | None:
 
 
 def _open_folder(path: Path) -> int:
-    """Return a descriptor of the folder `path`; Refused unless it is this user's alone.
+    """Return a descriptor of the folder `path`; Refused unless it belongs to this user alone.
 
-    Anyone may make files in /dev/shm: a folder prepared there by another user would let him read and steer.
+    Any user may create files in /dev/shm: with a prepared folder another user could read and control the
+    bench.
     """
     status = path.lstat()
     unsafe = ""
@@ -214,18 +215,18 @@ def _open_folder(path: Path) -> int:
         if os.path.samestat(os.fstat(folder), status):
             return folder
         os.close(folder)
-        unsafe = "a folder that has just been exchanged"
+        unsafe = "a folder that was just replaced"
     raise Refused(
         str(path),
         unsafe,
         f"none, or a folder of user {_user(os.geteuid())} with mode 0700",
-        "Run as that user if the bench is his; else find out who made it, then remove it.",
+        "Run as that user if the bench is theirs; otherwise find out who created it, then remove it.",
     )
 
 
 def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
-    """Tell who has the bench and what to do."""
-    free = "a bench that nobody runs"
+    """Return the refusal with the owner and the action."""
+    free = "a bench that is not running"
     place = f"bench {bench_id}"
     if owner and owner.supervisor.lives:
         pid = owner.supervisor.pid
@@ -235,13 +236,13 @@ def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
         loop = f"process {owner.loop.pid}" if owner.loop and owner.loop.lives else "a process"
         return Refused(
             place,
-            f"its daemon (process {owner.supervisor.pid}) dead, but its loop ({loop}) still at work",
+            f"its daemon (process {owner.supervisor.pid}) dead, but its loop ({loop}) still running",
             free,
-            "Wait until the loop has stopped the robot and ends. Should it hang, kill -9 it, which leaves "
+            "Wait until the loop has stopped the robot and ends. If it hangs, kill -9 it, which leaves "
             f"the valves to the device's watchdog; fuser -v {path / OWNER} shows it.",
         )
     return Refused(
-        place, f"{path / OWNER} locked by an unnamed process", free, f"See who: fuser -v {path / OWNER}"
+        place, f"{path / OWNER} locked by an unnamed process", free, f"Find it: fuser -v {path / OWNER}"
     )
 
 
@@ -250,7 +251,7 @@ def _write(descriptor: int, owner: Owner) -> None:
 
 
 def _read(descriptor: int) -> Owner | None:
-    """Return who the file says has the bench; None when it does not say."""
+    """Return the owner in the file, None if not yet written."""
     try:
         bench_id, supervisor, loop = json.loads(os.pread(descriptor, _SIZE, 0))
         return Owner(
@@ -270,7 +271,7 @@ def _clear(folder: int, but: str) -> None:
 
 
 def _start_of(pid: int) -> int | None:
-    """Return when process `pid` was started (clock ticks after the machine's start); None when it is dead."""
+    """Return the start time of process `pid` (clock ticks since boot), None if it is dead."""
     try:
         state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What the loop process is started with."""
+"""Parameters of the loop process."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from bench.lifecycle import Cause
 from bench.swing.profile import Profile
 
 RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
-"""Names of the files that the loop writes in the bench's folder."""
+"""Names of the files written by the loop in the bench's folder."""
 
 
 @dataclass(frozen=True)
 class LoopPlan:
-    """Made by the supervisor, sent to the loop process."""
+    """Parameters sent by the supervisor to the loop process."""
 
     configuration: Configuration
-    """With the calibration applied."""
+    """Configuration with the calibration applied."""
     profile: Profile
     folder: Path
-    """The bench's, of shared memory."""
+    """Shared-memory folder of the bench."""
     lock: int
-    """Descriptor of its locked file, inherited."""
+    """Inherited descriptor of its locked file."""
     first_cause: Cause = Cause.POWER_UP
-    """Why the bench begins in ESTOP."""
+    """Cause of the initial ESTOP."""
     read_only: bool = False
-    """Nothing but the passive command is given."""
+    """Whether only the passive command is sent."""

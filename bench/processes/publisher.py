@@ -1,16 +1,16 @@
 """The publisher: reads the ring and sends telemetry over zenoh. `python -m bench.processes.publisher`.
 
-Plan: a pickled PublisherPlan on stdin. Told on stdout, one JSON line each:
+Plan: a pickled PublisherPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      connected to the daemon
-`trouble`    `text`: the connection is lost; it comes back by itself
-`relieved`   it is back
+`trouble`    `text`: the connection is lost; it reconnects by itself
+`relieved`   it is reconnected
 `failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work at all
 `ended`      `batches`, `lost`
 
 It sends `golfbench/<id>/telemetry` (`bench.telemetry.batches`) about 50 times a second and
-`golfbench/<id>/loop` (JSON) once a second. Nobody is waited for: a subscriber that is slow or gone costs
-messages, seen as gaps of their numbers, never memory. It ends by SIGTERM or when its supervisor is gone.
+`golfbench/<id>/loop` (JSON) once a second. It never waits for subscribers: a slow one loses messages, visible
+as gaps of their numbers, and costs no memory. It ends on SIGTERM or when its supervisor is gone.
 """
 
 from __future__ import annotations
@@ -29,54 +29,61 @@ import zenoh
 from bench.config import NetworkSettings
 from bench.errors import BenchError, ExitCode
 from bench.network.zenoh_session import open_client
-from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import (
+    Condition,
+    HeartbeatSender,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
 from bench.processes.tick_timing import TimingReader, summary
 from bench.telemetry.batches import LONGEST_BATCH, encode_batch
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedMemoryError
 
 PERIOD = 0.02
-"""s between two batches."""
+"""Period of the batches, s."""
 LOOP_VERSION = 1
 """Version of the JSON on `golfbench/<id>/loop`."""
 
 _STATISTICS = 1.0
-"""s between two messages on `loop`."""
-_GREATEST_SHARE = 4
-"""Batches in one period, when there is much to make up for."""
+"""Period of the messages on `loop`, s."""
+_MAX_BATCHES = 4
+"""Max batches in one period when catching up."""
 _GAP = 0.003
-"""s between two of them: a burst would only be dropped on its way."""
-_LONGEST_END = 1.5
-"""s that closing the session may take."""
+"""Time between two of them, s: a burst would be dropped on its way."""
+_CLOSE_TIMEOUT = 1.5
+"""Time-out for closing the session, s."""
 _ARROW = "application/vnd.apache.arrow.stream"
 
 
 @dataclass(frozen=True)
 class PublisherPlan:
-    """What the supervisor tells the publisher."""
+    """Parameters of the publisher."""
 
     bench: str
     network: NetworkSettings
     ring: Path
     timing: Path
-    """Of the loop's ticks, see `bench.processes.tick_timing`."""
+    """File of the loop's tick timing, see `bench.processes.tick_timing`."""
     heartbeat: Path
-    """Shared record of HEARTBEAT."""
+    """File of the HEARTBEAT record."""
     wall: bool = True
-    """The loop's time is CLOCK_MONOTONIC; otherwise virtual."""
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
 
 
 class Publisher:
-    """One run of the publisher; `turn` is everything it does between two sleeps."""
+    """One run of the publisher; call `turn` once per period."""
 
     def __init__(self, plan: PublisherPlan, now: float) -> None:
         """Open the shared files and the session, at `now` (s, CLOCK_MONOTONIC).
 
         Raises:
-            BenchError, SharedMemoryError: a shared file is unusable, or nobody listens at the endpoint.
+            BenchError, SharedMemoryError: a shared file is unusable, or the endpoint is unreachable.
         """
         self._wall = plan.wall
-        self._heart = HeartbeatSender(plan.heartbeat)
+        self._heartbeat = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring)
         self._timing = TimingReader(plan.timing)
         self._session = open_client(plan.network, plan.bench)
@@ -91,45 +98,45 @@ class Publisher:
 
     @property
     def lost(self) -> int:
-        """Records that the ring lost."""
+        """Number of records lost in the ring."""
         return self._ring.lost
 
     def turn(self, now: float, utc: float, *, ending: bool = False) -> None:
-        """Send what is new, at `now` (s, CLOCK_MONOTONIC) and `utc` (s since 1970)."""
-        for part in range(_GREATEST_SHARE):
+        """Send new cycles, at `now` (s, CLOCK_MONOTONIC) and `utc` (s since 1970)."""
+        for part in range(_MAX_BATCHES):
             cycles = self._ring.read(LONGEST_BATCH)
             if len(cycles):
                 if part:
                     time.sleep(_GAP)
                 self._send(cycles, utc - max(0.0, now - float(cycles["time"][-1])) if self._wall else utc)
-            # Not "until there is none": a batch takes longer than a tick, there would always be one more.
+            # Bounded: a batch takes longer than a tick, so there would always be another one.
             if len(cycles) < LONGEST_BATCH:
                 break
         if now >= self._statistics_at:
             self._statistics_at = now + _STATISTICS
             self._send_statistics(now, utc)
-            self._look_at_connection()
+            self._check_connection()
         working = Condition.WORKING if self._connected else Condition.TROUBLE
         condition = Condition.ENDING if ending else working
-        self._heart.beat(now, condition, lost=self._ring.lost, done=self.batches)
+        self._heartbeat.beat(now, condition, lost=self._ring.lost, done=self.batches)
 
     def close(self) -> None:
         """Undeclare everything, close the session and unmap the shared files."""
         for entity in (self._telemetry, self._loop):
             entity.undeclare()
         self._session.close()
-        for shared in (self._heart, self._ring, self._timing):
+        for shared in (self._heartbeat, self._ring, self._timing):
             shared.close()
 
     def _send(self, cycles: np.ndarray[Any, Any], utc: float) -> None:
-        """Send one batch, whose newest cycle is of `utc`."""
+        """Send one batch, whose newest cycle is at `utc` (s)."""
         self.batches += 1
         message = encode_batch(cycles, self.batches, self._ring.lost, utc)
         self._telemetry.put(message, timestamp=self._session.new_timestamp())
-        self._heart.last["tick"] = cycles["tick"][-1]
+        self._heartbeat.last["tick"] = cycles["tick"][-1]
 
     def _send_statistics(self, now: float, utc: float) -> None:
-        """Send how the loop kept time since the last such message."""
+        """Send the loop's timing statistics since the last message."""
         after = self._timing.snapshot()
         message: dict[str, Any] = {
             "version": LOOP_VERSION,
@@ -142,37 +149,37 @@ class Publisher:
         self._before, self._before_at = after, now
         self._loop.put(json.dumps(message, allow_nan=False), timestamp=self._session.new_timestamp())
 
-    def _look_at_connection(self) -> None:
+    def _check_connection(self) -> None:
         connected = bool(self._session.info.peers_zid() or self._session.info.routers_zid())
         if connected and not self._connected:
-            tell("relieved")
+            send_event("relieved")
         elif self._connected and not connected:
-            tell("trouble", text="the connection to the daemon is lost")
+            send_event("trouble", text="the connection to the daemon is lost")
         self._connected = connected
 
 
 def main() -> int:
-    """Publish until the supervisor ends it or is gone."""
+    """Publish until stopped by the supervisor or orphaned."""
     parent = Parent()
     try:
         plan: PublisherPlan = read_plan()
         publisher = Publisher(plan, time.monotonic())
     except (BenchError, SharedMemoryError) as error:
-        return tell_failure(error)
+        return send_failure(error)
     parent.listen()
-    tell("ready")
-    while not (ending := parent.wants_end or parent.gone):
+    send_event("ready")
+    while not (ending := parent.stop_requested or parent.gone):
         began = time.monotonic()
         publisher.turn(began, time.time())
         time.sleep(max(0.001, PERIOD - (time.monotonic() - began)))
     publisher.turn(time.monotonic(), time.time(), ending=ending)
     # A daemon that takes nothing any more may hold the session's end up: the kernel ends it then.
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, _LONGEST_END)
+    signal.setitimer(signal.ITIMER_REAL, _CLOSE_TIMEOUT)
     batches, lost = publisher.batches, publisher.lost
     publisher.close()
     signal.setitimer(signal.ITIMER_REAL, 0.0)
-    tell("ended", batches=batches, lost=lost)
+    send_event("ended", batches=batches, lost=lost)
     return ExitCode.OK
 
 

@@ -1,8 +1,8 @@
-"""Real-time settings of the calling process: asked of the kernel, read back, undone at the end.
+"""Real-time settings of the calling process: request, read back, restore at the end.
 
-A setting counts only as it reads back after all were asked: a call may succeed without effect, and one
-setting may change another (a SCHED_FIFO task has no timer slack). What was granted is published and stored
-with every record.
+A setting counts only as read back after all were requested: a call may succeed without effect, and one
+setting may change another (a SCHED_FIFO task has no timer slack). The granted settings are published and
+stored with every record.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PRIORITY = 80
 
 SCHEDULING, MEMORY, SLACK, IDLE = "scheduling", "memory lock", "timer slack", "idle states"
 HUGE_PAGES = "huge pages"
-"""Names of settings that others look up."""
+"""Names of settings used elsewhere."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
@@ -35,38 +35,38 @@ _POLICIES = {os.SCHED_OTHER: "OTHER", os.SCHED_FIFO: "FIFO", os.SCHED_RR: "RR", 
 
 
 class Setting(NamedTuple):
-    """One setting: what was asked, and what is in force."""
+    """One setting as requested and as granted."""
 
     name: str
     asked: str
     granted: str
-    """As read back."""
+    """Value read back."""
     held: bool
-    """What was asked is in force; False when nothing was asked."""
+    """Whether the requested value is in force; False if nothing was requested."""
     reason: str
-    """Why it is not held."""
+    """Why it is not in force."""
     cure: str
-    """What to do then."""
+    """Action to get it granted."""
     required: bool
-    """`require` insists on it; the others only make ticks a little more even."""
+    """Whether mode `require` needs it; the others only reduce jitter."""
 
 
 @dataclass(frozen=True)
 class RealTime:
-    """What the kernel granted the loop."""
+    """Settings granted by the kernel."""
 
     mode: Mode
     settings: tuple[Setting, ...]
 
     @property
     def lacking(self) -> tuple[Setting, ...]:
-        """The settings asked for and not in force, though `require` would insist on them."""
+        """Required settings that were requested and are not in force."""
         if self.mode == "off":
             return ()
         return tuple(setting for setting in self.settings if setting.required and not setting.held)
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything as plain values, the settings by name."""
+        """Return everything as plain values, with the settings by name."""
         return {
             "mode": self.mode,
             "held": self.mode != "off" and not self.lacking,
@@ -78,25 +78,25 @@ class _Item(NamedTuple):
     name: str
     asked: str
     ask: Callable[[ExitStack], object]
-    """Asks, and lays onto the stack what undoes it; raises OSError when refused."""
+    """Requests the setting and pushes its undo onto the stack; raises OSError if refused."""
     read: Callable[[], tuple[str, bool]]
-    """Reads back: what is in force, and whether it is what was asked."""
+    """Reads back the value in force and whether it is the requested one."""
     cure: str
     required: bool = True
 
 
 @contextmanager
 def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterator[RealTime]:
-    """Ask for real-time settings, yield what was granted, and restore what was before at the block's end.
+    """Request real-time settings, yield what was granted, and restore the previous ones at the end.
 
     Enter it after imports and warm-up, so that their objects are frozen and their memory is locked, and
     before the first tick. Scheduling and `cpu` (-1: any) are the calling thread's; threads and processes
     started inside run with normal scheduling. With "off" nothing is asked, only read.
 
     Raises:
-        Refused: with "require", naming every setting that is not held and its cure; everything is restored.
+        Refused: with "require", naming every missing setting and its cure; everything is restored.
     """
-    # Scheduling last: before it the memory is locked and the garbage collected, both long.
+    # Scheduling last: locking memory and collecting garbage take long and come before.
     items = (
         _collector(),
         _huge_pages(),
@@ -124,7 +124,7 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
 
 
 def limit_cure(limit: str, value: str) -> str:
-    """Return how a user, a service and a container get resource `limit` (`rtprio`, `memlock`)."""
+    """Return how to give resource `limit` (`rtprio`, `memlock`) to a user, a service and a container."""
     return (
         f"give it to the user: `@golfbench - {limit} {value}` in /etc/security/limits.conf; "
         f"to a service: Limit{limit.upper()}={value}; to a container: SYS_NICE, IPC_LOCK"
@@ -132,7 +132,7 @@ def limit_cure(limit: str, value: str) -> str:
 
 
 def _try(item: _Item, undo: ExitStack) -> str:
-    """Ask for `item`; return why it was refused, '' when it was not."""
+    """Request `item`; return why it was refused, '' if granted."""
     try:
         item.ask(undo)
     except OSError as error:
@@ -173,7 +173,7 @@ def _collector() -> _Item:
 
 
 def _huge_pages() -> _Item:
-    # Locked memory moves all the same: the kernel gathers small pages into huge ones while the loop waits.
+    # Locked memory may still move: the kernel collapses small pages into huge ones while the loop waits.
     def ask(undo: ExitStack) -> None:
         _set_to_one(_PR_GET_THP_DISABLE, _PR_SET_THP_DISABLE, undo)
 
@@ -230,7 +230,7 @@ def _idle_states() -> _Item:
     descriptors: list[int] = []
 
     def ask(undo: ExitStack) -> None:
-        # In force as long as the file stays open. Without it a core that was asleep wakes late.
+        # In force while the file is open. Without it a sleeping core wakes late.
         descriptors.append(os.open(_CPU_DMA_LATENCY, os.O_RDWR))
         undo.callback(os.close, descriptors[0])
         os.write(descriptors[0], bytes(4))
@@ -248,7 +248,7 @@ def _idle_states() -> _Item:
 def _scheduling(priority: int) -> _Item:
     def ask(undo: ExitStack) -> None:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        # Threads and processes started later do not inherit it: they would outrun the loop.
+        # Threads and processes started later do not inherit it: they would preempt the loop.
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(priority))
         undo.callback(_restore_scheduling, *before)
@@ -269,19 +269,19 @@ def _scheduling(priority: int) -> _Item:
 def _restore_scheduling(policy: int, parameter: os.sched_param) -> None:
     try:
         os.sched_setscheduler(0, policy, parameter)
-    except PermissionError:  # without CAP_SYS_NICE the flag stays; it harms nobody
+    except PermissionError:  # without CAP_SYS_NICE the flag remains, which is harmless
         os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameter)
 
 
 def _set_to_one(get: int, put: int, undo: ExitStack) -> None:
-    """Set what `prctl` gets by `get` and sets by `put` to 1, and back to what it was by `undo`."""
+    """Set the `prctl` value of options `get` and `put` to 1, and restore it by `undo`."""
     before = _call("prctl", get, 0, 0, 0, 0)
     _call("prctl", put, 1, 0, 0, 0)
     undo.callback(_call, "prctl", put, before, 0, 0, 0)
 
 
 def _call(name: str, *arguments: int) -> int:
-    """Call `name` of the C library; raise OSError when it returns -1."""
+    """Call `name` of the C library; raise OSError if it returns -1."""
     function = getattr(ctypes.CDLL(None, use_errno=True), name)
     result = int(function(*map(ctypes.c_ulong, arguments)))
     if result == -1:

@@ -1,17 +1,17 @@
 """The recorder: reads the ring and writes one Parquet file a swing. `python -m bench.processes.recorder`.
 
-Plan: a pickled RecorderPlan on stdin. Told on stdout, one JSON line each:
+Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 
-`ready`      the ring is open and the folder can be written to
+`ready`      the ring is open and the folder is writable
 `stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`
-`trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are tried again
-`relieved`   that is over
-`dropped`    `count`: records lost so far, as memory had no more room for them
+`trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
+`relieved`   records can be stored again
+`dropped`    `count`: records lost so far because memory was full
 `failed`     `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work at all
-`ended`      `waiting`: records that could not be stored to the end
+`ended`      `waiting`: records that could not be stored
 
-It ends, after the swing under way, by SIGTERM or when its supervisor is gone. Exit codes: 0; DEVICE, the ring
-or another shared file is unusable; FILE, records were lost.
+It ends on SIGTERM or when its supervisor is gone, after the current swing. Exit codes: 0; DEVICE, the ring or
+another shared file is unusable; FILE, records were lost.
 """
 
 from __future__ import annotations
@@ -29,7 +29,14 @@ import numpy as np
 
 from bench.errors import BenchError, ExitCode
 from bench.lifecycle import State
-from bench.processes.child_process import Condition, HeartbeatSender, Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import (
+    Condition,
+    HeartbeatSender,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
 from bench.processes.correction import CORRECTED, weights_of
 from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
@@ -47,66 +54,66 @@ from bench.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry,
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 POLL = 0.01
-"""s between two looks into the ring."""
+"""Polling period of the ring, s."""
 _PAUSE = 1.0
-"""s between two tries to store what could not be stored."""
-_LOOK = 2.0
-"""s between two looks at the folders."""
+"""Time between two attempts to store a record, s."""
+_CHECK_PERIOD = 2.0
+"""Period of the folder checks, s."""
 _SNAPSHOTS = 16
-"""Kept from the newest back: one for each request to move, and records are minutes apart."""
+"""Number of newest snapshots kept: one per request to move, and records are minutes apart."""
 
 
 @dataclass(frozen=True)
 class RecorderPlan:
-    """What the supervisor tells the recorder."""
+    """Parameters of the recorder."""
 
     bench: str
     data_dir: Path
     ring: Path
     snapshot: Path
-    """Shared record of `snapshot_dtype`."""
+    """File of the `snapshot_dtype` record."""
     heartbeat: Path
-    """Shared record of HEARTBEAT."""
+    """File of the HEARTBEAT record."""
     snapshot_dtype: np.dtype[Any]
-    """`bench.telemetry.snapshot.SNAPSHOT`: given, as the recorder need not load the controller for it."""
+    """`bench.telemetry.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
     corrected: Path
-    """Shared record of CORRECTED."""
+    """File of the CORRECTED record."""
     profile: Profile
     run: str
-    """Id of the bench's run, of which shots get theirs."""
+    """Id of the bench's run, the prefix of shot ids."""
     configuration: Mapping[str, Any]
     versions: Mapping[str, Any]
     real_time: Mapping[str, Any] = field(default_factory=dict)
-    """What the loop asked of the machine and was granted."""
+    """Real-time settings requested by the loop and granted."""
     calibrations: Mapping[str, Any] = field(default_factory=dict)
     wall: bool = True
-    """The loop's time is CLOCK_MONOTONIC; otherwise virtual."""
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
     lead: float = 0.5
     tail: float = 0.5
-    """s before and after each record."""
+    """Lead before and tail after each record, s."""
     segment_seconds: float = 0.0
-    """Also store everything, in files of this length; 0: do not."""
+    """Length of continuous recording files, s; 0 disables continuous recording."""
     room: int = 65536
-    """Cycles in memory for the record under way: 43 MB; a minute at 1 kHz."""
+    """Max cycles of the current record in memory: 43 MB; a minute at 1 kHz."""
     waiting: int = 8
-    """Records in memory that the disk does not take."""
+    """Max records waiting in memory for the disk."""
     least_free: int = 64 << 20
-    """Bytes on the disk below which nothing more is to be armed."""
+    """Min free disk space (bytes) for arming."""
     silence: float = 1.0
-    """s without a cycle after which a record under way ends."""
+    """Time without a cycle after which the current record ends, s."""
     patience: float = 10.0
-    """s for which an end waits for the swing under way."""
+    """Time for which an end waits for the current swing, s."""
 
 
 class Recorder:
-    """One run of the recorder; `turn` is everything it does between two sleeps."""
+    """One run of the recorder; call `turn` once per polling period."""
 
     def __init__(self, plan: RecorderPlan, now: float) -> None:
         """Open the shared files, at `now` (s, CLOCK_MONOTONIC).
 
         Raises:
-            BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan has
-                something for the metadata that is no JSON.
+            BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan's metadata
+                cannot be written as JSON.
         """
         self._plan = plan
         self._entries = RunMetadata(
@@ -119,7 +126,7 @@ class Recorder:
             plan.calibrations,
         ).entries()
         self._basis = basis_of(plan.profile)
-        self._heart = HeartbeatSender(plan.heartbeat)
+        self._heartbeat = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)
         self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
@@ -134,25 +141,25 @@ class Recorder:
         self._folders = [self._swings] + ([self._continuous] if plan.segment_seconds else [])
         for folder in self._folders:
             remove_partial(folder)
-        self._number = int(self._heart.last["done"][0])
+        self._number = int(self._heartbeat.last["done"][0])
         self._from = self._segment_from = 0
-        """Ticks after which records and segments begin: what is before is a recorder's before this one."""
+        """Ticks after which records and segments begin; earlier ticks were stored by a previous recorder."""
         self._resume()
         self._tick = self._from
         self._lost, self._past_lost = 0, 0
         self._started = False
         self._utc_less_loop = 0.0
-        self._heard_at = self._look_at = now
+        self._last_cycle_at = self._next_check = now
         self._folder_trouble = ""
-        self._told_trouble, self._told_dropped = False, 0
+        self._trouble_reported, self._reported_dropped = False, 0
 
     def _resume(self) -> None:
-        """Go on where a recorder before this one ended, if there was one beside this ring."""
-        last, newest = self._heart.last[0], self._ring.newest()
+        """Continue where a previous recorder of this ring ended."""
+        last, newest = self._heartbeat.last[0], self._ring.newest()
         if newest is None or last["tick"] > newest["tick"][0]:
             return
         self._from, self._segment_from = int(last["resume"]), int(last["tick"])
-        # It may have been killed between the file's new name and the next beat of its heart.
+        # It may have been killed after renaming the file and before its next heartbeat.
         number = int(last["storing"])
         began = datetime.fromtimestamp(float(last["storing_began"]), UTC)
         if number > self._number and record_path(self._swings, began, number).exists():
@@ -161,74 +168,75 @@ class Recorder:
 
     @property
     def moving(self) -> bool:
-        """Whether the robot moves, or its record's tail is still to come."""
+        """Whether the robot moves or the tail of its record is incomplete."""
         return self._cutter.moving
 
     @property
     def worth_waiting(self) -> bool:
-        """Whether a swing or a stop is under way."""
+        """Whether a swing or a stop is in progress."""
         return self._cutter.worth_waiting
 
     def turn(self, now: float, utc: float, *, ending: bool = False) -> bool:
-        """Read, cut, store, tell, at `now` (s, CLOCK_MONOTONIC) and `utc` (s); say if there was anything new.
+        """Read, cut, store and report, at `now` (s, CLOCK_MONOTONIC) and `utc` (s).
 
-        `ending`: nothing waits for its next try, and the heart says so.
+        Returns whether there were new cycles. With `ending`, records are retried at once and the heartbeat
+        reports ENDING.
         """
         self._note_snapshot()
         cycles = self._read()
         if len(cycles):
-            self._tick, self._heard_at = int(cycles["tick"][-1]), now
+            self._tick, self._last_cycle_at = int(cycles["tick"][-1]), now
             self._utc_less_loop = utc - (now if self._plan.wall else float(cycles["time"][-1]))
         lost, self._lost = self._ring.lost - self._past_lost - self._lost, self._ring.lost - self._past_lost
         for cut in self._cutter.take(cycles, lost):
             self._keep(cut, self._swings)
         if self._plan.segment_seconds:
             self._continue(cycles, lost)
-        if self._cutter.moving and now - self._heard_at > self._plan.silence:
+        if self._cutter.moving and now - self._last_cycle_at > self._plan.silence:
             self._finish("the loop fell silent", keep=True)
         self._store(now, at_once=ending)
-        self._tell(now, Condition.ENDING if ending else Condition.WORKING)
+        self._report(now, Condition.ENDING if ending else Condition.WORKING)
         return len(cycles) > 0
 
     def finish(self, why: str, now: float) -> int:
-        """End the records under way, store what can be stored, return how many records are lost."""
+        """End the current records, store what can be stored, return the number of lost records."""
         self._finish(why, keep=False)
         if self._segment:
             self._end_segment()
         for _ in range(len(self._queue)):
             self._store(now, at_once=True)
-        self._tell(now, Condition.ENDING)
+        self._report(now, Condition.ENDING)
         return len(self._queue) + self._queue.dropped
 
     def close(self) -> None:
         """Unmap the shared files."""
-        for shared in (self._heart, self._ring, self._snapshot, self._corrected):
+        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
             shared.close()
 
     def _read(self) -> Cycles:
-        """Return the new cycles; what a recorder before this one was done with is none."""
+        """Return the new cycles without those stored by a previous recorder."""
         cycles = self._ring.read()
         if not self._started and len(cycles):
-            # From the oldest on, the writer may overtake the first read: nothing of this run is lost by it.
+            # Reading from the oldest, the writer may overtake the first read: that is not a loss of this run.
             self._started, self._past_lost = True, self._ring.lost
         return cycles[np.searchsorted(cycles["tick"], self._from, side="right") :]
 
     def _note_snapshot(self) -> None:
-        """Keep the newest snapshot if it is a new one."""
+        """Store the newest snapshot if new."""
         found = np.zeros(1, self._plan.snapshot_dtype)
         self._note_correction()
         if self._snapshot.read(found) and all(s["tick"][0] != found["tick"][0] for s in self._snapshots):
             self._snapshots.append(found)
 
     def _note_correction(self) -> None:
-        """Keep the correction that swings are made with, if it is another than before."""
+        """Store the active correction if it changed."""
         found = np.zeros(1, CORRECTED)
         self._corrected.read(found)
         if not self._corrections or found["tick"][0] != self._corrections[-1]["tick"][0]:
             self._corrections.append(found)
 
     def _entries_of(self, cut: Cut) -> Mapping[str, Any]:
-        """Return what is the same for all records, with the profile as it was swung in `cut`."""
+        """Return the common entries of all records, with the corrected profile of `cut`."""
         swung = cut.cycles["tick"][cut.cycles["state"] == State.SWINGING]
         tick = int(swung[0] if len(swung) else cut.cycles["tick"][-1])
         held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
@@ -259,7 +267,7 @@ class Recorder:
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
 
     def _continue(self, cycles: Cycles, lost: int) -> None:
-        """Add `cycles` to the segment under way; end it when it is long enough."""
+        """Add `cycles` to the current segment; end it at its length."""
         self._segment_lost += lost
         cycles = cycles[np.searchsorted(cycles["tick"], self._segment_from, side="right") :]
         if len(cycles):
@@ -274,14 +282,14 @@ class Recorder:
         self._segment, self._segment_lost = [], 0
 
     def _store(self, now: float, *, at_once: bool) -> None:
-        """Try to store the oldest record that waits."""
+        """Try to store the oldest waiting record."""
         due = self._queue.due(now, at_once=at_once)
         if due is None:
             return
         if due.path.parent == self._swings:
-            self._heart.beat(
+            self._heartbeat.beat(
                 now,
-                Condition(int(self._heart.last["condition"][0])),
+                Condition(int(self._heartbeat.last["condition"][0])),
                 storing=due.metadata["number"],
                 storing_began=due.began.timestamp(),
                 storing_tick=int(due.cycles["tick"][-1]),
@@ -291,34 +299,34 @@ class Recorder:
             return
         facts = ("kind", "number", "lost_records", "complete", "replayable", "shot_id")
         outcome = stored.metadata["outcome"]
-        tell(
+        send_event(
             "stored",
             path=str(stored.path),
             cause=outcome["cause"],
             **{key: stored.metadata[key] for key in facts},
         )
 
-    def _tell(self, now: float, condition: Condition) -> None:
-        """Let the heart beat, and tell the parent of what has changed."""
-        if now >= self._look_at:
-            self._look_at = now + _LOOK
-            looks = (folder_trouble(folder, self._plan.least_free) for folder in self._folders)
-            self._folder_trouble = next(filter(None, looks), "")
+    def _report(self, now: float, condition: Condition) -> None:
+        """Send a heartbeat and report changes to the parent."""
+        if now >= self._next_check:
+            self._next_check = now + _CHECK_PERIOD
+            checks = (folder_trouble(folder, self._plan.least_free) for folder in self._folders)
+            self._folder_trouble = next(filter(None, checks), "")
         trouble = self._queue.trouble or self._folder_trouble
-        if trouble and not self._told_trouble:
-            tell("trouble", text=trouble, waiting=len(self._queue))
-        elif self._told_trouble and not trouble:
-            tell("relieved")
-        self._told_trouble = bool(trouble)
-        if self._queue.dropped > self._told_dropped:
-            self._told_dropped = self._queue.dropped
-            tell("dropped", count=self._told_dropped)
+        if trouble and not self._trouble_reported:
+            send_event("trouble", text=trouble, waiting=len(self._queue))
+        elif self._trouble_reported and not trouble:
+            send_event("relieved")
+        self._trouble_reported = bool(trouble)
+        if self._queue.dropped > self._reported_dropped:
+            self._reported_dropped = self._queue.dropped
+            send_event("dropped", count=self._reported_dropped)
         if trouble and condition is Condition.WORKING:
             condition = Condition.TROUBLE
         idle = not self._cutter.moving and not len(self._queue)
         owed = [after for after in (self._queue.owed_after, self._cutter.owed_after) if after is not None]
         resume = max(self._from, min(owed))
-        self._heart.beat(
+        self._heartbeat.beat(
             now,
             condition,
             lost=self._lost,
@@ -330,29 +338,29 @@ class Recorder:
 
 
 def main() -> int:
-    """Record until the supervisor ends it or is gone."""
+    """Record until stopped by the supervisor or orphaned."""
     parent = Parent()
     try:
         plan: RecorderPlan = read_plan()
         recorder = Recorder(plan, time.monotonic())
     except (BenchError, SharedMemoryError) as error:
-        return tell_failure(error)
+        return send_failure(error)
     parent.listen()
-    tell("ready")
+    send_event("ready")
     last = None
     while True:
-        now, ending = time.monotonic(), parent.wants_end or parent.gone
+        now, ending = time.monotonic(), parent.stop_requested or parent.gone
         if recorder.turn(now, time.time(), ending=ending):
             continue
         if ending:
             last = last or now + plan.patience
-            # A loop whose supervisor is gone comes to a stand by itself; that is worth a record.
+            # A loop whose supervisor is gone stops the robot by itself; that is worth a record.
             if now > last or not (recorder.moving if parent.gone else recorder.worth_waiting):
                 break
         time.sleep(POLL)
     lost = recorder.finish("the recorder was ended", time.monotonic())
     recorder.close()
-    tell("ended", waiting=lost)
+    send_event("ended", waiting=lost)
     return ExitCode.FILE if lost else ExitCode.OK
 
 

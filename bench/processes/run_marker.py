@@ -1,4 +1,4 @@
-"""What a bench remembers from one run to the next: whether it was shut down in order, and its last stop."""
+"""State kept between two runs of a bench: whether the shutdown was clean, and the last stop."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from bench.telemetry.whole_file import whole_file
 
 
 class RunMarker:
-    """The file `state/<bench id>.json` below the data folder, written by a thread of its own.
+    """The file `state/<bench id>.json` in the data folder, written by a separate thread.
 
-    The disk may take longer to write than the loop allows its supervisor to be silent.
+    A disk write may take longer than the supervisor's heartbeat time-out.
     """
 
     def __init__(self, data_dir: Path, bench_id: str) -> None:
-        """Read what the run before this one left.
+        """Read the state of the previous run.
 
         Raises:
-            BenchError: the folder cannot be made.
+            BenchError: the folder cannot be created.
         """
         self.path = data_dir / "state" / f"{bench_id}.json"
         try:
@@ -32,17 +32,17 @@ class RunMarker:
             raise BenchError(
                 str(self.path.parent),
                 str(error.strerror),
-                "a folder that can be made",
+                "a folder that can be created",
                 "Correct bench.data_dir.",
             ) from error
         before: Mapping[str, Any] = {}
-        with suppress(OSError, ValueError):  # none yet, or a disk's garbage: nothing is remembered
+        with suppress(OSError, ValueError):  # missing or corrupt: start without state
             before = json.loads(self.path.read_text())
             before = before if isinstance(before, dict) else {}
         self.was_killed = bool(before.get("running"))
-        """The run before did not end in order."""
+        """Whether the previous shutdown was unclean."""
         self.last_stop: dict[str, Any] | None = before.get("last_stop")
-        """The newest stop, also of runs before."""
+        """Last stop, also of previous runs."""
         if self.was_killed and not before.get("stopped"):
             self.last_stop = {
                 "cause": "RESTART",
@@ -54,31 +54,31 @@ class RunMarker:
         self._content: dict[str, Any] = {}
         self._changed = threading.Condition()
         self._written = True
-        self._ended = False
+        self._finished = False
         self.trouble = ""
-        """Why the file could not be written last, if it could not."""
+        """Why the last write failed; empty if it succeeded."""
         self._thread = threading.Thread(target=self._run, name="run marker", daemon=True)
         self._thread.start()
 
     def begin(self, pid: int, started_utc: str) -> None:
-        """Note that this run has begun; until `end` it counts as killed."""
+        """Mark this run as started; until `end` it counts as killed."""
         self._put({"version": 1, "running": True, "pid": pid, "started_utc": started_utc})
 
     def note_state(self, state: str, phase: str) -> None:
-        """Keep where the bench is, for the case that nobody can tell any more."""
+        """Store state and phase, for a later report on a killed run."""
         self._put({**self._content, "state": state, "phase": phase})
 
     def note_stop(self, stop: dict[str, Any], *, fatal: bool = False) -> None:
-        """Keep `stop`; `fatal`: the run ends with it, and the next one is to know that."""
+        """Store `stop`; `fatal` marks that the run ends with it."""
         self.last_stop = stop
         self._put({**self._content, **({"stopped": True} if fatal else {})})
 
-    def end(self, *, in_order: bool) -> None:
-        """Note how the run ended, and wait until that is on the disk."""
-        if in_order:
+    def end(self, *, clean: bool) -> None:
+        """Store whether the shutdown was clean, and wait until it is written."""
+        if clean:
             self._put({**self._content, "running": False})
         with self._changed:
-            self._ended = True
+            self._finished = True
             self._changed.notify()
         self._thread.join()
 
@@ -91,7 +91,7 @@ class RunMarker:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: not self._written or self._ended)
+                self._changed.wait_for(lambda: not self._written or self._finished)
                 if self._written:
                     return
                 content, self._written = self._content, True

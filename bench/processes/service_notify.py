@@ -1,6 +1,6 @@
-"""What a service tells systemd: ready, a line of status, that it lives, that it stops (sd_notify(3)).
+"""Notifications to systemd: ready, status line, watchdog, stopping (sd_notify(3)).
 
-Telling never fails and never waits: without systemd, or with its socket gone or full, nothing is sent.
+Sending never fails or blocks: without systemd, or with its socket gone or full, nothing is sent.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ import os
 import socket
 from collections.abc import Mapping
 
-_LONGEST_STATUS = 1024
-"""Bytes; systemd takes no message above one page."""
+_MAX_STATUS = 1024
+"""Max bytes of a status line; systemd accepts messages up to one page."""
 
 
 class ServiceNotifier:
-    """The datagram socket that systemd names in NOTIFY_SOCKET.
+    """The datagram socket named in NOTIFY_SOCKET.
 
-    Each method returns whether the message was sent, which only tests need to know.
+    Each method returns whether the message was sent, for tests.
     """
 
     def __init__(self, address: str | None) -> None:
-        """`address` is the socket's path, with `@` first when abstract; None: there is nobody to tell."""
+        """Connect to the socket path `address`, starting with `@` if abstract; None disables sending."""
         self._address = os.fsencode(address) if address and address[0] in "/@" else None
         self._socket: socket.socket | None = None
         if self._address is not None:
@@ -31,37 +31,37 @@ class ServiceNotifier:
 
     @classmethod
     def of_environment(cls, environment: Mapping[str, str]) -> ServiceNotifier:
-        """Return the notifier for the process whose environment this is."""
+        """Return the notifier for a process with this environment."""
         return cls(environment.get("NOTIFY_SOCKET"))
 
     def ready(self, status: str = "") -> bool:
-        """Tell that the start is over; from now on systemd waits for `alive`."""
-        return self._tell("READY=1", status)
+        """Report that startup is complete; from now on systemd expects `alive`."""
+        return self._send("READY=1", status)
 
     def status(self, text: str) -> bool:
-        """Tell in one line what the service does, for `systemctl status`."""
-        return self._tell("", text)
+        """Send a status line for `systemctl status`."""
+        return self._send("", text)
 
     def alive(self) -> bool:
-        """Pet the watchdog."""
-        return self._tell("WATCHDOG=1")
+        """Reset systemd's watchdog."""
+        return self._send("WATCHDOG=1")
 
     def stopping(self, status: str = "") -> bool:
-        """Tell that the stop has begun; from now on systemd waits no more for `alive`."""
-        return self._tell("STOPPING=1", status)
+        """Report that shutdown has begun; from now on systemd no longer expects `alive`."""
+        return self._send("STOPPING=1", status)
 
     def close(self) -> None:
-        """Close the socket; what is told after that is not sent."""
+        """Close the socket; later messages are not sent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
-    def _tell(self, assignment: str, status: str = "") -> bool:
+    def _send(self, assignment: str, status: str = "") -> bool:
         if self._socket is None or self._address is None:
             return False
         lines = [assignment.encode()] if assignment else []
-        if line := " ".join(status.split()):  # a line break would begin another assignment
-            text = line.encode(errors="replace")[:_LONGEST_STATUS]
+        if line := " ".join(status.split()):  # a line break would start another assignment
+            text = line.encode(errors="replace")[:_MAX_STATUS]
             lines.append(b"STATUS=" + text.decode(errors="ignore").encode())
         try:
             self._socket.sendto(b"\n".join(lines), self._address)
@@ -71,7 +71,7 @@ class ServiceNotifier:
 
 
 def watchdog_interval(environment: Mapping[str, str], pid: int) -> float | None:
-    """Return after how much silence (s) systemd kills process `pid`, None when it does not watch it."""
+    """Return systemd's watchdog time for process `pid` (s), None if not watched."""
     try:
         interval = int(environment["WATCHDOG_USEC"]) * 1e-6
         watched = int(environment.get("WATCHDOG_PID", pid))

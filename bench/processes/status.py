@@ -1,4 +1,4 @@
-"""The snapshot of a bench that `golfbench status` shows: the loop's newest record and what is beside it."""
+"""Status snapshot of a bench for `golfbench status`, from the loop's newest record and the supervisor."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.telemetry.cycle_record import CYCLE
 Cycles = np.ndarray[Any, Any]
 
 NO_STATISTICS = LoopStatus(rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0)
-"""Before the loop has run for a second, and on a virtual clock."""
+"""Loop status in the first second of the loop, and on a virtual clock."""
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(
     listening="",
@@ -34,7 +34,7 @@ NO_LAUNCH_MONITOR = LaunchMonitorStatus(
     refused=0,
     simulator=None,
 )
-"""Before the launch monitor's process has told anything."""
+"""Status before the first report of the launch monitor process."""
 
 
 def status_of(
@@ -43,10 +43,10 @@ def status_of(
     notes: Mapping[str, str],
     **beside: Any,
 ) -> BenchStatus:
-    """Return the status of the loop's `newest` record (None: it has not run yet).
+    """Return the status from the loop's `newest` record (None if it has not run yet).
 
-    `notes` says more of the `children`; `beside` are the keys of Status that the record does not tell.
-    Lease and counts are left to the command plane.
+    `notes` are remarks on the `children`; `beside` are the keys of the status not in the record. The command
+    plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
     cause = Cause(int(r["trip"]))
@@ -79,5 +79,5 @@ def status_of(
 
 
 def _number(value: float) -> float | None:
-    """Return `value` for JSON, which has no NaN."""
+    """Return `value` for JSON, None for NaN."""
     return float(value) if isfinite(value) else None

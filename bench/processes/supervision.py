@@ -1,4 +1,4 @@
-"""What the supervisor tells the loop: that it lives, what is granted, and requests."""
+"""Orders of the supervisor to the loop: heartbeat, permissions and requests."""
 
 from __future__ import annotations
 
@@ -33,53 +33,53 @@ apart and never wait behind one. `shutdown` ends the loop, as soon as the robot 
 
 
 _UNREAD = -1
-"""No version: the next tick looks at every value."""
+"""Version that makes the next tick read every value."""
 
 
 class Orders:
-    """The loop's side: what is new since the last tick. The values at the start are no news."""
+    """The loop's side: changes since the last tick. The values at startup do not count as changes."""
 
     def __init__(self, path: Path, silence: float) -> None:
         """Read the file at `path`; after `silence` (s) without a heartbeat the supervisor counts as dead.
 
         Raises:
-            SharedMemoryError: there is none.
+            SharedMemoryError: the file is missing.
         """
         self._shared, self._silence = SharedRecord.open(path, SUPERVISION), silence
-        self._told = new_record(SUPERVISION)
-        self._shared.read(self._told)
+        self._values = new_record(SUPERVISION)
+        self._shared.read(self._values)
         self._version = _UNREAD
-        now = self._told[0]
+        now = self._values[0]
         self._seen = int(now["request_number"]), int(now["stop_count"]), int(now["emergency_stop_count"])
-        self._heartbeat, self._heard = int(now["heartbeat"]), -np.inf
+        self._heartbeat, self._last_heartbeat = int(now["heartbeat"]), -np.inf
         self._alive = False
         self._lease = 0
 
     @property
     def shutdown(self) -> bool:
-        """Whether the loop is to end."""
-        return bool(self._told["shutdown"][0])
+        """Whether the loop shall end."""
+        return bool(self._values["shutdown"][0])
 
     def put(self, control: np.ndarray[Any, Any], time: float) -> None:
         """Write what holds at `time` (s) into a CONTROL_STATE: permissions, and at most one request.
 
-        Most ticks bring nothing new and end at the first line. What was written stays: the step takes the
-        request away and leaves the permissions.
+        Most ticks have no change and return at once. Written values remain: the step clears the request and
+        keeps the permissions.
 
         A lease that follows another one, however soon, is not held for one tick: the step then disarms the
         bench that the previous holder has armed, and refuses the request that the previous holder has left
         waiting. A request of the new holder waits until the next tick.
         """
-        version, alive = self._shared.newest, time - self._heard < self._silence
+        version, alive = self._shared.newest, time - self._last_heartbeat < self._silence
         if version == self._version and alive == self._alive:
             return
-        version = self._shared.read(self._told)
+        version = self._shared.read(self._values)
         (heartbeat, lease, support_ready, _, request, number, request_lease, stops, emergencies) = (
-            self._told.item()
+            self._values.item()
         )
-        if heartbeat != self._heartbeat or self._heard == -np.inf:
-            self._heartbeat, self._heard = heartbeat, time
-        self._alive = alive = time - self._heard < self._silence
+        if heartbeat != self._heartbeat or self._last_heartbeat == -np.inf:
+            self._heartbeat, self._last_heartbeat = heartbeat, time
+        self._alive = alive = time - self._last_heartbeat < self._silence
         control["supervisor_alive"] = alive
         seen_number, seen_stops, seen_emergencies = self._seen
         handed_over = self._lease not in (0, lease)
@@ -98,8 +98,8 @@ class Orders:
         waiting = handed_over or left_over or self._seen != (number, stops, emergencies)
         self._version = _UNREAD if waiting else version
 
-    def give_up(self) -> None:
-        """From now on count the supervisor as dead: the loop has seen that its process is gone."""
+    def declare_supervisor_dead(self) -> None:
+        """Treat the supervisor as dead from now on: the loop has seen that its process is gone."""
         self._silence = 0.0
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
-"""Recorder, publisher and their like: started, watched by their hearts, started anew.
+"""Support processes (recorder, publisher and others): started, monitored by heartbeat and restarted.
 
-Without recorder and publisher nothing is armed.
+Arming requires recorder and publisher.
 """
 
 from __future__ import annotations
@@ -19,78 +19,77 @@ from drivers.base.shared_record import SharedRecord
 _log = logging.getLogger("golfbench")
 
 _SILENCE = 5.0
-"""s without a heartbeat after which a process cannot be relied on; storing a swing may take some on a busy
-machine, and the ring keeps 16."""
+"""Heartbeat time-out after which a process is not ready, s; storing a swing may take some seconds on a busy
+machine, and the ring keeps 16 s."""
 _FROZEN = 12.0
-"""s without a heartbeat after which it is killed, and started anew."""
+"""Heartbeat time-out after which a process is killed and restarted, s."""
 _PAUSE = 1.0
-"""s after which a dead one is started anew."""
+"""Delay before a restart, s."""
 _PATIENCE = 12.0
-"""s that one may take to store what it has."""
+"""Time a process may take to end and store its data, s."""
 
 
 class LastHeartbeat(NamedTuple):
-    """What a process told last, and when (s, the supervisor's clock) something new was heard."""
+    """Last heartbeat of a process and its time (s, supervisor clock)."""
 
     condition: Condition
     beats: int
-    heard: float
+    time: float
 
 
 class ManagedProcess:
-    """One process of the support."""
+    """One support process."""
 
     def __init__(
         self,
         name: str,
-        heart: Path,
+        heartbeat: Path,
         start: Callable[[], Child],
         listener: Callable[[dict[str, Any]], None] = lambda _: None,
     ) -> None:
-        """Make the file of its `heart`; `start` starts the process; `listener` hears what else it tells.
+        """Create the `heartbeat` file; `start` starts the process; `listener` gets its other events.
 
         Raises:
-            SharedMemoryError: the file cannot be made.
+            SharedMemoryError: the file cannot be created.
         """
         self.name, self._start, self._listener = name, start, listener
-        self._shared = SharedRecord.create(heart, HEARTBEAT)
+        self._shared = SharedRecord.create(heartbeat, HEARTBEAT)
         self._beat = np.zeros(1, HEARTBEAT)
-        self._heart = LastHeartbeat(Condition.STARTING, -1, -np.inf)
+        self._heartbeat = LastHeartbeat(Condition.STARTING, -1, -np.inf)
         self.child: Child | None = None
         self._died = -np.inf
         self._ending = False
         self.note = "starting"
-        """Its condition in words; empty when it works."""
+        """Condition as text; empty while working."""
 
     @property
     def ready(self) -> bool:
-        """Whether it can be relied on."""
+        """Whether it is working."""
         return not self.note
 
     def turn(self, now: float) -> None:
-        """Look at it at `now` (s); start it when it does not run."""
+        """Check it at `now` (s); start it if it does not run."""
         if self.child is not None and not self.child.alive:
-            _log.error("%s %s; it is started anew", self.name, self.child.ending)
+            _log.error("%s %s; restarting", self.name, self.child.ending)
             self.child.kill()
             self.child, self._died = None, now
         if self._ending:
             return
         if self.child is None:
-            self.note = "dead, it is started anew"
+            self.note = "dead, restarting"
             if now - self._died < _PAUSE:
                 return
-            self.child, self._heart = self._start(), LastHeartbeat(Condition.STARTING, -1, now)
+            self.child, self._heartbeat = self._start(), LastHeartbeat(Condition.STARTING, -1, now)
         self._shared.read(self._beat)
         count, condition = int(self._beat["count"][0]), Condition(int(self._beat["condition"][0]))
-        if self._heart.beats == -1:
-            self._heart = LastHeartbeat(
-                Condition.STARTING, count, now
-            )  # what stands there is of the one before
-        elif count != self._heart.beats:
-            self._heart = LastHeartbeat(condition, count, now)
+        if self._heartbeat.beats == -1:
+            # the first value is from the previous process
+            self._heartbeat = LastHeartbeat(Condition.STARTING, count, now)
+        elif count != self._heartbeat.beats:
+            self._heartbeat = LastHeartbeat(condition, count, now)
         self.note = self._trouble(now)
-        if self._heart.condition is not Condition.STARTING and now - self._heart.heard > _FROZEN:
-            self.child.kill()  # seen as dead in the next turn
+        if self._heartbeat.condition is not Condition.STARTING and now - self._heartbeat.time > _FROZEN:
+            self.child.kill()  # restarted in the next turns
         for event in self.child.take_events():
             if event["event"] in {"trouble", "dropped", "failed", "relieved"}:
                 _log.warning("%s: %s", self.name, event)
@@ -98,19 +97,20 @@ class ManagedProcess:
                 self._listener(event)
 
     def _trouble(self, now: float) -> str:
-        if self._heart.condition is Condition.STARTING:
+        condition, silent = self._heartbeat.condition, now - self._heartbeat.time
+        if condition is Condition.STARTING:
             return "starting"
-        if now - self._heart.heard > _SILENCE:
-            return f"silent for {now - self._heart.heard:.1f} s"
-        return "" if self._heart.condition is Condition.WORKING else self._heart.condition.name.lower()
+        if silent > _SILENCE:
+            return f"silent for {silent:.1f} s"
+        return "" if condition is Condition.WORKING else condition.name.lower()
 
-    def leave_dead(self) -> None:
-        """From now on start it no more: the bench is ending."""
+    def stop_restarting(self) -> None:
+        """Do not restart it from now on: the bench is shutting down."""
         self._ending = True
 
     def end(self) -> None:
-        """Let it finish what it has, then end it. Allowed twice."""
-        self.leave_dead()
+        """Stop it after it has stored its data. May be called twice."""
+        self.stop_restarting()
         if self.child is not None:
             self.child.end(_PATIENCE)
             self.child = None

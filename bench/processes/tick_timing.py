@@ -1,10 +1,10 @@
-"""How the loop keeps time: histograms of its wake-up latency and of the segments of its ticks.
+"""Loop timing: histograms of wake-up latency and of the segments of the ticks.
 
 Constant memory, one small compiled call a tick. The histograms are log-linear: sixteen buckets an octave, so
-a percentile is known within a sixteenth, from 256 ns to 134 ms. They lie in a mapped file of 8-byte counters
-that only grow: the loop counts, anybody may look at any time, and the difference of two looks is what
-happened in between. A look may catch a tick half counted, which is off by one tick, never torn: a processor
-stores an aligned word whole.
+a percentile is known within a sixteenth, from 256 ns to 134 ms. They are in a mapped file of 8-byte counters
+that only grow: the loop counts, any process may read at any time, and the difference of two snapshots covers
+the time between. A snapshot may be off by one tick, but is never torn: a processor stores an aligned word
+atomically.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drivers.base.compiled import compiled
 from drivers.base.mapped_slots import SharedMemoryError
 
 STAMPS = ("begin", "read", "estimate", "decide", "limit", "write", "publish")
-"""What a tick stamps (ns of CLOCK_MONOTONIC): its begin, then the end of each of its segments."""
+"""Time stamps of a tick (ns, CLOCK_MONOTONIC): its begin, then the end of each segment."""
 
 SEGMENTS = ("wake_up", "orders", *STAMPS[1:], "tick")
 """Histograms: grid point to wake-up, wake-up to begin, each segment, wake-up to the end of the last."""
@@ -55,20 +55,20 @@ _PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _LONGEST, _COUNT = (
     int(TIMING.fields[name][1]) // 8  # type: ignore[index]
     for name in ("period", "ticks", "skipped", "late", "due", "longest", "count")
 )
-"""Where the fields begin in the record seen as a vector of words."""
+"""Offsets of the fields in the record as a vector of words."""
 _TICK = len(SEGMENTS) - 1
 
 BUDGET = 0.8
-"""Share of the period that a tick may take: the rest is for what the machine takes now and then."""
+"""Max share of the period for a tick; the rest is reserve for disturbances by the machine."""
 _TYPICAL = 0.9
-"""Share of ticks that must keep to the budget. A stall of the machine hits single ticks, and is counted while
-the loop runs; it says nothing about the configuration."""
+"""Share of ticks that must meet the budget. A stall of the machine affects single ticks, is counted while the
+loop runs, and does not depend on the configuration."""
 _CURES = {
-    "read": "look at the driver's read: a bus with too many nodes, or too slow",
-    "write": "look at the driver's write: a bus with too many nodes, or too slow",
-    "publish": "look at the ring's folder: it must lie in memory",
+    "read": "check the driver's read: too many nodes, or too low a bit rate",
+    "write": "check the driver's write: too many nodes, or too low a bit rate",
+    "publish": "check the ring's folder: it must be in memory",
 }
-_COMPILED_CURE = "see that NUMBA_DISABLE_JIT is not set: the numerics are to run compiled"
+_COMPILED_CURE = "check that NUMBA_DISABLE_JIT is not set: the numerics must run compiled"
 
 
 @compiled
@@ -110,7 +110,7 @@ def _note(words: Any, marks: Any, due: int, woke: int) -> None:
 
 
 def upper_edges() -> NDArray[np.int64]:
-    """Return the durations (ns) below which each bucket's lie; the last has no such bound but int64's."""
+    """Return the upper bounds (ns) of the buckets; that of the last is the int64 maximum."""
     octaves = np.arange(_FIRST_OCTAVE, _LAST_OCTAVE)[:, None]
     inner = 2**octaves + 2**octaves // _PER_OCTAVE * np.arange(1, _PER_OCTAVE + 1)
     return np.concatenate([[1 << _FIRST_OCTAVE], inner.ravel(), [np.iinfo(np.int64).max]])
@@ -120,16 +120,16 @@ class TickTiming:
     """The loop's side: counts its ticks into a TIMING record."""
 
     def __init__(self, record: np.ndarray[Any, Any], memory: mmap.mmap | None = None) -> None:
-        """Count into `record`, a one-element array of TIMING, which may lie in `memory`."""
+        """Count into `record`, a one-element array of TIMING, which may be in `memory`."""
         self._words = record.view(np.int64)
         self._memory = memory
 
     def note(self, marks: NDArray[np.int64], due: int, woke: int) -> None:
-        """Count a tick that was due and woke at these instants; `marks` are its STAMPS. About 1 us."""
+        """Count a tick with its due and wake-up times (ns); `marks` are its STAMPS. Takes about 1 us."""
         _note(self._words, marks, due, woke)
 
     def close(self) -> None:
-        """Unmap; the file stays. Allowed twice."""
+        """Unmap; the file remains. May be called twice."""
         self._words = np.zeros(0, np.int64)
         if self._memory is not None:
             self._memory.close()
@@ -151,7 +151,7 @@ def new_timing(period_ns: int) -> np.ndarray[Any, Any]:
 
 
 def create_timing(path: Path, period_ns: int) -> TickTiming:
-    """Make the file of a loop of `period_ns` at `path`, readable by its owner only, and return its counter.
+    """Create the file of a loop of `period_ns` at `path`, readable by its owner only, and return its counter.
 
     Raises:
         SharedMemoryError: `path` exists, or its folder is missing, read-only or full.
@@ -159,7 +159,7 @@ def create_timing(path: Path, period_ns: int) -> TickTiming:
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
         try:
-            os.posix_fallocate(descriptor, 0, TIMING.itemsize)  # a full folder shows here, not in a tick
+            os.posix_fallocate(descriptor, 0, TIMING.itemsize)  # a full folder fails here, not in a tick
             memory = mmap.mmap(descriptor, TIMING.itemsize)
         finally:
             os.close(descriptor)
@@ -168,7 +168,7 @@ def create_timing(path: Path, period_ns: int) -> TickTiming:
             str(path),
             error.strerror or str(error),
             f"a folder in memory without a file of that name, with {TIMING.itemsize} bytes left",
-            "Make the folder, free some of its memory, or remove the file when no process uses it.",
+            "Create the folder, free some of its memory, or remove the file if no process uses it.",
         ) from error
     record = np.frombuffer(memory, TIMING)
     record["period"] = period_ns
@@ -177,13 +177,13 @@ def create_timing(path: Path, period_ns: int) -> TickTiming:
 
 
 class TimingReader:
-    """Anybody else's side: looks at the counters."""
+    """Reader of the counters, for any process."""
 
     def __init__(self, path: Path) -> None:
         """Map the file at `path`.
 
         Raises:
-            SharedMemoryError: there is none, or it is not of this layout.
+            SharedMemoryError: the file is missing, or has another layout.
         """
         found = "no such file"
         try:
@@ -206,7 +206,7 @@ class TimingReader:
             str(path),
             found,
             f"the loop's timing: {TIMING.itemsize} bytes, layout {_LAYOUT}",
-            "Start all processes of the bench anew from one installation.",
+            "Restart all processes of the bench from one installation.",
         )
 
     def snapshot(self) -> np.ndarray[Any, Any]:
@@ -214,7 +214,7 @@ class TimingReader:
         return np.frombuffer(self._memory[:], TIMING)
 
     def close(self) -> None:
-        """Unmap; the file stays. Allowed twice."""
+        """Unmap; the file remains. May be called twice."""
         self._memory.close()
 
     def __enter__(self) -> Self:
@@ -227,7 +227,7 @@ class TimingReader:
 
 
 def percentile(count: NDArray[np.int64], share: float) -> int:
-    """Return the duration (ns) that `share` of the durations in buckets `count` do not exceed.
+    """Return the `share` percentile (ns) of the durations in buckets `count`.
 
     Rounded up to the bucket's edge, by at most a sixteenth.
 
@@ -242,11 +242,11 @@ def percentile(count: NDArray[np.int64], share: float) -> int:
 
 
 def summary(now: np.ndarray[Any, Any], before: np.ndarray[Any, Any] | None = None) -> dict[str, Any]:
-    """Return what happened between two snapshots, or since the loop's start, as plain values.
+    """Return the statistics between two snapshots, or since the loop's start, as plain values.
 
     `ticks`, `skipped`, `late`, `period_us`, and by segment `count`, `p50_us`, `p99_us`, `p999_us`, `max_us`,
-    None where nothing was counted. Percentiles are exact within a sixteenth; so is the maximum, unless it is
-    a new longest one, which is exact.
+    None if nothing was counted. Percentiles are exact within a sixteenth; so is the maximum, unless it is a
+    new overall maximum, which is exact.
     """
     after = now[0]
     start = np.zeros(1, TIMING)[0] if before is None else before[0]
@@ -269,12 +269,12 @@ def summary(now: np.ndarray[Any, Any], before: np.ndarray[Any, Any] | None = Non
 
 
 def check_budget(stamps: NDArray[np.int64], period_ns: int) -> None:
-    """Refuse a configuration whose ticks take too much of their period.
+    """Check the ticks against the budget of their period.
 
-    `stamps` (n, 7) ns are the STAMPS of measured ticks: nine of ten must keep to BUDGET.
+    `stamps` (n, 7) ns are the STAMPS of measured ticks: nine of ten must meet BUDGET.
 
     Raises:
-        Refused: they do not, with the segment that costs most and what to do.
+        Refused: the budget is exceeded, with the longest segment and the action.
         ValueError: there are no ticks.
     """
     if not len(stamps):
@@ -288,7 +288,7 @@ def check_budget(stamps: NDArray[np.int64], period_ns: int) -> None:
     raise Refused(
         "loop.rate",
         f"{1e9 / period_ns:.5g} Hz, with ticks of {tick / 1000:.0f} µs ({_TYPICAL:.0%} of {len(stamps)} are "
-        f"shorter), {tick / period_ns:.0%} of the period; {name!r} costs most, {cost[worst] / 1000:.0f} µs",
+        f"shorter), {tick / period_ns:.0%} of the period; {name!r} is longest, {cost[worst] / 1000:.0f} µs",
         f"at most {BUDGET:.0%} of the period, {BUDGET * period_ns / 1000:.0f} µs",
         f"Set loop.rate to at most {int(1e9 * BUDGET / tick)} Hz, or {_CURES.get(name, _COMPILED_CURE)}.",
     )

@@ -1,1 +1,1 @@
-"""What people look at: a running bench, a past swing or a series, in Rerun."""
+"""Views of a running bench, a recorded swing or a series in Rerun."""

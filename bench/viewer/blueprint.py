@@ -1,4 +1,4 @@
-"""How recordings and live views open in Rerun: the layouts that travel with the data."""
+"""Rerun layouts of recordings and live views, stored with the data."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _SKY = (203, 217, 230)
 
 
 class Window(NamedTuple):
-    """The part of the time axis that signals show, s from the cursor."""
+    """Visible time range of signals, s before and after the cursor."""
 
     before: float
     after: float
 
     @property
     def range(self) -> rrb.TimeRange:
-        """As Rerun takes it."""
+        """Range in Rerun's type."""
         start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-self.before, self.after))
         return rrb.TimeRange(start=start, end=end)
 
@@ -68,7 +68,7 @@ def campaign_blueprint() -> rrb.Blueprint:
 
 
 def live_blueprint() -> rrb.Blueprint:
-    """Return the layout for a running bench: what it does now, and how well it keeps time."""
+    """Return the layout for a running bench with signals and loop timing."""
     signals = rrb.Vertical(
         *_joint_signals(_LIVE), _series(_LIVE, "Speed of club head, m/s", False, "head_speed_mps")
     )
@@ -117,7 +117,7 @@ def live_blueprint() -> rrb.Blueprint:
 def _of_records(
     left: rrb.Container, right: rrb.Container, share: float, speed: float = 0.25
 ) -> rrb.Blueprint:
-    """Return a layout to play back; `share` is the left side's width over the right one's."""
+    """Return a layout for playback; `share` is the ratio of the left to the right width."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(left, right, column_shares=[share, 1]),
@@ -230,6 +230,6 @@ def _series(window: Window, name: str, legend: bool, *signals: str) -> rrb.TimeS
 
 
 def _tail(seconds: float) -> rrb.VisibleTimeRanges:
-    """Show what was logged in the last `seconds` at once: a trace."""
+    """Return the visible range for a trace of the last `seconds`."""
     start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-seconds, 0.0))
     return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(TIMELINE, start=start, end=end)])

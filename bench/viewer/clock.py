@@ -1,4 +1,4 @@
-"""The live view's time axis: seconds since the first cycle shown, also when the loop's clock starts anew."""
+"""Time axis of the live view: seconds since the first cycle shown, continuous over loop restarts."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 from bench.viewer.signals import Array, Cycles
 
 _BEHIND = 0.001
-"""s between the last cycle of one loop and the first of the next, when the calendars do not say more."""
+"""Min time between the last cycle of one loop and the first of the next, s."""
 _HOLE = 0.010
-"""s without a cycle that are drawn as a hole."""
+"""Time without a cycle that is drawn as a gap, s."""
 
 
 class Placed(NamedTuple):
     """A batch's place on the time axis."""
 
     time: Array
-    """s, one for each cycle."""
+    """Time of each cycle, s."""
     hole: bool
-    """Cycles are missing before it, or another loop begins."""
+    """Whether cycles are missing before it, or another loop starts."""
 
 
 class ViewClock:
-    """Maps cycles to the time axis: exact steps within one run of the loop, the calendar's between two."""
+    """Maps cycles to the time axis: by loop time within one run of the loop, by UTC between runs."""
 
     def __init__(self) -> None:
         self._shift = 0.0
@@ -32,7 +32,7 @@ class ViewClock:
         self._tick, self._time = 0, 0.0
 
     def place(self, cycles: Cycles, utc: float) -> Placed:
-        """Return where `cycles` lie, whose newest is of `utc` (s since 1970)."""
+        """Return the times of `cycles`, whose newest is at `utc` (s since 1970)."""
         first, last = float(cycles["time"][0]), float(cycles["time"][-1])
         tick = int(cycles["tick"][0])
         if self._utc_zero is None:
@@ -49,14 +49,14 @@ class ViewClock:
         return Placed(time, hole)
 
     def of_loop(self, loop_time: float) -> float:
-        """Return the place of an instant on the loop's clock (s)."""
+        """Return the time of an instant in loop time (s)."""
         return loop_time + self._shift
 
     @property
     def now(self) -> float:
-        """The newest cycle's place, s."""
+        """Time of the newest cycle, s."""
         return self._time
 
     def utc(self, time: Array) -> Array:
-        """Return the calendar's seconds since 1970 of places on the time axis."""
+        """Return UTC (s since 1970) of times on the time axis."""
         return np.asarray(time, dtype=float) + (self._utc_zero or 0.0)

@@ -1,8 +1,8 @@
-"""What a viewer hears of a bench over zenoh, with an account of what was lost on the way and how old it is.
+"""Subscription of a viewer to a bench over zenoh, with counts of lost messages and their age.
 
-zenoh's threads put messages into bounded queues; one thread takes them out when it has time. A viewer that
-is too slow loses the oldest messages and counts them, the bench never waits. zenoh connects again by itself
-when the daemon comes back; a publisher that counts from 1 again is a new one, and nothing was lost.
+zenoh's threads put messages into bounded queues, which one thread empties. A viewer that is too slow loses
+the oldest messages and counts them; the bench never waits. zenoh reconnects by itself; a publisher that
+counts from 1 again was restarted, which is not a loss.
 """
 
 from __future__ import annotations
@@ -21,60 +21,61 @@ from bench.network.zenoh_session import open_client
 from bench.telemetry.batches import Batch, decode_batch
 
 TOPICS = ("telemetry", "state", "event", "shot", "loop")
-"""Last parts of the keys that are listened to."""
+"""Last parts of the subscribed keys."""
 
-_MOST_BATCHES = 256
-"""Waiting batches: five seconds, about 10 MB."""
-_MOST_OTHERS = 256
+_MAX_BATCHES = 256
+"""Max queued batches: five seconds, about 10 MB."""
+_MAX_OTHERS = 256
 
 
 class Arrived(NamedTuple):
-    """A batch of cycles and when it was here, UTC, s since 1970."""
+    """A batch of cycles and its time of arrival (UTC, s since 1970)."""
 
     batch: Batch
     at: float
 
     @property
     def age(self) -> float:
-        """S from the newest cycle's tick to its arrival; of another machine as exact as the two clocks."""
+        """Time from the newest cycle's tick to its arrival, s; as accurate as the clocks of two machines."""
         return self.at - self.batch.time
 
 
 class News(NamedTuple):
-    """What came since the last look, in order."""
+    """Messages received since the last call, in order."""
 
     batches: list[Arrived]
     messages: list[tuple[str, dict[str, Any]]]
-    """Topic and JSON object of all others."""
+    """Topic and JSON object of all other messages."""
 
 
-class Account(NamedTuple):
-    """What was lost or not understood since the feed was opened."""
+class FeedCounts(NamedTuple):
+    """Lost and invalid messages since the feed was opened."""
 
     batches: int = 0
-    """Received."""
+    """Received batches."""
     lost_batches: int = 0
-    """On the network or in this viewer's queue: gaps of the publisher's numbers."""
+    """Batches lost on the network or in this viewer's queue: gaps of the publisher's numbers."""
     lost_cycles: int = 0
-    """In the ring, before the publisher."""
-    not_understood: int = 0
+    """Cycles lost in the ring, before the publisher."""
+    invalid: int = 0
+    """Invalid messages."""
     restarts: int = 0
-    """Times a new publisher was heard."""
+    """Restarts of the publisher."""
 
 
 class Feed:
-    """A subscription to everything a bench tells."""
+    """A subscription to all messages of a bench."""
 
     def __init__(self, session: zenoh.Session, bench: str, clock: Callable[[], float]) -> None:
-        """Listen on `session`, which is closed with the feed; `clock` is UTC in s since 1970."""
+        """Subscribe on `session`, which is closed with the feed; `clock` returns UTC (s since 1970)."""
         self._session, self._clock = session, clock
-        self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MOST_BATCHES)
-        self._others: deque[tuple[str, bytes]] = deque(maxlen=_MOST_OTHERS)
+        self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MAX_BATCHES)
+        self._others: deque[tuple[str, bytes]] = deque(maxlen=_MAX_OTHERS)
         self._arrived = threading.Event()
         self._sequence, self._ring_lost = 0, 0
-        self.account = Account()
+        self.account = FeedCounts()
         self.trouble = ""
-        """What was not understood last."""
+        """Last invalid message."""
         self._subscribers = [
             session.declare_subscriber(
                 f"golfbench/{bench}/{topic}", zenoh.handlers.Callback(self._receiver(topic), indirect=False)
@@ -87,7 +88,7 @@ class Feed:
         """Connect to the daemon of `bench`.
 
         Raises:
-            NoAnswer: nobody listens there.
+            NoAnswer: the daemon cannot be reached.
         """
         return cls(open_client(network, bench), bench, clock)
 
@@ -101,11 +102,11 @@ class Feed:
 
     @property
     def connected(self) -> bool:
-        """There is a daemon at the other end; whether it is alive its messages tell."""
+        """Whether a daemon is connected; whether it is alive shows in its messages."""
         return bool(self._session.info.peers_zid() or self._session.info.routers_zid())
 
     def take(self, timeout: float) -> News:
-        """Return what came; waits up to `timeout` s for the first telemetry or event."""
+        """Return received messages; wait up to `timeout` s for the first telemetry or event."""
         self._arrived.wait(timeout)
         self._arrived.clear()
         batches = []
@@ -114,7 +115,7 @@ class Feed:
             try:
                 batch = decode_batch(payload)
             except BenchError as error:
-                self._misunderstood(error)
+                self._count_invalid(error)
                 continue
             self._count(batch)
             batches.append(Arrived(batch, at))
@@ -126,7 +127,7 @@ class Feed:
                 if not isinstance(read, dict):
                     raise ValueError("no object")
             except (ValueError, RecursionError) as error:
-                self._misunderstood(error)
+                self._count_invalid(error)
                 continue
             messages.append((topic, read))
         return News(batches, messages)
@@ -137,12 +138,12 @@ class Feed:
             subscriber.undeclare()
         self._session.close()
 
-    def misunderstood(self, what: str) -> None:
-        """Count a message whose content makes no sense."""
-        self._misunderstood(ValueError(what))
+    def count_invalid(self, what: str) -> None:
+        """Count a message with invalid content."""
+        self._count_invalid(ValueError(what))
 
     def _receiver(self, topic: str) -> Callable[[zenoh.Sample], None]:
-        """Return what zenoh's thread calls: it neither waits nor raises."""
+        """Return the callback of zenoh's thread, which neither blocks nor raises."""
 
         def telemetry(sample: zenoh.Sample) -> None:
             self._batches.append((self._clock(), sample.payload.to_bytes()))
@@ -167,6 +168,6 @@ class Feed:
         )
         self._sequence, self._ring_lost = batch.sequence, batch.lost
 
-    def _misunderstood(self, error: Exception) -> None:
-        self.account = self.account._replace(not_understood=self.account.not_understood + 1)
+    def _count_invalid(self, error: Exception) -> None:
+        self.account = self.account._replace(invalid=self.account.invalid + 1)
         self.trouble = str(error)

@@ -12,15 +12,15 @@ from bench.viewer.scene import body_poses, plane_to_golf
 from bench.viewer.signals import Array, Cycles, Times, head_motion
 from sim.plant import PlantParameters
 
-FASTEST = 50.0
-"""m/s, red in the trace; blue is standstill."""
+MAX_SPEED = 50.0
+"""Club head speed shown red in the trace, m/s; blue is standstill."""
 
 _QUICK = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _TRACE_WIDTH = 0.009
 
 
-def quick_and_every(cycles: Cycles, every: int) -> NDArray[np.bool_]:
-    """Return which cycles are drawn: all where the robot is quick, each `every`-th tick elsewhere."""
+def poses_to_draw(cycles: Cycles, every: int) -> NDArray[np.bool_]:
+    """Return which cycles are drawn: all while the robot is fast, every `every`-th tick otherwise."""
     shown: NDArray[np.bool_] = np.isin(cycles["phase"], _QUICK) | (cycles["tick"] % every == 0)
     return shown
 
@@ -36,8 +36,8 @@ def log_motion(
 ) -> Array | None:
     """Log the bodies' poses and the trace of the head for the cycles `shown`.
 
-    The trace goes on from `before`, where it ended (x, y of the swing plane in m, speed in m/s); returns
-    where it ends now.
+    The trace continues from its end `before` (x, y of the swing plane in m, speed in m/s); returns the new
+    end.
     """
     if not shown.any():
         return before
@@ -54,7 +54,7 @@ def log_motion(
         axes, origin = plane_to_golf(plant.robot, plant.site)
         points = ways[:, :2] @ axes[:, :2].T + origin
         segments = np.stack([points[:-1], points[1:]], axis=1)
-        share = np.clip((ways[:-1, 2] + ways[1:, 2]) / 2 / FASTEST, 0, 1)
+        share = np.clip((ways[:-1, 2] + ways[1:, 2]) / 2 / MAX_SPEED, 0, 1)
         colours = (colormaps["turbo"](share * 0.9 + 0.05)[:, :3] * 255).astype(np.uint8)
         trace = rr.LineStrips3D.columns(
             strips=list(segments),
@@ -67,5 +67,5 @@ def log_motion(
 
 
 def log_ball(recording: rr.RecordingStream, times: Times, time: Array, position: Array) -> None:
-    """Log where the ball is in the scene, (n, 3) m."""
+    """Log the positions of the ball in the scene, (n, 3) m."""
     recording.send_columns("scene/ball", times(time), rr.Points3D.columns(positions=position))

@@ -1,7 +1,7 @@
-"""Rerun's web page, passed on with a policy that lets the browser talk to this machine's viewer only.
+"""Proxy of Rerun's web page with a policy that restricts the browser to this machine's viewer.
 
-The page itself asks for fonts, a script and news from the internet and sends usage statistics; a browser with
-this policy (Content-Security-Policy) asks this machine only.
+The page requests fonts, a script and news from the internet and sends usage statistics; with this policy
+(Content-Security-Policy) the browser contacts this machine only.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ LOOPBACK = "127.0.0.1"
 
 _PASSED_ON = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
 _TIMEOUT = 30.0
-_LONGEST_PATH = 4096
+_MAX_PATH = 4096
 
 
 def content_policy(data_port: int) -> str:
-    """Return the policy of a page that takes its data from `data_port` of the loopback."""
+    """Return the policy of a page with its data at `data_port` of the loopback."""
     return "; ".join(
         (
             "default-src 'none'",
@@ -38,13 +38,13 @@ def content_policy(data_port: int) -> str:
 
 
 class ViewerPage:
-    """A server on the loopback that passes on what Rerun's own one says at `source_port`."""
+    """A server on the loopback that forwards the pages of Rerun's server at `source_port`."""
 
     def __init__(self, port: int, source_port: int, data_port: int) -> None:
-        """Begin to listen at `port`; 0 is a free one.
+        """Listen at `port`; 0 chooses a free one.
 
         Raises:
-            OSError: the port is taken.
+            OSError: the port is in use.
         """
         policy = content_policy(data_port)
 
@@ -55,16 +55,16 @@ class ViewerPage:
             timeout = _TIMEOUT
 
             def do_GET(self) -> None:
-                """Pass on a file."""
+                """Forward a file."""
                 self._pass_on()
 
             do_HEAD = do_GET  # noqa: N815 - the library's name
 
             def log_message(self, format: str, *args: object) -> None:
-                """Say nothing."""
+                """Log nothing."""
 
             def _pass_on(self) -> None:
-                if not self.path.startswith("/") or len(self.path) > _LONGEST_PATH:
+                if not self.path.startswith("/") or len(self.path) > _MAX_PATH:
                     self.send_error(404)
                     return
                 source = http.client.HTTPConnection(LOOPBACK, source_port, timeout=_TIMEOUT)
@@ -104,7 +104,7 @@ class ViewerPage:
         self.close()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

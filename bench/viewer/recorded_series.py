@@ -1,4 +1,4 @@
-"""Which records make a series: a folder's, or those that are named."""
+"""Find the records of a series: those of a folder, or the given ones."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from bench.errors import BenchError
 
 
 def record_files(places: Sequence[Path]) -> list[Path]:
-    """Return the records at `places` in order: a folder stands for all records below it, by name.
+    """Return the records at `places` in order; a folder stands for all records in it, sorted by name.
 
     Raises:
-        BenchError: a place does not exist, or there is no record at all.
+        BenchError: a place does not exist, or no record is found.
     """
     files: list[Path] = []
     for place in places:

@@ -1,6 +1,6 @@
-"""Swings as a Rerun recording: the robot moving, the ball's flight, and every signal on one time axis.
+"""Swings as a Rerun recording: robot motion, ball flight, and all signals on one time axis.
 
-The swings follow one another on `bench_time`; the figures of the shots are also on a timeline of their own,
+The swings follow one another on `bench_time`; the figures of the shots are also on a separate timeline,
 `shot`. `log_shots` logs to any recording stream, `write_recording` to a file.
 """
 
@@ -21,20 +21,20 @@ from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path
 from bench.viewer.blueprint import campaign_blueprint, live_blueprint, shot_blueprint
-from bench.viewer.motion import log_ball, log_motion, quick_and_every
+from bench.viewer.motion import log_ball, log_motion, poses_to_draw
 from bench.viewer.scene import ball_at_rest, log_static_scene
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import bench_time, log_codes, log_limits, log_signals, log_styles
 from sim.plant import PlantParameters
 
 PAUSE = 0.6
-"""Seconds between the end of a flight or swing and the next swing."""
+"""Time between the end of a flight or swing and the next swing, s."""
 _EVERY = 5
-"""Cycles between two poses where the robot is slow."""
+"""Cycles between two poses while the robot is slow."""
 
 
 class Layout(NamedTuple):
-    """What Rerun tells recordings apart by, and how it shows them. A viewer keeps a layout an application."""
+    """Application id and layout of a recording; a viewer keeps one layout per application."""
 
     application: str
     blueprint: rrb.Blueprint
@@ -55,9 +55,9 @@ def live_layout() -> Layout:
 def write_recording(
     path: Path, records: Sequence[ShotRecord], plant: PlantParameters, name: str = ""
 ) -> None:
-    """Write the swings and flights of `records` to `path` (.rrd), whole or not at all.
+    """Write the swings and flights of `records` to `path` (.rrd), completely or not at all.
 
-    Raises NotStored when the file cannot be stored, ValueError when there are no records.
+    Raises NotStored if the file cannot be stored, ValueError if there are no records.
     """
     if not records:
         raise ValueError("a recording needs at least one shot")
@@ -69,7 +69,7 @@ def write_recording(
 def writing_recording(
     path: Path, records: Sequence[ShotRecord], name: str = ""
 ) -> Iterator[rr.RecordingStream]:
-    """Yield a recording for `records` whose file appears at `path` whole or not at all. Raises NotStored."""
+    """Yield a recording for `records`; its file is created completely or not at all. Raises NotStored."""
     with whole_path(path) as partial:
         layout = layout_for(records)
         recording = rr.RecordingStream(layout.application)
@@ -99,7 +99,7 @@ def log_shots(
 
 
 def _check_whole(written: Path, path: Path) -> None:
-    """Read the file's end back: the library writes in its own thread and does not tell of a full disk."""
+    """Read the file's end back: the library writes in its own thread and does not report a full disk."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
@@ -120,7 +120,7 @@ def _log_shot(
     plant: PlantParameters,
     start: float,
 ) -> float:
-    """Log one shot beginning at `start` (s); return when it is over (s)."""
+    """Log one shot starting at `start` (s); return its end (s)."""
     cycles, end = record.cycles, start
     impact = impact_time(record, plant)
     if len(cycles):
@@ -129,7 +129,7 @@ def _log_shot(
         log_signals(recording, bench_time, time, cycles, plant)
         log_limits(recording, bench_time, time[[0, -1]], plant)
         log_codes(recording, bench_time, time, cycles)
-        log_motion(recording, bench_time, time, cycles, plant, quick_and_every(cycles, _EVERY))
+        log_motion(recording, bench_time, time, cycles, plant, poses_to_draw(cycles, _EVERY))
     struck = None if impact is None else start + impact - float(cycles["time"][0])
     rest = ball_at_rest(plant.robot, plant.site, plant.ball.radius)
     if struck is None or record.flight is None:
@@ -146,7 +146,7 @@ def _log_shot(
 
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:
-    """Return when the face meets the ball (s of the record), None when it does not or no ball flew."""
+    """Return the time of the impact (s of the record), None without impact or flight."""
     if record.flight is None or not len(record.cycles):
         return None
     path = path_to_ball(plant.robot, record.cycles, plant.site.ball_x, 0.1)

@@ -1,7 +1,7 @@
 """The robot, the ball and the range as shapes for Rerun, with their real dimensions.
 
-Everything hangs below `scene`, in the golf frame of `sim/impact.py`: X along the target line, Y up, Z to
-the right; the origin is on the ground below the point where the ball is met. `scene/robot` is the swing
+All entities are below `scene`, in the golf frame of `sim/impact.py`: X along the target line, Y up, Z to
+the right; the origin is on the ground below the point of impact. `scene/robot` is the swing
 plane's frame with its origin at the shoulder axis R1; its bodies turn and move in that plane only.
 """
 
@@ -40,7 +40,7 @@ PLANE = (88, 110, 140)
 
 _SOLID = rr.components.FillMode.Solid
 _ALONG_X = rr.Quaternion(xyzw=(0.0, sin(pi / 4), 0.0, cos(pi / 4)))
-"""Turns a cylinder's own axis (z) to x."""
+"""Rotation of a cylinder's axis from z to x."""
 
 
 def plane_to_golf(robot: RobotParameters, site: Site) -> tuple[np.ndarray, np.ndarray]:
@@ -84,7 +84,7 @@ def log_static_scene(
 
 
 def _log_bodies(log: Any, robot: RobotParameters) -> None:
-    """Log the five bodies, each in its own frame; thicknesses as in the thesis, spread along z0 for view."""
+    """Log the five bodies, each in its own frame; thickness as in the thesis, offset along z0 for clarity."""
     log(
         "robot/shoulder_link",
         _box((17 * INCH, 2 * INCH, 3 / 8 * INCH), (robot.l62 / 2 - robot.l16, 0, 0), STEEL),
@@ -131,7 +131,7 @@ def _log_head(log: Any, robot: RobotParameters) -> None:
 
 
 def _log_plane(log: Any, robot: RobotParameters, site: Site) -> None:
-    """Log the swing plane, tilted by the lie angle: its frame from the ground up and the head's reach."""
+    """Log the swing plane, tilted by the lie angle: its frame above the ground and the head's reach."""
     side, top, reach = 1.9, 1.9, robot.l12 + robot.l23 + robot.club.length_to_face
     frame = [(-side, site.ground), (side, site.ground), (side, top), (-side, top), (-side, site.ground)]
     turn = np.linspace(0.0, 2.0 * pi, 145)

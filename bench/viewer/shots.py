@@ -1,6 +1,6 @@
 """Shots as Rerun entities: flight, landing, dispersion and a table, one shot at a time.
 
-The dispersion lies in a plane of its own: x to the right of the target line, y away from the target (so that
+The dispersion has its own plane: x to the right of the target line, y away from the target (so that
 a longer shot is higher up), both in metres.
 """
 
@@ -19,16 +19,16 @@ from bench.viewer.signals import COLOURS, Array, Colour, Times, send_scalars
 
 _YARD, _MPH = 0.9144, 0.44704
 _GRID = 5.0
-"""m between two lines of the dispersion's grid."""
+"""Spacing of the dispersion grid, m."""
 _LINE: Colour = (82, 90, 102)
 _TEXT: Colour = (176, 184, 196)
-_LEAST_FOR_ELLIPSE = 3
-_LONGEST_TABLE = 40
-"""Rows of the table; older shots are counted, not shown."""
+_MIN_FOR_ELLIPSE = 3
+_MAX_ROWS = 40
+"""Max rows of the table; older shots are counted, not shown."""
 
 
 class ShotSeries:
-    """The shots logged so far; colours go by ball."""
+    """The shots logged so far; one colour per ball."""
 
     def __init__(self) -> None:
         self.records: list[ShotRecord] = []
@@ -47,9 +47,9 @@ class ShotSeries:
         struck: float | None,
         latest: float = np.inf,
     ) -> float:
-        """Log a shot begun at `start` whose ball flew at `struck` (s; None: none did); return its end.
+        """Log a shot from `start` with impact at `struck` (s; None without impact); return its end (s).
 
-        Nothing is logged later than `latest`: a live view knows all of a flight before the ball is down.
+        Nothing is logged after `latest`: a live view computes the whole flight before the ball lands.
         """
         self.records.append(record)
         shown = end = start
@@ -69,7 +69,7 @@ class ShotSeries:
     def _log_flight(
         self, recording: rr.RecordingStream, times: Times, record: ShotRecord, struck: float, landed: float
     ) -> None:
-        """Log the ball's path, and where it landed."""
+        """Log the ball's path and landing point."""
         flight = record.flight
         if flight is None:
             return
@@ -100,7 +100,7 @@ class ShotSeries:
         )
 
     def _log_dispersion(self, recording: rr.RecordingStream, times: Times, at: float) -> None:
-        """Log where all valid shots so far landed, with two standard deviations of each ball."""
+        """Log the landing points of all valid shots, with two standard deviations per ball."""
         now = times(np.array([at]))
         landed = [r for r in self.records if r.flight is not None and r.shot.status is not ShotStatus.FAILED]
         points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
@@ -121,7 +121,7 @@ class ShotSeries:
             recording.send_columns(f"{entity}/key", now, rr.Points2D.columns(positions=[key], labels=[words]))
             style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=True)
             recording.log(f"{entity}/key", style, static=True)
-            if len(mine) >= _LEAST_FOR_ELLIPSE:
+            if len(mine) >= _MIN_FOR_ELLIPSE:
                 recording.send_columns(
                     f"{entity}/two_sigma", now, rr.LineStrips2D.columns(strips=[_ellipse(shown)])
                 )
@@ -131,7 +131,7 @@ class ShotSeries:
     def _log_text(
         self, recording: rr.RecordingStream, times: Times, shot: Shot, start: float, struck: float | None
     ) -> None:
-        """Log the shot's figures: what is tried at its start, what was measured once the ball is gone."""
+        """Log the shot's figures: target values at its start, measured values after the impact."""
         title = f"**Shot {shot.shot}: {shot.ball}**\n" if shot.ball else f"**Shot {shot.shot}**\n"
         before, after = f"{title}\n{shot.club}, swinging", _figures(title, shot)
         at, texts = ([start], [after]) if struck is None else ([start, struck], [before, after])
@@ -143,28 +143,28 @@ class ShotSeries:
 
 
 class MovingBall(NamedTuple):
-    """A ball on its way."""
+    """Trajectory of a ball."""
 
     time: Array
-    """(n,) s of the recording."""
+    """Times (n,), s of the recording."""
     position: Array
-    """(n, 3) m, from the place where it was struck."""
+    """Positions (n, 3) relative to the impact, m."""
     speed: Array
-    """(n,) m/s."""
+    """Speeds (n,), m/s."""
 
     def upto(self, latest: float) -> MovingBall:
-        """Return its way until `latest`."""
+        """Return the trajectory up to `latest` (s)."""
         count = int(np.searchsorted(self.time, latest, side="right"))
         return MovingBall(*(part[:count] for part in self))
 
     def after(self, time: float) -> MovingBall:
-        """Return its way after `time`."""
+        """Return the trajectory after `time` (s)."""
         count = int(np.searchsorted(self.time, time, side="right"))
         return MovingBall(*(part[count:] for part in self))
 
 
 def moving_ball(record: ShotRecord, struck: float) -> MovingBall:
-    """Return the way of a ball struck at `struck`; of none where there is no flight."""
+    """Return the trajectory of a ball with impact at `struck` (s); empty without flight."""
     path = np.zeros((0, 4)) if record.flight is None else record.flight.path
     speed = (
         np.linalg.norm(np.gradient(path[:, 1:], path[:, 0], axis=0), axis=1) if len(path) > 1 else path[:, 0]
@@ -173,7 +173,7 @@ def moving_ball(record: ShotRecord, struck: float) -> MovingBall:
 
 
 def log_moving_ball(recording: rr.RecordingStream, times: Times, ball: MovingBall) -> None:
-    """Log where the ball is on the range, and how fast."""
+    """Log position and speed of the ball on the range."""
     if len(ball.time):
         columns = times(ball.time)
         send_scalars(recording, "signals/ball_speed_mps", columns, ball.speed[:, None])
@@ -181,7 +181,7 @@ def log_moving_ball(recording: rr.RecordingStream, times: Times, ball: MovingBal
 
 
 def log_gap(recording: rr.RecordingStream, times: Times, end: float) -> None:
-    """End the line of a ball's speed: none leads from this flight to the next."""
+    """Interrupt the line of the ball speed between two flights."""
     send_scalars(recording, "signals/ball_speed_mps", times(np.array([end + 1e-3])), np.array([[np.nan]]))
 
 
@@ -197,7 +197,7 @@ def shot_table(records: Sequence[ShotRecord]) -> str:
         "| total m | |",
         "|--:|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|:--|",
     ]
-    for record in records[-_LONGEST_TABLE:]:
+    for record in records[-_MAX_ROWS:]:
         shot, flight = record.shot, record.flight
         right = None if flight is None else flight.carry_side
         cells = [
@@ -216,13 +216,13 @@ def shot_table(records: Sequence[ShotRecord]) -> str:
         ]
         lines.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
     means = _means(records)
-    hidden = len(records) - _LONGEST_TABLE
+    hidden = len(records) - _MAX_ROWS
     more = [f"- {hidden} earlier shots are not shown"] if hidden > 0 else []
     return "\n".join([*means, *more, "", *lines])
 
 
 def _means(records: Sequence[ShotRecord]) -> list[str]:
-    """Return a line a ball: mean and standard deviation of carry and club speed of its valid shots."""
+    """Return one line per ball: mean and standard deviation of carry and club speed of its valid shots."""
     lines = []
     for ball in dict.fromkeys(record.shot.ball for record in records if record.valid):
         mine = [r.shot for r in records if r.valid and r.shot.ball == ball]
@@ -256,8 +256,8 @@ def _figures(title: str, shot: Shot) -> str:
     pairs = [f"| {' | '.join(cells[n : n + 2])} |" for n in range(0, len(cells), 2)]
     table = "\n".join([*pairs[:1], "|:--|--:|:--|--:|", *pairs[1:]]) if cells else ""
     sources = sorted({s for s in (shot.delivery_source, shot.launch_source, shot.carry_source) if s})
-    told = f"{shot.status}{': ' + shot.reason if shot.reason else ''}"
-    return f"{title}\n{table}\n\n{told}{'; ' if sources else ''}{', '.join(sources)}"
+    outcome = f"{shot.status}{': ' + shot.reason if shot.reason else ''}"
+    return f"{title}\n{table}\n\n{outcome}{'; ' if sources else ''}{', '.join(sources)}"
 
 
 def _cell(value: float | None, form: str) -> str:
@@ -265,7 +265,7 @@ def _cell(value: float | None, form: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return `text` without what Markdown would take for a cell's end."""
+    """Return `text` without characters that end a Markdown table cell."""
     return text.replace("|", "/").replace("\n", " ")
 
 

@@ -25,7 +25,7 @@ Cycles = np.ndarray[Any, Any]
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 Times = Callable[[Array], list[rr.TimeColumn]]
-"""From seconds of the recording to its time axes."""
+"""Converts times of the recording (s) to its time axes."""
 
 TIMELINE = "bench_time"
 
@@ -37,7 +37,7 @@ COLOURS: tuple[Colour, ...] = (
     (86, 180, 233),
     (230, 159, 0),
 )
-"""Told apart by the colour-blind too (Okabe and Ito)."""
+"""Colours suitable for colour-blind readers (Okabe and Ito)."""
 
 _LIMIT: Colour = (120, 125, 135)
 _STATE_COLOURS = {
@@ -84,7 +84,7 @@ def bench_time(seconds: Array) -> list[rr.TimeColumn]:
 
 
 def signals_of(cycles: Cycles, plant: PlantParameters) -> dict[str, Array]:
-    """Return what is drawn of `cycles`, by entity below `signals`: arrays (n, m) in the unit of the name."""
+    """Return the signals drawn of `cycles`, by entity below `signals`, as arrays (n, m)."""
     pressure = chamber_pressure(cycles)
     effort = efforts(cycles, plant)
     return {
@@ -136,7 +136,7 @@ def efforts(cycles: Cycles, plant: PlantParameters) -> Array:
 
 
 def effort_limits(plant: PlantParameters) -> tuple[float, float, float]:
-    """Return the greatest efforts that the supply's pressure gives (N m, N, N m), friction left out."""
+    """Return the max efforts at supply pressure without friction (N m, N, N m)."""
     gauge = plant.supply.pressure - plant.supply.atmosphere
     shoulder, arm, wrist = (max(a.area_a, a.area_b) * gauge for a in plant.actuators)
     return shoulder, arm, wrist * plant.wrist_lever
@@ -181,7 +181,7 @@ def log_codes(
     cycles: Cycles,
     before: dict[str, int] | None = None,
 ) -> None:
-    """Log state, phase and reaction where they change; `before`: codes last logged, brought up to date."""
+    """Log state, phase and reaction on change; `before` holds the last logged codes and is updated."""
     known = {} if before is None else before
     for name, colours in CODES:
         codes = cycles[name].astype(int)
@@ -189,19 +189,19 @@ def log_codes(
         known[name] = int(codes[-1])
         if len(changed):
             kind = type(next(iter(colours)))
-            words = [code_words(kind(code)) for code in codes[changed]]
+            words = [code_label(kind(code)) for code in codes[changed]]
             recording.send_columns(
                 f"signals/{name}", times(time[changed]), rr.StateChange.columns(state=words)
             )
 
 
-def code_words(code: IntEnum) -> str:
-    """Return how `code` is shown."""
+def code_label(code: IntEnum) -> str:
+    """Return the label of `code`."""
     return code.name.lower().replace("_", " ")
 
 
 def log_styles(recording: rr.RecordingStream) -> None:
-    """Log names, colours and widths of all signals: static, so that who joins late has them too."""
+    """Log names, colours and widths of all signals; static, so that late viewers get them too."""
     joint = COLOURS[:3]
     chamber = [(0, 114, 178), (86, 180, 233), (213, 94, 0), (240, 150, 90), (0, 130, 95), (90, 200, 160)]
 
@@ -230,6 +230,6 @@ def log_styles(recording: rr.RecordingStream) -> None:
     limits("tick_us", ["period"], [(220, 50, 60)])
     for name, colour_of in CODES:
         states = rr.StateConfiguration(
-            values=[code_words(code) for code in colour_of], colors=[*colour_of.values()]
+            values=[code_label(code) for code in colour_of], colors=[*colour_of.values()]
         )
         recording.log(f"signals/{name}", states, static=True)

@@ -1,6 +1,7 @@
-"""The live view: what a running bench tells, as a Rerun recording that grows.
+"""The live view: a Rerun recording of a running bench.
 
-One turn takes what came, logs it in columns and pushes it out; nothing is kept but what the next turn needs.
+One turn takes the received messages, logs them in columns and flushes; only the data for the next turn is
+kept.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.viewer.clock import ViewClock
 from bench.viewer.feed import Arrived, Feed
-from bench.viewer.motion import log_ball, log_motion, quick_and_every
+from bench.viewer.motion import log_ball, log_motion, poses_to_draw
 from bench.viewer.scene import ball_at_rest, log_static_scene
 from bench.viewer.shots import (
     MovingBall,
@@ -53,62 +54,62 @@ from bench.viewer.signals import (
 from sim.plant import PlantParameters
 
 PERIOD = 0.05
-"""s between two turns when somebody looks: the pace of the pictures."""
+"""Period of the turns with an open viewer, s: the frame period."""
 FILE_PERIOD = 1.0
-"""s between two turns for a file alone: long columns are three times smaller than short ones."""
+"""Period of the turns when only writing a file, s: long columns are three times smaller than short ones."""
 UTC_TIMELINE = "utc"
 
 _SHOWN = 0.5
-"""s between two texts about the bench."""
+"""Period of the status text, s."""
 _LIMITS = 1.0
-"""s between two points of the limits' lines."""
+"""Period of the points of the limit lines, s."""
 _SILENT = 1.0
-"""s without telemetry after which the bench counts as silent."""
+"""Time without telemetry after which the bench counts as silent, s."""
 _EVERY = 20
-"""Ticks between two poses where the robot is slow."""
+"""Ticks between two poses while the robot is slow."""
 _AGES = 1500
-"""Ages kept for the percentiles: a minute of turns."""
+"""Number of ages for the percentiles: a minute of turns."""
 _BINS, _BIN = 50, 5.0
-"""Bars of the latency histogram and their width, us."""
-_LONGEST_SWING = 30_000
-"""Cycles of a swing kept for its figures."""
+"""Number and width (us) of the bars of the latency histogram."""
+_MAX_SWING_CYCLES = 30_000
+"""Max cycles of a swing kept for its figures."""
 _SWINGING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
 
 
 class Ages:
-    """Ages of the newest cycles, s: of a minute, for percentiles."""
+    """Ages of the newest cycles of a minute (s), for percentiles."""
 
     def __init__(self) -> None:
         self._values: deque[float] = deque(maxlen=_AGES)
 
     def add(self, age: float) -> None:
-        """Take `age` into account."""
+        """Add `age` (s)."""
         self._values.append(age)
 
     def percentile(self, share: float) -> float | None:
-        """Return the age that `share` of them do not exceed; None when there are none."""
+        """Return the `share` percentile of the ages (s), None if there are none."""
         return float(np.quantile(self._values, share)) if self._values else None
 
     def words(self) -> str:
-        """Return median and 99th percentile for people."""
+        """Return median and 99th percentile as text."""
         p50, p99 = self.percentile(0.5), self.percentile(0.99)
         return "–" if p50 is None or p99 is None else f"p50 {1e3 * p50:.1f} ms, p99 {1e3 * p99:.1f} ms"
 
 
 def warm_up(plant: PlantParameters, around: FlightConditions) -> None:
-    """Run once what is compiled: it would keep zenoh's threads from taking in what comes."""
+    """Compile all functions: compiling later would block zenoh's threads."""
     cycles = np.zeros(10, CYCLE)
     cycles["time"], cycles["angle"] = np.arange(10) * 1e-3, [0.571, 4.141, 2 * np.pi]
     cycles["phase"] = Phase.DOWNSWING
     recording = rr.RecordingStream("golfbench_warm_up")
     log_signals(recording, bench_time, cycles["time"], cycles, plant)
-    log_motion(recording, bench_time, cycles["time"], cycles, plant, quick_and_every(cycles, _EVERY))
+    log_motion(recording, bench_time, cycles["time"], cycles, plant, poses_to_draw(cycles, _EVERY))
     warm_up_shots(plant, around)
 
 
 class LiveView:
-    """A bench, drawn into `recording` as it goes."""
+    """Live view of a bench, drawn into `recording`."""
 
     def __init__(
         self,
@@ -119,12 +120,12 @@ class LiveView:
         around: FlightConditions,
         clock: Any = time.time,
     ) -> None:
-        """Log what never changes; `clock` is UTC in s since 1970."""
+        """Log the static scene; `clock` returns UTC (s since 1970)."""
         self._recording, self._feed, self._bench = recording, feed, bench
         self._plant, self._around, self._clock = plant, around, clock
         self.axis = ViewClock()
         self.to_subscriber, self.to_rerun = Ages(), Ages()
-        """From a tick to its arrival here, and to Rerun having taken it."""
+        """Ages from a tick to its arrival here, and to its acceptance by Rerun."""
         self.shots = ShotSeries()
         self._status: Mapping[str, Any] | None = None
         self._loop: Mapping[str, Any] | None = None
@@ -133,7 +134,7 @@ class LiveView:
         self._latency = np.zeros(_BINS, dtype=np.int64)
         self._swing: list[Cycles] = []
         self._swing_start = 0.0
-        self._told_shots = False
+        self._reported_shots = False
         self._last_struck: float | None = None
         self._flying: MovingBall | None = None
         self._heard = -np.inf
@@ -142,7 +143,7 @@ class LiveView:
         log_styles(recording)
 
     def turn(self, timeout: float) -> int:
-        """Take what came, waiting up to `timeout` s for it, and log it; return the number of cycles."""
+        """Wait up to `timeout` s for messages and log them; return the number of cycles."""
         news = self._feed.take(timeout)
         now = self._clock()
         cycles = self._show_batches(news.batches)
@@ -157,10 +158,10 @@ class LiveView:
             self.to_rerun.add(self._clock() - news.batches[-1].batch.time)
         return cycles
 
-    # What came -----------------------------------------------------------------------------------
+    # Messages ------------------------------------------------------------------------------------
 
     def _show_batches(self, batches: list[Arrived]) -> int:
-        """Log all batches at once, but those of different loops apart."""
+        """Log all batches at once, but those of different loops separately."""
         group: list[tuple[Cycles, Array]] = []
         total = 0
         for arrived in batches:
@@ -180,13 +181,13 @@ class LiveView:
     def _show(self, group: list[tuple[Cycles, Array]]) -> None:
         if not group:
             return
-        # As bytes: numpy joins records field by field.
+        # As bytes, since numpy joins records field by field.
         cycles = np.concatenate([part.view(np.uint8) for part, _ in group]).view(group[0][0].dtype)
         at = np.concatenate([place for _, place in group])
         recording = self._recording
         log_signals(recording, self._times, at, cycles, self._plant)
         log_codes(recording, self._times, at, cycles, self._codes)
-        shown = quick_and_every(cycles, _EVERY)
+        shown = poses_to_draw(cycles, _EVERY)
         self._trace = log_motion(recording, self._times, at, cycles, self._plant, shown, self._trace)
         if at[-1] - self._limited >= _LIMITS:
             self._limited = float(at[-1])
@@ -195,7 +196,7 @@ class LiveView:
         self._follow_swing(cycles, at)
 
     def _show_hole(self, at: float) -> None:
-        """Break all lines: here cycles are missing."""
+        """Interrupt all lines where cycles are missing."""
         self._trace, self._limited = None, -np.inf
         self._swing.clear()
         place = self._times(np.array([at - 1e-4]))
@@ -215,29 +216,29 @@ class LiveView:
             self._recording.reset_time()
 
     def _follow_swing(self, cycles: Cycles, at: Array) -> None:
-        """Keep the cycles of a swing; show its figures when it is over, unless the bench tells its shots."""
+        """Collect the cycles of a swing; show its figures at its end, unless the bench publishes shots."""
         swinging = np.isin(cycles["phase"], _SWINGING)
         if swinging.any():
             if not self._swing:
                 self._swing_start = float(at[int(np.argmax(swinging))])
                 log_ball(self._recording, self._times, np.array([self._swing_start]), self._ball[None])
             self._swing.append(cycles)
-            if sum(map(len, self._swing)) > _LONGEST_SWING:
+            if sum(map(len, self._swing)) > _MAX_SWING_CYCLES:
                 self._swing.clear()
         if self._swing and not swinging[-1]:
             swung = np.concatenate([part.view(np.uint8) for part in self._swing]).view(cycles.dtype)
             self._swing.clear()
             self._last_struck = self._struck(swung)
-            if not self._told_shots and not self._has_monitor:
+            if not self._reported_shots and not self._has_monitor:
                 self._show_swing(swung)
 
     @property
     def _has_monitor(self) -> bool:
-        """The bench has a launch monitor: what it says of a ball comes seconds after the swing."""
+        """Whether the bench has a launch monitor, whose figures arrive seconds after the swing."""
         return self._status is not None and self._status.get("launch_monitor") is not None
 
     def _show_swing(self, cycles: Cycles) -> None:
-        """Show what a swing's cycles tell of its shot."""
+        """Show the shot computed from a swing's cycles."""
         number = len(self.shots.records) + 1
         record = shot_of_cycles(
             cycles,
@@ -249,12 +250,12 @@ class LiveView:
         self._show_shot(replace(record, cycles=cycles[:0]), self._struck(cycles))
 
     def _struck(self, cycles: Cycles) -> float | None:
-        """Return when the ball was gone, on the time axis."""
+        """Return the time of the impact on the time axis, s."""
         gone = np.flatnonzero(cycles["phase"] == Phase.IMPACT)
         return self.axis.of_loop(float(cycles["time"][gone[0]])) if len(gone) else None
 
     def _show_shot(self, record: ShotRecord, struck: float | None) -> None:
-        """Show a shot whose ball flew at `struck` (None: now). The ball's way is shown as it goes."""
+        """Show a shot with impact at `struck` (s, None for now). The trajectory is shown as it proceeds."""
         now = self.axis.now
         start = min(self._swing_start or now, now)
         struck = None if record.flight is None else now if struck is None else min(struck, now)
@@ -266,7 +267,7 @@ class LiveView:
             self._flying = flown.after(now)
 
     def _show_flight(self) -> None:
-        """Show the ball's way since the last turn."""
+        """Show the trajectory since the last turn."""
         if self._flying is None:
             return
         now = self.axis.now
@@ -288,11 +289,11 @@ class LiveView:
                 try:
                     shot = shot_from_json(given, "shot message")
                 except BenchError as error:
-                    self._feed.misunderstood(str(error))
+                    self._feed.count_invalid(str(error))
                     return
-                self._told_shots = True
+                self._reported_shots = True
                 record = ShotRecord(shot, np.zeros(0, CYCLE), flight_of(shot, self._plant, self._around))
-                # A launch monitor's word comes late: its ball flew when the swing's was gone.
+                # A launch monitor reports late: the ball's launch time is the swing's impact.
                 self._show_shot(record, self._last_struck if message.get("outcome") else None)
             case "shot" if (outcome := message.get("outcome")) is not None:  # of a launch, not of a swing
                 launch = message.get("launch")
@@ -300,19 +301,19 @@ class LiveView:
                 self._show_event({"event": "launch monitor", "text": f"{device}: {outcome}".strip(": ")})
 
     def _show_event(self, message: Mapping[str, Any]) -> None:
-        """Log an event as a line, at its loop's time where it tells one."""
+        """Log an event as a line, at its loop time if given."""
         told = message.get("loop_time")
         place = self.axis.of_loop(float(told)) if isinstance(told, int | float) else self._at(self._clock())
         latched = message.get("state") in ("ESTOP", "FAULT")
         level = _LEVELS.get(str(message.get("event")), "WARN" if latched else "INFO")
         self._recording.send_columns(
-            "events", self._times(place), rr.TextLog.columns(text=[event_words(message)], level=[level])
+            "events", self._times(place), rr.TextLog.columns(text=[event_text(message)], level=[level])
         )
 
-    # What is told of the view itself -------------------------------------------------------------
+    # Status text ---------------------------------------------------------------------------------
 
     def _at(self, now: float) -> float:
-        """Return the place of the instant `now`: the newest cycle's, or after it when the bench is silent."""
+        """Return the time of `now` on the time axis: that of the newest cycle, later if silent."""
         silent = max(0.0, now - self._heard) if np.isfinite(self._heard) else 0.0
         return self.axis.now + (silent if silent > _SILENT else 0.0)
 
@@ -326,7 +327,7 @@ class LiveView:
         return ball_at_rest(self._plant.robot, self._plant.site, self._plant.ball.radius)
 
     def _text(self, now: float) -> str:
-        """Return what stands in the panel of the bench, as Markdown."""
+        """Return the status panel of the bench as Markdown."""
         silent = now - self._heard
         rows: list[tuple[str, str]] = []
         head = f"**Bench {self._bench}**"
@@ -351,16 +352,16 @@ class LiveView:
             ("age in Rerun", self.to_rerun.words()),
             ("lost", f"{a.lost_batches} of {sent} batches, {a.lost_cycles} cycles in the ring"),
         ]
-        if a.not_understood:
-            rows.append(("not understood", f"{a.not_understood}, last: {self._feed.trouble[:80]}"))
+        if a.invalid:
+            rows.append(("invalid messages", f"{a.invalid}, last: {self._feed.trouble[:80]}"))
         if a.restarts:
             rows.append(("starts heard", str(a.restarts)))
         cells = [f"| {name} | {text.replace('|', '/')} |" for name, text in rows]
         return "\n".join([head, "", cells[0], "|:--|:--|", *cells[1:], ""])
 
 
-def event_words(message: Mapping[str, Any]) -> str:
-    """Return an event as a line."""
+def event_text(message: Mapping[str, Any]) -> str:
+    """Return an event as one line of text."""
     name = str(message.get("event", "?"))
     if name == "change":
         parts = [str(message.get("state", "?"))]
@@ -374,7 +375,7 @@ def event_words(message: Mapping[str, Any]) -> str:
 
 
 def loop_rows(loop: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return how the loop kept time in the last second."""
+    """Return the loop timing of the last second as rows of text."""
     try:
         rate = loop["ticks"] / loop["seconds"]
         rows = [("loop", f"{rate:.0f} Hz, skipped {loop['skipped']}, late {loop['late']}")]
@@ -384,4 +385,4 @@ def loop_rows(loop: Mapping[str, Any]) -> list[tuple[str, str]]:
                 rows.append((name, f"p50 {figures['p50_us']:.0f} µs, p99 {figures['p99_us']:.0f} µs"))
         return rows
     except (KeyError, TypeError, ZeroDivisionError):
-        return [("loop", "not understood")]
+        return [("loop", "invalid")]

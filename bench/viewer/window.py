@@ -1,8 +1,8 @@
 """Rerun's viewer as a process of its own, in a window or behind a web page, on the loopback only.
 
-Rerun listens on all interfaces unless told otherwise, and sends usage statistics unless told otherwise. So it
-is started with `--bind 127.0.0.1` and with a configuration folder of its own in which the statistics are
-switched off, which is read back before it starts; its web page comes with a policy (`bench.viewer.page`).
+By default Rerun listens on all interfaces and sends usage statistics. Therefore it is started with
+`--bind 127.0.0.1` and with a separate configuration folder in which the statistics are disabled, verified
+before the start; its web page is served with a policy (`bench.viewer.page`).
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from bench.network.free_port import free_port
 from bench.viewer.page import LOOPBACK, ViewerPage
 
 Kind = Literal["window", "web", "headless"]
-"""On the screen, for a browser, or without any picture but screenshots."""
+"""On the screen, for a browser, or without display for screenshots."""
 
 _START = 30.0
-"""s that it may take to listen."""
+"""Startup time-out, s."""
 _END = 5.0
 _FORCED = "FORCE_RERUN_ANALYTICS"
-"""Environment variable that would switch the statistics on again."""
+"""Environment variable that would enable the statistics."""
 _PROXIES = tuple(f(f"{name}_proxy") for name in ("all", "http", "https") for f in (str.lower, str.upper))
 _SIZE = re.compile(r"[1-9][0-9]*(\.[0-9]+)?([kKMGT]i?B|%)")
 
 
 class ViewerFailed(BenchError):
-    """Rerun's viewer does not run."""
+    """Rerun's viewer is not running."""
 
     exit_code = ExitCode.DEVICE
 
 
 def rerun_program() -> Path:
-    """Return the path of Rerun's own program.
+    """Return the path of Rerun's executable.
 
-    Not the script of that name in the environment: ending that one leaves the viewer running.
+    Not the script of that name in the environment: ending the script leaves the viewer running.
 
     Raises:
-        ViewerFailed: the package has none for this machine.
+        ViewerFailed: the package has no executable for this machine.
     """
     found = importlib.util.find_spec("rerun_cli")
     folders = [] if found is None else [Path(place) for place in found.submodule_search_locations or ()]
@@ -60,15 +60,15 @@ def rerun_program() -> Path:
         "Rerun's viewer",
         "no program in the package rerun-sdk",
         "rerun-sdk with its viewer",
-        "Install rerun-sdk anew, or write a file with --save and open it on another machine.",
+        "Reinstall rerun-sdk, or write a file with --save and open it on another machine.",
     )
 
 
 def checked_memory(text: str) -> str:
-    """Return a memory limit as Rerun takes it, such as "2GB" or "25%".
+    """Return a valid memory limit for Rerun, such as "2GB" or "25%".
 
     Raises:
-        BenchError: it is none.
+        BenchError: it is invalid.
     """
     if not _SIZE.fullmatch(text):
         raise BenchError("--memory-limit", repr(text), 'a size such as "2GB" or "25%"', "Correct it.")
@@ -76,13 +76,13 @@ def checked_memory(text: str) -> str:
 
 
 def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str, str]:
-    """Return `environment` for Rerun with its usage statistics switched off in `folder`, verified.
+    """Return `environment` for Rerun with its usage statistics disabled in `folder`, verified.
 
     Raises:
-        ViewerFailed: they could not be switched off.
+        ViewerFailed: they could not be disabled.
     """
     quiet = {key: value for key, value in environment.items() if key != _FORCED}
-    # It asks the internet for newer versions of itself too: there is a proxy for that which nobody serves.
+    # It also checks the internet for updates: block that with a proxy that does not exist.
     quiet |= dict.fromkeys(_PROXIES, f"http://{LOOPBACK}:9") | dict.fromkeys(
         ("NO_PROXY", "no_proxy"), LOOPBACK
     )
@@ -97,21 +97,21 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
     except (OSError, ValueError, KeyError, TypeError) as error:
         found = f"no settings to read back ({error})"
     raise ViewerFailed(
-        "Rerun's usage statistics", found, "them switched off", "Report it; --save FILE works without viewer."
+        "Rerun's usage statistics", found, "them disabled", "Report it; --save FILE works without viewer."
     )
 
 
 class RerunWindow:
-    """A viewer that runs until it is closed, by its user or at the end of a `with`."""
+    """A viewer that runs until closed by its user or at the end of a `with`."""
 
     def __init__(
         self, kind: Kind, memory_limit: str, port: int | None = None, web_port: int | None = None
     ) -> None:
-        """Start it and wait until it listens, at free ports where none are given.
+        """Start the viewer and wait until it listens, at free ports unless given.
 
         Raises:
-            BenchError: there is no screen, or `memory_limit` is none.
-            ViewerFailed: it does not come up.
+            BenchError: there is no screen, or `memory_limit` is invalid.
+            ViewerFailed: it does not start.
         """
         memory_limit = checked_memory(memory_limit)
         if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -162,28 +162,28 @@ class RerunWindow:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """It has not been closed."""
+        """Whether it is still open."""
         return self._process.poll() is None
 
     @property
     def url(self) -> str:
-        """Where recordings are sent."""
+        """URL for sending recordings."""
         return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
 
     @property
     def page(self) -> str | None:
-        """What a browser of this machine opens; None without --web."""
+        """URL for a browser on this machine; None without --web."""
         if self._page is None:
             return None
         return f"http://{LOOPBACK}:{self._page.port}/?url={quote(self.url, safe='')}"
 
     def close(self) -> None:
-        """End it. Allowed twice."""
+        """Close the viewer. May be called twice."""
         if self._page is not None:
             self._page.close()
             self._page = None
@@ -220,7 +220,10 @@ def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
         return ViewerPage(port, source_port, data_port)
     except OSError as error:
         raise BenchError(
-            f"--port {port}", error.strerror or str(error), "a free port", "Name another one, or none."
+            f"--port {port}",
+            error.strerror or str(error),
+            "a free port",
+            "Choose another port, or omit the option.",
         ) from None
 
 

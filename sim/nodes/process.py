@@ -166,7 +166,7 @@ class BenchNodes:
         self.instant = instant
         self._speed_before, self._speed = self._speed, self.plant.state["speed"][0].tolist()
 
-    def send_event(self, now: float) -> None:
+    def update_report(self, now: float) -> None:
         """Update the devices and the plant's report from the plant at `now` (s)."""
         node = self.plant.node
         node.operational = self.valve_node.state == OPERATIONAL

@@ -234,6 +234,5 @@ def reached() -> list[str]:
     code = "import sys, drivers.launch_monitor.server, drivers.launch_monitor.client; print(*sys.modules)"
     names = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     own = {name for name in names.split() if name.split(".")[0] in ("drivers", "bench", "sim")}
-    return sorted(
-        n for n in own if n != "drivers" and not n.startswith(("drivers.launch_monitor", "drivers.base"))
-    )
+    harmless = {("drivers",), ("drivers", "launch_monitor"), ("drivers", "base")}
+    return sorted(name for name in own if tuple(name.split(".")[:2]) not in harmless)

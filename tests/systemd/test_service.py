@@ -179,7 +179,7 @@ def test_the_watchdog_kills_a_frozen_supervisor_alone(service: Service) -> None:
 
 def test_a_frozen_loop_is_killed_by_its_supervisor(service: Service) -> None:
     assert service.kill("STOP", "loop") == 1
-    assert "stood still" in service.journal()
+    assert "froze" in service.journal()
     assert service.status()["state"] == "ESTOP"
 
 

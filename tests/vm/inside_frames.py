@@ -60,7 +60,7 @@ TOLD = 4.0
 def measure(title: str, loop: DriverLoop, seconds: float, wire: str, ends: tuple[str, ...]) -> list[Row]:
     """Run for `seconds`; `wire` is where all frames are seen, `ends` the bench's and the nodes' interface."""
     counter = Listener(wire, (SYNC, COMMAND, *POSITIONS, *OTHERS), 4096)
-    _open_anew(loop)  # while nothing ran the node's watchdog has struck
+    _reopen(loop)  # while nothing ran the node's watchdog has struck
     loop.run(200)  # everything has been called
     loop.forget()
     before = {name: getattr(loop.driver.counters, name) for name in (*CLASSES, "frames", "syncs", "missing")}
@@ -173,7 +173,7 @@ def _sums(
 
 def look_at_wire(title: str, loop: DriverLoop, seconds: float, wire: str) -> list[Row]:
     """Look at each frame for a while: load, answers by the kernel's stamps, how true a sample's time is."""
-    _open_anew(loop)
+    _reopen(loop)
     listener = Listener(wire)
     loop.forget()
     loop.run(round(seconds / loop.period))
@@ -335,7 +335,7 @@ def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
     counters = driver.counters
     if fault.command is not None:
         fault.command.prepare()
-    _open_anew(loop)
+    _reopen(loop)
     witness = Listener("can2", (COMMAND, EMERGENCY))
     lost = {n: getattr(counters, n) for n in ("missing", "late", "duplicates", "foreign", "no_room")}
     loop.run(round(BEFORE / loop.period))
@@ -363,7 +363,7 @@ def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
     if fault.mend in _TAKEN:
         commands = [f.time for f in frames if f.identifier == COMMAND and f.data[6] & SUPPLY]
         start = commands[-1] if commands else start
-    again = _open_anew(loop)
+    again = _reopen(loop)
     counts = ", ".join(
         f"{n} {getattr(counters, n) - lost[n]}" for n in lost if getattr(counters, n) - lost[n]
     )
@@ -390,7 +390,7 @@ def _reaction(frames: list[Frame], after: float) -> Frame | None:
     return None
 
 
-def _open_anew(loop: DriverLoop) -> str:
+def _reopen(loop: DriverLoop) -> str:
     """Close and open the driver as a reset does; return how that went."""
     driver = loop.driver
     driver.close()

@@ -20,7 +20,7 @@ from pathlib import Path
 from bench.config import Configuration
 from bench.daemon import Daemon
 from bench.errors import BenchError, ExitCode
-from bench.processes.child_process import Parent, read_plan, tell, tell_failure
+from bench.processes.child_process import Parent, read_plan, send_event, send_failure
 from drivers.base import DriverError
 
 _LOOK = 0.5
@@ -51,9 +51,9 @@ def main() -> int:
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     try:
-        Daemon(plan.configuration).run(lambda: tell("ready"))
+        Daemon(plan.configuration).run(lambda: send_event("ready"))
     except (BenchError, DriverError) as error:
-        return tell_failure(error)
+        return send_failure(error)
     return ExitCode.OK
 
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.live
 
 TOLD = """
 import sys, time
-from bench.processes.child_process import read_plan, tell
+from bench.processes.child_process import read_plan, send_event
 plan = read_plan()
 """
 
@@ -50,7 +50,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
 
 
 def test_it_gets_its_plan_and_tells_that_it_is_ready(start: Start) -> None:
-    child = start("tell('ready', plan=plan); sys.stdin.read(); time.sleep(60)", {"rate": 1000})
+    child = start("send_event('ready', plan=plan); sys.stdin.read(); time.sleep(60)", {"rate": 1000})
     assert child.wait_until_ready(30.0)["plan"] == {"rate": 1000}
     assert child.alive
     assert child.ending == ""
@@ -60,13 +60,16 @@ def test_it_gets_its_plan_and_tells_that_it_is_ready(start: Start) -> None:
 
 def test_starting_never_waits_for_a_child_that_is_slow_to_read(start: Start) -> None:
     begin = time.monotonic()
-    child = start("tell('ready', size=len(plan))", bytes(1 << 22), before="import time; time.sleep(3)\n")
+    child = start(
+        "send_event('ready', size=len(plan))", bytes(1 << 22), before="import time; time.sleep(3)\n"
+    )
     assert time.monotonic() - begin < 2.0
     assert child.wait_until_ready(30.0)["size"] == 1 << 22
 
 
 def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
-    body = "print('warning'); print('[1]'); print('{}', flush=True); tell('ready'); tell('more', a=1)"
+    body = "print('warning'); print('[1]'); print('{}', flush=True); "
+    body += "send_event('ready'); send_event('more', a=1)"
     child = start(body)
     child.wait_until_ready(30.0)
     child.process.wait(30.0)
@@ -75,14 +78,15 @@ def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
 
 
 def test_why_it_failed_is_told_with_its_own_exit_code(start: Start) -> None:
-    child = start("tell('failed', place='p', found='f', expected='e', cure='c', exit_code=2)")
+    child = start("send_event('failed', place='p', found='f', expected='e', cure='c', exit_code=2)")
     with pytest.raises(NotStarted, match=r"p: found f, expected e. c") as caught:
         child.wait_until_ready(30.0)
     assert caught.value.exit_code is ExitCode(2)
 
 
 @pytest.mark.parametrize(
-    ("body", "ending"), [("sys.exit(3)", "ended with exit code 3"), ("tell('', a=1); 1 / 0", "exit code 1")]
+    ("body", "ending"),
+    [("sys.exit(3)", "ended with exit code 3"), ("send_event('', a=1); 1 / 0", "exit code 1")],
 )
 def test_a_child_that_ends_instead_is_no_bench(start: Start, body: str, ending: str) -> None:
     with pytest.raises(NotStarted, match=ending):
@@ -96,7 +100,7 @@ def test_one_that_does_not_become_ready_is_not_waited_for_for_ever(start: Start)
 
 def test_a_stubborn_one_is_killed(start: Start) -> None:
     child = start(
-        "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); tell('ready'); time.sleep(60)"
+        "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); send_event('ready'); time.sleep(60)"
     )
     child.wait_until_ready(30.0)
     child.end(0.2)
@@ -104,7 +108,7 @@ def test_a_stubborn_one_is_killed(start: Start) -> None:
 
 
 def test_a_stopped_child_counts_as_alive(start: Start) -> None:
-    child = start("tell('ready'); time.sleep(60)")
+    child = start("send_event('ready'); time.sleep(60)")
     child.wait_until_ready(30.0)
     child.process.send_signal(signal.SIGSTOP)
     assert child.alive

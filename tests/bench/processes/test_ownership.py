@@ -142,7 +142,7 @@ def test_two_benches_do_not_meet(memory: Path) -> None:
 
 
 def test_a_missing_place_is_named(tmp_path: Path) -> None:
-    with pytest.raises(NoBenchFolder, match="no folder around it"):
+    with pytest.raises(NoBenchFolder, match="no parent folder"):
         take_bench("a", tmp_path / "missing")
 
 

@@ -102,7 +102,7 @@ def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
 ) -> None:
     supervisor.say(heartbeat=8, lease=1)
     assert put(100.0)["supervisor_alive"]
-    orders.give_up()
+    orders.declare_supervisor_dead()
     seen = put(100.001)
     assert not seen["supervisor_alive"]
     assert not seen["lease_held"]

@@ -111,7 +111,7 @@ def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count
 
 def test_an_ending_bench_starts_none_anew(supporter: ManagedProcess, nursery: Nursery) -> None:
     supporter.turn(0.0)
-    supporter.leave_dead()
+    supporter.stop_restarting()
     nursery.children[0].process.kill()
     nursery.children[0].process.wait()
     for now in (1.0, 2.0, 3.0):

@@ -256,7 +256,7 @@ def test_too_long_a_tick_is_refused_with_its_costliest_segment(segment: str, cur
     text = str(refused.value)
     assert refused.value.exit_code == ExitCode.REFUSED
     assert "1000 Hz, with ticks of 801 µs" in text
-    assert f"{segment!r} costs most, 796 µs" in text
+    assert f"{segment!r} is longest, 796 µs" in text
     assert cure in text
     assert "at most 998 Hz" in text
 

@@ -121,7 +121,7 @@ def test_what_is_not_understood_is_counted_and_told(make_day: MakeDay) -> None:
         bench.put("event", b"[1]")
         bench.put("shot", b"\xff")
         bench.send(make_day([(State.READY, 20)]))
-        heard.until(lambda: len(heard.ticks) == 20 and feed.account.not_understood == 4)
+        heard.until(lambda: len(heard.ticks) == 20 and feed.account.invalid == 4)
         assert feed.trouble
 
 

@@ -18,7 +18,7 @@ from bench.shot.recorded_shot import FlightConditions, shot_to_json
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed
-from bench.viewer.viewer import LiveView, event_words, loop_rows
+from bench.viewer.viewer import LiveView, event_text, loop_rows
 from sim.ball import Ball
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
@@ -186,7 +186,7 @@ def test_events_and_shots_of_the_bench_are_shown(
     watched.bench.tell("event", event="change", state="FAULT", phase="HOLD", reaction="BRAKE", cause="GUARD")
     watched.bench.tell("event", event="loop died", text="it froze", loop_time=1000.02)
     view = watched.view
-    watched.until(lambda: len(view.shots.records) == 4 and view._feed.account.not_understood == 1)
+    watched.until(lambda: len(view.shots.records) == 4 and view._feed.account.invalid == 1)
     watched.until(lambda: not view._feed._others)
     recording = watched.recording()
     _, lines = recording.read("/events", "TextLog:text")
@@ -244,9 +244,9 @@ def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
 
 
 def test_words_of_events_and_loop() -> None:
-    assert event_words({"event": "change", "state": "READY", "cause": "NONE", "phase": "STANDING"}) == (
+    assert event_text({"event": "change", "state": "READY", "cause": "NONE", "phase": "STANDING"}) == (
         "READY, phase STANDING"
     )
-    assert event_words({"event": "note"}) == "note"
-    assert loop_rows({"ticks": 1}) == [("loop", "not understood")]
+    assert event_text({"event": "note"}) == "note"
+    assert loop_rows({"ticks": 1}) == [("loop", "invalid")]
     assert json.dumps(loop_rows({"ticks": 5, "seconds": 0, "skipped": 0}))
