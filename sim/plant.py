@@ -310,43 +310,56 @@ def build_plant(parameters: PlantParameters) -> Plant:
             f"latency plus six times jitter up to {remembered:g} s; lower them, or raise tick / substeps"
         )
     record = new_record(PLANT_PARAMETERS)
-    club, robot = parameters.robot.club, parameters.robot
     half_step = parameters.tick / parameters.substeps / 2
     for i, actuator in enumerate(parameters.actuators):
-        friction, stop, valve = actuator.friction, actuator.stop, actuator.valve
-        values = {
-            "area_a": actuator.area_a,
-            "area_b": actuator.area_b,
-            "dead_volume": actuator.dead_volume,
-            "lower": actuator.lower,
-            "upper": actuator.upper,
-            "volume_lower": actuator.lower - stop.travel,
-            "volume_upper": actuator.upper + stop.travel,
-            "viscous": friction.viscous,
-            "coulomb": friction.coulomb,
-            "static": friction.static,
-            "stribeck_speed": friction.stribeck_speed,
-            "stop_stiffness": stop.stiffness,
-            "stop_travel": stop.travel,
-            "stop_damping_speed": stop.damping_speed,
-            "conductance": valve.conductance,
-            "critical_ratio": valve.critical_ratio,
-            "dead_band": valve.dead_band,
-            "leakage": valve.leakage,
-            "centre": valve.centre,
-            "cross_leakage": actuator.cross_leakage,
-            "spool": valve.half_step_matrix(half_step).ravel(),
-        }
-        for name, value in values.items():
+        for name, value in _actuator_values(actuator, half_step).items():
             record[name][0, i] = value
     # The wrist's cylinder coordinate is -lever cos(beta), beta = theta3 - 3 pi / 2 (thesis Figure 11).
     for name in ("volume_lower", "volume_upper"):
         record[name][0, 2] = parameters.wrist_lever * sin(record[name][0, 2])
-    supply, site, shaft = parameters.supply, parameters.site, parameters.shaft
-    omega = 2 * pi * shaft.frequency
     record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
     record["encoder_zero"] = encoders.zero_count
-    scalars: dict[str, float] = {
+    for name, scalar in _scalar_values(parameters).items():
+        record[name] = scalar
+    club, robot = parameters.robot.club, parameters.robot
+    rigid = replace(robot, club=_without_head(club)) if parameters.shaft.flexible else robot
+    return Plant(parameters, rigid.record, record, impact_parameters(club, parameters.ball, robot.lie))
+
+
+def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:
+    """Return the fields of PLANT_PARAMETERS of one actuator; `half_step` is half a substep (s)."""
+    friction, stop, valve = actuator.friction, actuator.stop, actuator.valve
+    return {
+        "area_a": actuator.area_a,
+        "area_b": actuator.area_b,
+        "dead_volume": actuator.dead_volume,
+        "lower": actuator.lower,
+        "upper": actuator.upper,
+        "volume_lower": actuator.lower - stop.travel,
+        "volume_upper": actuator.upper + stop.travel,
+        "viscous": friction.viscous,
+        "coulomb": friction.coulomb,
+        "static": friction.static,
+        "stribeck_speed": friction.stribeck_speed,
+        "stop_stiffness": stop.stiffness,
+        "stop_travel": stop.travel,
+        "stop_damping_speed": stop.damping_speed,
+        "conductance": valve.conductance,
+        "critical_ratio": valve.critical_ratio,
+        "dead_band": valve.dead_band,
+        "leakage": valve.leakage,
+        "centre": valve.centre,
+        "cross_leakage": actuator.cross_leakage,
+        "spool": valve.half_step_matrix(half_step).ravel(),
+    }
+
+
+def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
+    """Return the scalar fields of PLANT_PARAMETERS."""
+    encoders, supply, site = parameters.encoders, parameters.supply, parameters.site
+    shaft, club = parameters.shaft, parameters.robot.club
+    omega = 2 * pi * shaft.frequency
+    return {
         "wrist_lever": parameters.wrist_lever,
         "regulated": supply.pressure,
         "feed_conductance": supply.feed_conductance,
@@ -375,14 +388,10 @@ def build_plant(parameters: PlantParameters) -> Plant:
         "sole_depth": site.sole_depth,
         "ball_x": site.ball_x,
         "ball_y": site.ball_y,
-        "lie": robot.lie,
+        "lie": parameters.robot.lie,
         "tick": parameters.tick,
         "substeps": parameters.substeps,
     }
-    for name, value in scalars.items():
-        record[name] = value
-    rigid = replace(robot, club=_without_head(club)) if shaft.flexible else robot
-    return Plant(parameters, rigid.record, record, impact_parameters(club, parameters.ball, robot.lie))
 
 
 def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False) -> np.ndarray:

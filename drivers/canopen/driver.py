@@ -53,7 +53,7 @@ from drivers.canopen.frames import (
 )
 from drivers.canopen.link import FrameLink, open_link
 from drivers.canopen.services import Node
-from drivers.canopen.settings import FULL_SCALE, CanopenSettings
+from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 from drivers.canopen.setup import set_up_encoder, set_up_valve_node
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
@@ -120,6 +120,15 @@ class CanopenDriver:
         self._beat = frame(HEARTBEAT + self.settings.master, bytes([_OPERATIONAL]))
         self._beat_period = beat_period(watchdog)
         self._command_identifier = RPDO1 + valve_node.node
+        self._set_scales(valve_node)
+        self._max_silence = _MISSED * self.settings.heartbeat
+        self._max_input_gap = _MISSED * self.settings.interlock_period
+        self._max_pressure_gap = _MISSED * self.settings.pressure_ticks * period
+        self._takers = self._make_takers()
+        self._forget()
+
+    def _set_scales(self, valve_node: ValveNodeSettings) -> None:
+        """Compute bits and scales of the valve node's channels."""
         scale = FULL_SCALE / valve_node.full_scale
         self._valve_span = valve_node.span * scale
         a, b, c = (centre * scale + 0.5 for centre in valve_node.centre)
@@ -145,11 +154,6 @@ class CanopenDriver:
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
         self._pressure_groups = pressure_groups(valve_node)
         self._supply, self._chambers = valve_node.supply_pressure, valve_node.chamber_pressures
-        self._max_silence = _MISSED * self.settings.heartbeat
-        self._max_input_gap = _MISSED * self.settings.interlock_period
-        self._max_pressure_gap = _MISSED * self.settings.pressure_ticks * period
-        self._takers = self._make_takers()
-        self._forget()
 
     def _forget(self) -> None:
         """Reset everything known about the bus."""

@@ -114,21 +114,13 @@ def test_collision_conserves_momentum_and_never_gains_energy(
     assert np.allclose(impulse, BALL.mass * v_ball, atol=scale, rtol=0)
     # Angular momentum about the contact; the head's centre is at -arm, the ball's at r n.
     before = np.cross(-a, head_mass * v0) + tensor @ w0
-    after = (
-        np.cross(-a, head_mass * v_head)
-        + tensor @ w_head
-        + np.cross(r * n, BALL.mass * v_ball)
-        + BALL.inertia * w_ball
-    )
+    after = np.cross(-a, head_mass * v_head) + tensor @ w_head
+    after += np.cross(r * n, BALL.mass * v_ball) + BALL.inertia * w_ball
     assert np.allclose(after, before, atol=scale, rtol=0)
 
     energy_before = head_mass * v0 @ v0 + w0 @ tensor @ w0
-    energy_after = (
-        head_mass * v_head @ v_head
-        + w_head @ tensor @ w_head
-        + BALL.mass * v_ball @ v_ball
-        + BALL.inertia * w_ball @ w_ball
-    )
+    energy_after = head_mass * v_head @ v_head + w_head @ tensor @ w_head
+    energy_after += BALL.mass * v_ball @ v_ball + BALL.inertia * w_ball @ w_ball
     assert energy_after <= energy_before * (1 + 1e-9) + 1e-12
 
     approach = (v0 + np.cross(w0, a)) @ n

@@ -45,33 +45,7 @@ PARTS = ("driver", "bench")
 
 def main() -> int:
     """Make the image if there is none, run a guest for each part, show what they found."""
-    parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
-    parser.add_argument(
-        "--parts", nargs="*", choices=PARTS, default=PARTS[:1], help="default: driver; both beside each other"
-    )
-    parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: without faults")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
-    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
-    parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
-    parser.add_argument(
-        "--faults",
-        nargs="*",
-        choices=list(FAULTS),
-        default=list(FAULTS),
-        metavar="NAME",
-        help="of the driver's part, default: all",
-    )
-    parser.add_argument(
-        "--swing-faults",
-        nargs="*",
-        choices=[*SWING_FAULTS, "all"],
-        default=list(USUAL),
-        metavar="NAME",
-        help="of the bench's part, in mid-swing",
-    )
-    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
-    options = parser.parse_args()
+    options = _options()
     if lacking := _lacking():
         print(f"test-vm: {lacking}", file=sys.stderr)
         return 2
@@ -114,6 +88,36 @@ def main() -> int:
             if outcome.code != 0:
                 _explain(top / part, console)
     return verdict(rows, console) or int(any(outcome.code != 0 for outcome in outcomes))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
+    parser.add_argument(
+        "--parts", nargs="*", choices=PARTS, default=PARTS[:1], help="default: driver; both beside each other"
+    )
+    parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: without faults")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
+    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
+    parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
+    parser.add_argument(
+        "--faults",
+        nargs="*",
+        choices=list(FAULTS),
+        default=list(FAULTS),
+        metavar="NAME",
+        help="of the driver's part, default: all",
+    )
+    parser.add_argument(
+        "--swing-faults",
+        nargs="*",
+        choices=[*SWING_FAULTS, "all"],
+        default=list(USUAL),
+        metavar="NAME",
+        help="of the bench's part, in mid-swing",
+    )
+    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
+    return parser.parse_args()
 
 
 def _lacking() -> str:

@@ -133,42 +133,47 @@ def _sums(
             0,
         ),
     ]
-    if len(ends) == 2:
-        (bench, nodes), dropped = ends, 0
-        for link in links.values():
-            dropped += sum(link[what] for what in link if what not in ("tx_packets", "rx_packets"))
-        sent, answered = links[bench]["tx_packets"], links[nodes]["tx_packets"]
-        rows += [
-            Row(
-                title,
-                "kernel: frames lost, bench to nodes",
-                sent - links[nodes]["rx_packets"],
-                f"of {sent}",
-                "",
-                0,
-                0,
-            ),
-            Row(
-                title,
-                "kernel: frames lost, nodes to bench",
-                answered - links[bench]["rx_packets"],
-                f"of {answered}",
-                "",
-                0,
-                0,
-            ),
-            Row(
-                title,
-                "kernel: frames seen less those sent",
-                links[wire]["rx_packets"] - sent - answered,
-                f"of {sent + answered}",
-                f"and {sum(frames.values())} by identifier",
-                0,
-                0,
-            ),
-            Row(title, "kernel: dropped, overruns, errors", dropped, "", "", 0, 0),
-        ]
-    return rows
+    return rows + (_kernel_sums(title, links, wire, ends, sum(frames.values())) if len(ends) == 2 else [])
+
+
+def _kernel_sums(
+    title: str, links: dict[str, dict[str, int]], wire: str, ends: tuple[str, ...], seen: int
+) -> list[Row]:
+    """Return the sums of the kernel's counters; `seen` frames were identified on the wire."""
+    (bench, nodes), dropped = ends, 0
+    for link in links.values():
+        dropped += sum(link[what] for what in link if what not in ("tx_packets", "rx_packets"))
+    sent, answered = links[bench]["tx_packets"], links[nodes]["tx_packets"]
+    return [
+        Row(
+            title,
+            "kernel: frames lost, bench to nodes",
+            sent - links[nodes]["rx_packets"],
+            f"of {sent}",
+            "",
+            0,
+            0,
+        ),
+        Row(
+            title,
+            "kernel: frames lost, nodes to bench",
+            answered - links[bench]["rx_packets"],
+            f"of {answered}",
+            "",
+            0,
+            0,
+        ),
+        Row(
+            title,
+            "kernel: frames seen less those sent",
+            links[wire]["rx_packets"] - sent - answered,
+            f"of {sent + answered}",
+            f"and {seen} by identifier",
+            0,
+            0,
+        ),
+        Row(title, "kernel: dropped, overruns, errors", dropped, "", "", 0, 0),
+    ]
 
 
 def look_at_wire(title: str, loop: DriverLoop, seconds: float, wire: str) -> list[Row]:

@@ -31,6 +31,8 @@ _LOOK = 0.02
 """s between two looks at what the guest asks for."""
 _PATIENCE = 10.0
 """s that the monitor is tried for."""
+_MONITOR, _ASKED = "monitor", "asked"
+"""Names of the files of QEMU's control socket and of the guest's second serial port."""
 
 
 class Outcome(NamedTuple):
@@ -50,8 +52,25 @@ def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ende
 
     A line "pull card0" or "put card0" in the guest's second serial port pulls a card out and puts it back.
     """
-    monitor, asked = share / "monitor", share / "asked"
-    command: list[str | Path] = [
+    monitor, asked = share / _MONITOR, share / _ASKED
+    begin = time.monotonic()
+    machine = subprocess.Popen(_command(kernel, initramfs, share), stdin=subprocess.DEVNULL)
+    try:
+        with suppress(OSError):  # it ended
+            _serve(machine, monitor, asked, begin + timeout, ended)
+    finally:
+        if _runs(machine):
+            machine.terminate()
+        _, _, used = os.wait4(machine.pid, 0)
+        machine.returncode = 0  # it has been waited for
+    told = share / "code-of-exit"
+    code = int(told.read_text()) if told.exists() else None
+    return Outcome(code, time.monotonic() - begin, used.ru_utime + used.ru_stime)
+
+
+def _command(kernel: Path, initramfs: Path, share: Path) -> list[str | Path]:
+    """Return the command line of QEMU."""
+    return [
         "qemu-system-x86_64",
         "-nodefaults",
         "-no-user-config",
@@ -85,9 +104,9 @@ def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ende
         "-serial",
         f"file:{share / 'console'}",
         "-serial",
-        f"file:{asked}",
+        f"file:{share / _ASKED}",
         "-qmp",
-        f"unix:{monitor},server=on,wait=off",
+        f"unix:{share / _MONITOR},server=on,wait=off",
         "-object",
         "can-bus,id=wire",
         *(
@@ -96,19 +115,6 @@ def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ende
             for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={place}")
         ),
     ]
-    begin = time.monotonic()
-    machine = subprocess.Popen(command, stdin=subprocess.DEVNULL)
-    try:
-        with suppress(OSError):  # it ended
-            _serve(machine, monitor, asked, begin + timeout, ended)
-    finally:
-        if _runs(machine):
-            machine.terminate()
-        _, _, used = os.wait4(machine.pid, 0)
-        machine.returncode = 0  # it has been waited for
-    told = share / "code-of-exit"
-    code = int(told.read_text()) if told.exists() else None
-    return Outcome(code, time.monotonic() - begin, used.ru_utime + used.ru_stime)
 
 
 def _runs(machine: subprocess.Popen[bytes]) -> bool:
