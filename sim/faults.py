@@ -154,9 +154,9 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     },
     "process": {"off": "is gone"},
     "launch monitor": {
-        "off": "tells nothing",
+        "off": "reports nothing",
         "stuck": "repeats the last shot",
-        "garbage": "tells nonsense",
+        "garbage": "reports random figures",
         "offset": "speeds `value` m/s too high",
         "scale": "speeds `value` times the truth",
         "delayed": "reports `value` s late",
@@ -277,7 +277,7 @@ DEVICE = np.dtype(
         ("silence", "f8"),
         ("deafness", "f8"),
         ("passive", "?"),
-        ("heard", "?"),
+        ("commanded", "?"),
         ("link_up", "?"),
         ("inputs_up", "?"),
         ("loop_up", "?"),
@@ -582,13 +582,13 @@ def deliver_readings(faults: Faults, plant: Any, state: Any, readings: Any) -> N
 @compiled
 def faulty_time(faults: Faults, time: float) -> float:
     """Return the faulty clock reading at `time` (s)."""
-    told = time
+    reading = time
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
         if f.signal == _CLOCK and m.active:
             wrong = _wrong(f, m, time, time - _CLOCK_JUMP, time + _CLOCK_JUMP, True, time, 1e-3)
-            told = np.nan if f.kind == _OFF else wrong
-    return told
+            reading = np.nan if f.kind == _OFF else wrong
+    return reading
 
 
 @compiled
@@ -611,10 +611,10 @@ def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> N
     if d.passive:
         _make_passive(sent)
     elif arrives:
-        d.heard, d.silence = True, 0.0
+        d.commanded, d.silence = True, 0.0
         back = min(d.delay, max(d.filled - 1, 0))
         _copy_command(faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], sent)
-    elif d.heard:
+    elif d.commanded:
         d.silence += p.tick
         if d.silence >= d.watchdog - 1e-9:
             d.passive = True
@@ -637,7 +637,7 @@ def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> N
 def revive(faults: Faults) -> None:
     """Reactivate a device that went passive by its watchdog, as a reset of the bench does."""
     d = faults.device[0]
-    d.passive, d.heard, d.silence = False, False, 0.0
+    d.passive, d.commanded, d.silence = False, False, 0.0
 
 
 @compiled

@@ -1,6 +1,6 @@
 """The supervisor's link to the loop: orders go into shared memory, answers are read from the ring.
 
-The loop is never waited for beyond a bound, and never asked to compute anything: its newest record tells
+Waiting for the loop is bounded, and it never computes anything on request: its newest record contains
 state, request answered last and reason.
 """
 
@@ -75,7 +75,7 @@ class LoopLink:
         self._shared.close()
 
     def beat(self, *, lease: int, support_ready: bool) -> None:
-        """Tell the loop that its supervisor lives and what it grants; `lease` is its number, 0: not held."""
+        """Send heartbeat and permissions to the loop; `lease` is the lease's number, 0 if not held."""
         self._order(
             heartbeat=int(self._orders["heartbeat"][0]) + 1,
             lease=lease,
@@ -127,9 +127,9 @@ class LoopLink:
             self._corrections.write(pack_correction(self._corrections_ordered, weights))
             deadline = time.monotonic() + _ANSWER
             while time.monotonic() < deadline:
-                told = self._active_correction()
-                if told["asked"] == self._corrections_ordered:
-                    if told["order"]["number"] == self._corrections_ordered:
+                active = self._active_correction()
+                if active["asked"] == self._corrections_ordered:
+                    if active["order"]["number"] == self._corrections_ordered:
                         return Reply(True, self.state, "")
                     return Reply(False, self.state, "the robot moves: correct it at rest or at address")
                 time.sleep(_POLL_PERIOD)
@@ -142,10 +142,10 @@ class LoopLink:
         return int(order["number"]) if order["size"] else 0
 
     def _active_correction(self) -> Any:
-        told = np.zeros(1, CORRECTED)
+        active = np.zeros(1, CORRECTED)
         if self._corrected is not None:
-            self._corrected.read(told)
-        return told[0]
+            self._corrected.read(active)
+        return active[0]
 
     def stop(self, request: Request) -> Reply:
         """Send STOP or EMERGENCY_STOP to the loop, ahead of other requests; wait until it is received."""

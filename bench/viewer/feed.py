@@ -157,14 +157,14 @@ class Feed:
 
     def _count(self, batch: Batch) -> None:
         a, first = self.account, self._sequence == 0
-        anew = not first and batch.sequence <= self._sequence
-        missing = 0 if first else batch.sequence - (1 if anew else self._sequence + 1)
-        before = batch.lost if first else 0 if anew else self._ring_lost
+        restarted = not first and batch.sequence <= self._sequence
+        missing = 0 if first else batch.sequence - (1 if restarted else self._sequence + 1)
+        before = batch.lost if first else 0 if restarted else self._ring_lost
         self.account = a._replace(
             batches=a.batches + 1,
             lost_batches=a.lost_batches + missing,
             lost_cycles=a.lost_cycles + max(0, batch.lost - before),
-            restarts=a.restarts + anew,
+            restarts=a.restarts + restarted,
         )
         self._sequence, self._ring_lost = batch.sequence, batch.lost
 

@@ -218,7 +218,7 @@ def log_styles(recording: rr.RecordingStream) -> None:
     lines("effort_nm", [f"{JOINTS[0]} N·m", f"{JOINTS[2]} N·m"], [joint[0], joint[2]])
     limits("effort_nm", ["shoulder −", "shoulder +", "wrist −", "wrist +"], [joint[0]] * 2 + [joint[2]] * 2)
     lines("effort_n", [f"{JOINTS[1]} N"], [joint[1]])
-    limits("effort_n", ["least", "greatest"], [_LIMIT] * 2)
+    limits("effort_n", ["min", "max"], [_LIMIT] * 2)
     lines("valve/applied", JOINTS, joint)
     lines("valve/wanted", [f"{name} wanted" for name in JOINTS], joint, 1.0)
     limits("valve", ["shut", "open"], [_LIMIT] * 2)

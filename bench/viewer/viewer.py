@@ -302,8 +302,8 @@ class LiveView:
 
     def _show_event(self, message: Mapping[str, Any]) -> None:
         """Log an event as a line, at its loop time if given."""
-        told = message.get("loop_time")
-        place = self.axis.of_loop(float(told)) if isinstance(told, int | float) else self._at(self._clock())
+        tick = message.get("loop_time")
+        place = self.axis.of_loop(float(tick)) if isinstance(tick, int | float) else self._at(self._clock())
         latched = message.get("state") in ("ESTOP", "FAULT")
         level = _LEVELS.get(str(message.get("event")), "WARN" if latched else "INFO")
         self._recording.send_columns(
@@ -342,7 +342,7 @@ class LiveView:
             cause, lease = status.get("cause"), status.get("lease")
             if isinstance(cause, Mapping):
                 head += f"\n\n{cause.get('name')}: {cause.get('text')}"
-            rows.append(("lease", str(lease.get("holder")) if isinstance(lease, Mapping) else "nobody's"))
+            rows.append(("lease", str(lease.get("holder")) if isinstance(lease, Mapping) else "not held"))
         if (loop := self._loop) is not None:
             rows += loop_rows(loop)
         a = self._feed.account
@@ -355,7 +355,7 @@ class LiveView:
         if a.invalid:
             rows.append(("invalid messages", f"{a.invalid}, last: {self._feed.trouble[:80]}"))
         if a.restarts:
-            rows.append(("starts heard", str(a.restarts)))
+            rows.append(("publisher restarts", str(a.restarts)))
         cells = [f"| {name} | {text.replace('|', '/')} |" for name, text in rows]
         return "\n".join([head, "", cells[0], "|:--|:--|", *cells[1:], ""])
 

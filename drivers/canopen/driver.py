@@ -590,8 +590,8 @@ class CanopenDriver:
             self._note_trouble(f"{who} has sent no heartbeat for {self._max_silence:g} s")
         if now - self._inputs_received > self._max_input_gap:
             self._note_trouble("the interlocks have not been received for three of their periods")
-        for n, heard in enumerate(self._pressures_received):
-            if now - heard > self._max_pressure_gap and heard > -math.inf:
+        for n, received in enumerate(self._pressures_received):
+            if now - received > self._max_pressure_gap and received > -math.inf:
                 self._pressures_received[n] = -math.inf
                 for channel in self._pressure_groups[n]:
                     self._pressures[channel] = ABSENT

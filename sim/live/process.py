@@ -81,14 +81,14 @@ def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: fl
         raise DriverError("plant process: started without pipes")
     with suppress(BrokenPipeError), process.stdin:  # if already dead, its stdout has the reason
         process.stdin.write(pickle.dumps(plan))
-    heard = b""
+    received = b""
     while True:
-        *lines, rest = heard.split(b"\n")
+        *lines, rest = received.split(b"\n")
         for event in filter(None, map(_event, lines)):
             if event["event"] == "ready":
                 return
             raise DriverError(f"plant process: {event['event']}: {event.get('reason', '')}")
-        heard = rest
+        received = rest
         left = deadline - time.monotonic()
         if left <= 0.0 or not select.select([process.stdout], [], [], left)[0]:
             raise DriverError(
@@ -100,7 +100,7 @@ def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: fl
             raise DriverError(
                 f"plant process: ended with exit code {process.wait()} before it was ready; see its stderr"
             )
-        heard += new
+        received += new
 
 
 def _event(line: bytes) -> dict[str, Any] | None:
