@@ -9,7 +9,7 @@ from drivers.launch_monitor.objects import ObjectStream
 from drivers.launch_monitor.open_connect import (
     SHOT_TAKEN,
     TOO_LARGE,
-    MonitorStatus,
+    ReportedStatus,
     read_message,
     write_answer,
 )
@@ -91,7 +91,7 @@ class Conversation:
                 self.device = message.device or self.device
                 records.append(add_doubts(message, self._plausible))
                 answers.append(write_answer(SHOT_TAKEN, "Shot received successfully"))
-            elif isinstance(message, MonitorStatus):
+            elif isinstance(message, ReportedStatus):
                 counts.statuses += 1
                 self._take_status(message)
             else:
@@ -114,7 +114,7 @@ class Conversation:
             self._stream.drop()
             self.counts.passed_over = self._stream.passed_over
 
-    def _take_status(self, status: MonitorStatus) -> None:
+    def _take_status(self, status: ReportedStatus) -> None:
         self.device = status.device or self.device
         self.heartbeats |= status.heartbeat
         self.ready = self.ready if status.ready is None else status.ready

@@ -30,7 +30,7 @@ MAX_NAME_LENGTH = 64
 """Maximum number of characters kept of a device name."""
 
 
-class MonitorStatus(NamedTuple):
+class ReportedStatus(NamedTuple):
     """Status of a monitor from a heartbeat or a message without figures; None for values not sent."""
 
     device: str
@@ -46,7 +46,7 @@ class RejectedMessage(NamedTuple):
     reason: str
 
 
-Message = LaunchRecord | MonitorStatus | RejectedMessage
+Message = LaunchRecord | ReportedStatus | RejectedMessage
 
 
 class _Bounds(NamedTuple):
@@ -92,7 +92,7 @@ def read_message(data: bytes, time: float) -> Message:
         if not options:
             return RejectedMessage(FAILURE, "neither BallData nor ShotDataOptions")
         ready = _yes(options.get("launchmonitorisready"))
-        return MonitorStatus(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
+        return ReportedStatus(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
     version = root.get("apiversion")
     if version is not None and _number(version) != 1.0:
         return RejectedMessage(FAILURE, f"APIversion {_short(version)}, expected 1")

@@ -54,8 +54,11 @@ def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> 
         # A second daemon meets the first one's lock.
         second = subprocess.run(
             [sys.executable, "-m", "bench", "--config", str(file), "run"],
-            capture_output=True, check=False, text=True, timeout=120,
-        )  # fmt: skip
+            capture_output=True,
+            check=False,
+            text=True,
+            timeout=120,
+        )
         assert second.returncode == 1
         assert str(bench.process.pid) in second.stderr
         with bench.client.lease("test"):
@@ -118,8 +121,11 @@ def test_a_running_bench_learns_its_swing_and_keeps_what_it_learned(tmp_path: Pa
         learn = ["learn", "default", "--swings", "1", "--json"]
         learned = subprocess.run(
             [sys.executable, "-m", "bench", "--config", str(file), *learn],
-            capture_output=True, check=False, text=True, timeout=300,
-        )  # fmt: skip
+            capture_output=True,
+            check=False,
+            text=True,
+            timeout=300,
+        )
         assert learned.returncode in (ExitCode.OK, ExitCode.REFUSED), learned.stderr
         told = json.loads(learned.stdout)
         assert (told["version"], told["simulated"], told["source"]) == (1, True, "encoders+model")
@@ -218,9 +224,14 @@ def test_with_an_expired_calibration_nothing_is_armed(tmp_path: Path) -> None:
     then = datetime.now(UTC) - timedelta(days=2)
     with open_database(database_url(bench_settings.database, bench_settings.data_dir), then) as database:
         add_calibration(
-            database, bench_settings.id, BALL, date=then, expires=then + timedelta(days=1),
-            by="test", method="rule",
-        )  # fmt: skip
+            database,
+            bench_settings.id,
+            BALL,
+            date=then,
+            expires=then + timedelta(days=1),
+            by="test",
+            method="rule",
+        )
     with running_bench(file) as bench, bench.client.lease("test"):
         bench.make_ready()
         with pytest.raises(CommandRefused, match="expired"):

@@ -147,8 +147,10 @@ def test_a_request_of_the_new_holder_waits_for_the_next_tick(put: Put, superviso
     supervisor.say(lease=2, request=Request.SWING, request_number=4, request_lease=2)
     seen = [put(100.001 + 0.001 * k) for k in range(3)]
     assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
-        (0, False), (Request.SWING, True), (0, True),
-    ]  # fmt: skip
+        (0, False),
+        (Request.SWING, True),
+        (0, True),
+    ]
 
 
 def test_a_request_that_the_holder_before_left_waiting_is_not_made_under_the_new_lease(
@@ -161,8 +163,10 @@ def test_a_request_that_the_holder_before_left_waiting_is_not_made_under_the_new
     supervisor.say(lease=2)
     seen = [put(100.001 + 0.001 * k) for k in range(3)]
     assert [(int(s["request"]), bool(s["lease_held"])) for s in seen] == [
-        (Request.ARM, False), (0, True), (0, True),
-    ]  # fmt: skip
+        (Request.ARM, False),
+        (0, True),
+        (0, True),
+    ]
 
 
 def test_a_stop_does_not_wait_for_a_lease_handed_over(put: Put, supervisor: Supervisor) -> None:

@@ -157,9 +157,17 @@ def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Calla
     watched.bench.lost = 9
     cause = {"name": "GUARD", "text": "guard open"}
     watched.bench.tell("state", state="FAULT", phase="HOLD", cause=cause, lease={"holder": "Ann"})
-    watched.bench.tell("loop", ticks=1000, seconds=1.0, skipped=2, late=3, segments={
-        "wake_up": {"p50_us": 5.0, "p99_us": 40.0}, "tick": {"p50_us": None, "p99_us": None},
-    })  # fmt: skip
+    watched.bench.tell(
+        "loop",
+        ticks=1000,
+        seconds=1.0,
+        skipped=2,
+        late=3,
+        segments={
+            "wake_up": {"p50_us": 5.0, "p99_us": 40.0},
+            "tick": {"p50_us": None, "p99_us": None},
+        },
+    )
     watched.send(day[20:])
     text = watched.view._text(time.time())
     for words in (

@@ -84,8 +84,10 @@ def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path:
         command = [str(rerun_program()), window.url, "--save", str(file), "--bind", LOOPBACK]
         late = subprocess.Popen(
             [*command, "--port", str(free_port())],
-            env=quiet_environment(tmp_path, os.environ), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            env=quiet_environment(tmp_path, os.environ),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         try:
             recording = wait_for_end_of(file, last=60 * rows * 1e-3)
         finally:
@@ -151,8 +153,11 @@ def test_recording_itself_sends_nothing_and_listens_nowhere(tmp_path: Path) -> N
     home = {"XDG_CONFIG_HOME": str(tmp_path / "c"), "XDG_DATA_HOME": str(tmp_path / "d")}
     done = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path / "x.rrd")],
-        env={**os.environ, **home}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env={**os.environ, **home},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"
     assert not (tmp_path / "d" / "rerun" / "analytics").exists()
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.base import Launch
 from drivers.launch_monitor.open_connect import (
-    MonitorStatus,
     RejectedMessage,
+    ReportedStatus,
     read_answer,
     read_message,
     write_answer,
@@ -59,7 +59,7 @@ SPECIFICATION: dict[str, Any] = {
 }
 
 
-def read(**changes: Any) -> LaunchRecord | MonitorStatus | RejectedMessage:
+def read(**changes: Any) -> LaunchRecord | ReportedStatus | RejectedMessage:
     return read_message(json.dumps({**SPECIFICATION, **changes}).encode(), 7.0)
 
 
@@ -166,7 +166,7 @@ def test_metres() -> None:
 @pytest.mark.parametrize("options", [{}, {"IsHeartBeat": True}, {"IsHeartBeat": "1"}])
 def test_heartbeats_and_status(options: dict[str, Any]) -> None:
     given_options = {"ContainsBallData": False, "ContainsClubData": False, **options}
-    assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == MonitorStatus(
+    assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == ReportedStatus(
         "UF-BENCH", bool(options), False, None
     )
 
@@ -277,7 +277,7 @@ def test_a_figure_that_is_not_finite_is_not_sent(bad: float) -> None:
 
 
 def test_heartbeat_and_answers_read_back() -> None:
-    assert read_message(write_heartbeat(3, "bench"), 0.0) == MonitorStatus("bench", True, True, False)
+    assert read_message(write_heartbeat(3, "bench"), 0.0) == ReportedStatus("bench", True, True, False)
     answer = read_answer(write_answer(200, "Shot received successfully"))
     assert answer is not None
     assert (answer.code, answer.text) == (200, "Shot received successfully")
