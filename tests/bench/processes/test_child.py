@@ -123,7 +123,7 @@ def await_import(child: Child) -> None:
 
 def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(start: Start) -> None:
     slow = "import os, time\nos.write(1, b'importing\\n')\ntime.sleep(0.5)\n"
-    listen = "from bench.processes.child_process import Parent\nParent().listen()\ntell('ready')\n"
+    listen = "from bench.processes.child_process import Parent\nParent().listen()\nsend_event('ready')\n"
     child = start(listen + "time.sleep(60)", before=slow)
     await_import(child)
     for number in FOR_PARENT:

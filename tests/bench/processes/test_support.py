@@ -98,7 +98,7 @@ def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count
     nursery.children[0].process.kill()
     nursery.children[0].process.wait()
     supporter.turn(0.2)
-    assert supporter.note == "dead, it is started anew"
+    assert supporter.note == "dead, restarting"
     supporter.turn(0.5)
     assert len(nursery.children) == 1
     supporter.turn(1.5)
