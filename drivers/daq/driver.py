@@ -59,7 +59,7 @@ class DaqDriver:
         """
         if counts_per_revolution % 4 or not 4 <= counts_per_revolution < PRESET // 4:
             raise DriverError(
-                f"daq: found {counts_per_revolution} counts per revolution, expected a multiple of 4 below "
+                f"daq: {counts_per_revolution} counts per revolution, expected a multiple of four below "
                 f"{PRESET // 4}: quadrature counts each line four times; correct "
                 "plant.encoders.counts_per_revolution"
             )
