@@ -1,1 +1,1 @@
-"""Calibration: what was measured of this machine, by whom and when, and what is in force."""
+"""Calibrations of this machine: values, author and date, and those in force."""

@@ -29,7 +29,7 @@ def add_calibration(
     """Store `values` as the next version of their kind and return the entry.
 
     Raises:
-        BenchError: it expires before it begins, a newer one is there already, or `by` or `method` is empty.
+        BenchError: it expires before it begins, a newer one exists, or `by` or `method` is empty.
     """
     kind = _kind_of(values)
     for name, found in (("by", by), ("method", method)):
@@ -94,7 +94,7 @@ def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None
 def effective_calibration(
     database: Engine, bench: str, when: datetime, *, club: str = "", required: bool = False
 ) -> Calibration:
-    """Return what is in force on `bench` at `when` with `club` mounted: of each kind the newest until then.
+    """Return the calibrations in force on `bench` at `when` with `club` mounted: the newest of each kind.
 
     `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
     """
@@ -107,7 +107,7 @@ def effective_calibration(
 
 
 def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
-    """Return what is in force for `configuration` at `when`; reading makes no database.
+    """Return the calibrations in force for `configuration` at `when`; creates no database.
 
     Raises:
         BenchError: the database cannot be read.

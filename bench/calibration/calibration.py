@@ -1,4 +1,4 @@
-"""What is in force of a bench's calibrations at an instant, and what follows from it."""
+"""Calibrations of a bench in force at an instant, and the configuration with them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bench.errors import BenchError
 
 @dataclass(frozen=True)
 class Entry:
-    """One calibration as it is stored."""
+    """One stored calibration."""
 
     id: int
     bench: str
@@ -37,7 +37,7 @@ class Entry:
 
     @property
     def subject(self) -> str:
-        """What was calibrated when there are several of a kind: the club's name; else empty."""
+        """Name of the calibrated part if there are several of a kind (the club), else empty."""
         return self.values.club if isinstance(self.values, ClubInMount) else ""
 
     @property
@@ -46,11 +46,11 @@ class Entry:
         return " ".join(filter(None, ("calibration", self.kind, self.subject, f"version {self.version}")))
 
     def expired(self, now: datetime) -> bool:
-        """Tell whether it no longer counts at `now`."""
+        """Return whether it has expired at `now`."""
         return now >= self.expires
 
     def record(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
+        """Return it as JSON values."""
         return {
             "id": self.id,
             "bench": self.bench,
@@ -85,11 +85,11 @@ class Calibration:
         return tuple(kind for kind in CalibrationKind if self.of(kind) is None)
 
     def of(self, kind: CalibrationKind) -> Entry | None:
-        """Return what is in force of `kind`, if anything; it may have expired."""
+        """Return the calibration of `kind` in force, if any; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
 
     def problems(self, now: datetime) -> list[str]:
-        """Return why nothing may be armed at `now`, each with its cure; empty when nothing is wrong."""
+        """Return the reasons against arming at `now`, each with its action; empty if there are none."""
         found = [
             f"{entry.name} expired on {entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
             for entry in self.entries
@@ -106,7 +106,7 @@ class Calibration:
         return found
 
     def record(self) -> dict[str, Any]:
-        """Return what is stored with each swing: every calibration in force, and what is nominal."""
+        """Return the record for each swing: calibrations in force, and kinds that are nominal."""
         return {
             "bench": self.bench,
             "club": self.club,
@@ -117,7 +117,7 @@ class Calibration:
         }
 
     def summary(self) -> str:
-        """Return one line for people."""
+        """Return a summary in one line."""
         parts = [f"{entry.kind} version {entry.version} of {entry.date:%Y-%m-%d}" for entry in self.entries]
         if self.nominal:
             parts.append(f"nominal: {', '.join(self.nominal)}")
@@ -128,7 +128,7 @@ def apply(calibration: Calibration, configuration: Configuration) -> Configurati
     """Return `configuration` with the values in force, expired ones too: they are the best known.
 
     Raises:
-        BenchError: a calibration is of other encoders, or of a club that is not in the configuration.
+        BenchError: a calibration belongs to other encoders, or to a club that is not configured.
     """
     c = configuration
     for entry in calibration.entries:

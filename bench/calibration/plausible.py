@@ -1,4 +1,4 @@
-"""Whether measured values can be true of this bench, before they are stored."""
+"""Plausibility checks of measured values before they are stored."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
     """Check `values` against the `configuration` they are to correct.
 
     Raises:
-        BenchError: they are of something else, or too far from what is configured.
-        ExceptionGroup: of BenchErrors: with them the configuration would not hold together.
+        BenchError: they belong to another part, or are too far from the configured values.
+        ExceptionGroup: of BenchErrors: with them the configuration would be inconsistent.
     """
     if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
         raise BenchError(
@@ -44,7 +44,7 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
             moved = abs(length - configuration.clubs[name].length_to_face)
             _require_near(f"calibrate {kind} {name}", f"clubs.{name}.length_to_face", moved, _CLUB_MOVED)
     if faults := contradictions(corrected):
-        raise ExceptionGroup(f"calibrate {kind} does not hold here", faults)
+        raise ExceptionGroup(f"calibrate {kind}: invalid for this bench", faults)
 
 
 def _require_near(place: str, key: str, distance: float, most: float) -> None:

@@ -1,4 +1,4 @@
-"""What the encoders of a running bench show while the robot stands locked at its mechanical reference."""
+"""Encoder counts of a running bench while the robot is locked at its mechanical reference."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from bench.telemetry.ring import RingReader
 from drivers.base import JOINTS
 
 _LEAST = 20
-"""Records wanted: fewer come from a loop that hardly runs."""
+"""Min number of records: fewer mean that the loop hardly runs."""
 
 _STILL = 8
-"""Counts that noise may make of a locked joint."""
+"""Max noise of a locked joint, counts."""
 
 
 def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""What is calibrated, with the range in which each value can lie; SI and radians."""
+"""Kinds of calibration, with the valid range of each value; SI and radians."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DeadBand = Annotated[float, Range(0.0, 0.5, "")]
 
 
 class CalibrationKind(StrEnum):
-    """What can be calibrated."""
+    """Kind of calibration."""
 
     ENCODERS = "encoders"
     BALL = "ball"
@@ -35,7 +35,7 @@ VALID_DAYS: Mapping[CalibrationKind, int] = {
     CalibrationKind.CLUB: 90,
     CalibrationKind.VALVES: 180,
 }
-"""Days after which a calibration expires unless told otherwise. Assumption: absolute encoders hold until they
+"""Default days until a calibration expires. Assumption: absolute encoders hold until they
 are taken off, a tee is moved often, a club works loose in its mount, seals and springs age."""
 
 
@@ -46,11 +46,11 @@ class EncoderZeros:
     zero_count: tuple[ZeroCount, ZeroCount, ZeroCount]
     sign: tuple[Sign, Sign, Sign]
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")]
-    """Of the encoders that were calibrated."""
+    """Counts per revolution of the calibrated encoders."""
     uncertainty: Annotated[float, Range(0.0, radians(5.0), "rad")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a sign is none."""
+        """Raise ValueError unless signs are ±1."""
         if 0 in self.sign:
             raise ValueError("sign: 1 or -1 for each joint")
 
@@ -79,10 +79,10 @@ class BallPosition:
 
 @dataclass(frozen=True)
 class ClubInMount:
-    """One club as it is clamped."""
+    """One club as clamped in the mount."""
 
     club: str
-    """Its name in the configuration."""
+    """Name in the configuration."""
     length_to_face: Annotated[float, Range(0.3, 1.5, "m")]
     """Wrist axis R3 to the centre of the face."""
     loft: Annotated[float, Range(0.0, radians(70.0), "rad")]
@@ -130,7 +130,7 @@ def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> 
     if faults:
         for fault in faults:
             fault.place = fault.place.removesuffix(": ")  # of the values as a whole
-        raise ExceptionGroup(f"{place} does not hold", faults)
+        raise ExceptionGroup(f"{place} is invalid", faults)
     return values  # type: ignore[no-any-return]
 
 

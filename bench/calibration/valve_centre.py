@@ -1,4 +1,4 @@
-"""Find the true centre and the dead band of a proportional valve from how the chambers answer.
+"""Find the true centre and the dead band of a proportional valve from the chambers' response.
 
 Within its overlap a spool passes hardly any air, whatever the command; beyond it the flow rises in
 proportion. A line with a flat middle, fitted to the rate at which the difference of the two chambers'
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 _NEAR = 0.04
 """Opening beyond an edge up to which the flow counts: further out emptying and filling bend the line."""
 _LEAST_BEYOND = 4
-"""Measurements wanted beyond each edge."""
+"""Min number of measurements beyond each edge."""
 _CLEAR = 5.0
 """Rate beyond an edge over the fit's scatter from which the edge counts as seen."""
 _NO_ANSWER = (
@@ -38,11 +38,11 @@ _HOLD = 0.02
 
 
 class ValveCentre(NamedTuple):
-    """What the ramp shows of one valve, in openings."""
+    """Result of the ramp for one valve, in openings."""
 
     centre: float
     dead_band: float
-    """To either side of the centre."""
+    """Overlap to either side of the centre."""
     residual: float
     """Opening: the fit's scatter over its slope, a measure of the uncertainty."""
 
@@ -51,7 +51,7 @@ def find_centre(openings: ArrayLike, pressure_rates: ArrayLike) -> ValveCentre:
     """Return centre and dead band from commands (n,) and the rates (n,) of p_A - p_B (Pa/s) they gave.
 
     Raises:
-        ValueError: the values are no such measurement, or an edge is not in it; the text says what to do.
+        ValueError: invalid values, or an edge outside the measurement; the text gives the action.
     """
     x, rate = np.asarray(openings, dtype=float), np.asarray(pressure_rates, dtype=float)
     if x.ndim != 1 or x.shape != rate.shape or not (np.isfinite(x).all() and np.isfinite(rate).all()):

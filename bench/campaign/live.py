@@ -214,7 +214,7 @@ class LiveShots:
             record = self._news.record_since(tick)
             told = None
             if self._monitored and record is not None:
-                told = self._news.told_of(record, self._client.status())
+                told = self._news.message_about(record, self._client.status())
         return self._taken(step, number, sample, record, told, tuple(events))
 
     # A person at the robot -------------------------------------------------------------------------

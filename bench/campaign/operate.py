@@ -142,7 +142,7 @@ def run_live(
         runner_lock(data_dir, entry.id),
         bench_lock(data_dir, entry),
         BenchClient.connect(configuration) as client,
-        client.campaign_told(entry.id) as publish,
+        client.publish_campaign(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
         corrections = CampaignCorrections(

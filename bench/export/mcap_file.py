@@ -2,7 +2,7 @@
 
 Vectors are objects by component, so that a plot names `/cycle.angle.wrist`. The channel's JSON schema carries
 each value's unit and description, the file's metadata record `golfbench` the record's own. What is not known
-is null, as JSON has no NaN. Time stamps are UTC where the record tells when it began, else from zero.
+is null, as JSON has no NaN. Time stamps are UTC if the record has its time, else from zero.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A record to export: cycles and metadata as they were stored, and what each column is."""
+"""A record to export: cycles and metadata as stored, and the columns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.telemetry.recorder import read_swing
 
 
 class ExportColumn(NamedTuple):
-    """What a column is."""
+    """A column: name, unit and description."""
 
     name: str
     unit: str
@@ -22,7 +22,7 @@ class ExportColumn(NamedTuple):
 
 
 class ExportRecord(NamedTuple):
-    """What stands in a record's file."""
+    """Contents of a record's file."""
 
     path: Path
     cycles: np.ndarray[Any, Any]
@@ -31,11 +31,11 @@ class ExportRecord(NamedTuple):
 
     @property
     def begin_utc(self) -> float:
-        """The calendar's time of the columns' zero, s since 1970; 0 where the record does not tell."""
-        told = self.metadata.get("time_utc")
-        if not isinstance(told, str) or not len(self.cycles):
+        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
+        start = self.metadata.get("time_utc")
+        if not isinstance(start, str) or not len(self.cycles):
             return 0.0
-        return datetime.fromisoformat(told).timestamp() - float(self.cycles["time"][0])
+        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
 
 
 def read_record(path: Path) -> ExportRecord:
@@ -48,7 +48,7 @@ def read_record(path: Path) -> ExportRecord:
 
 
 def columns() -> list[ExportColumn]:
-    """Return what the columns of a record are, in order."""
+    """Return the columns of a record in order."""
     return [
         ExportColumn(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
         for field in arrow_schema()

@@ -148,7 +148,7 @@ class LiveSwinger:
         return ObservedSwing(cycles, figures, cause), True
 
     def _told(self, record: SwingRecord) -> MonitorFigures:
-        told = self._news.told_of(record, self._client.status())
+        told = self._news.message_about(record, self._client.status())
         if told is None or told.launch is None:
             self._say("the launch monitor saw nothing of this swing: the encoders tell of it")
             return MonitorFigures()

@@ -1,1 +1,1 @@
-"""What passes between a bench and its people: sessions, roles, leases, commands and their answers."""
+"""The network side of a bench: sessions, roles, leases, commands and their answers."""

@@ -1,6 +1,6 @@
-"""Who may do what over the network: roles by the name in a certificate, as zenoh's access control wants them.
+"""Roles over the network, by the name in a certificate, in the form of zenoh's access control.
 
-A viewer hears what bench and campaigns tell and asks for their status; an operator commands and runs
+A viewer receives what bench and campaigns publish and asks for their status; an operator commands and runs
 campaigns as well. Whoever may connect at all, which takes a certificate of the bench's authority, may stop
 it. What comes without TLS comes from this machine (the configuration takes nothing else) and is not
 restricted. What is denied is dropped silently.
@@ -17,7 +17,7 @@ _CAMPAIGNS = "golfbench/*/campaign/**"
 _STATUS = "golfbench/*/command/status"
 _STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
 _READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered")
-"""Rules of everybody with a role."""
+"""Rules of every role."""
 _MESSAGES = (
     "put",
     "delete",
@@ -82,7 +82,7 @@ def access_control(
 
 
 def _asks(name: str, *keys: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the rules for asking, and for getting the answer."""
+    """Return the rules for sending queries and for receiving the replies."""
     return _allow(name, "ingress", "query", *keys), _allow(f"{name} answered", "egress", "reply", *keys)
 
 

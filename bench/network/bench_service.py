@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypedDict
 from bench.lifecycle import Request
 
 STATUS_VERSION = 1
-"""Version of Status."""
+"""Version of `BenchStatus`."""
 
 
 class Reply(NamedTuple):
@@ -29,12 +29,12 @@ class CauseStatus(TypedDict):
     """Why the bench stopped."""
 
     name: str
-    """Of the `Cause`."""
+    """Name of the `Cause`."""
     text: str
 
 
 class LeaseStatus(TypedDict):
-    """Who holds the bench. Never with the key."""
+    """The lease, never with its key."""
 
     holder: str
     seconds_left: float
@@ -46,11 +46,11 @@ class ProcessStatus(TypedDict):
     pid: int
     alive: bool
     note: str
-    """What is to be said of it, for example why it ended."""
+    """Remark, for example why it ended."""
 
 
 class LoopStatus(TypedDict):
-    """How the loop keeps time."""
+    """Timing of the loop."""
 
     rate_hz: float
     """Measured."""
@@ -62,16 +62,16 @@ class LoopStatus(TypedDict):
 
 
 class CountStatus(TypedDict):
-    """What became of the messages that came to the command plane since its start."""
+    """Messages to the command plane since its start, by outcome."""
 
     commands: int
     """Answered with accepted."""
     refused: int
-    """Well formed, answered with refused; also for want of time ("busy")."""
+    """Well formed, answered with refused; also if the bench is busy."""
     malformed: int
     """Answered with an error."""
     dropped: int
-    """Not answered: the queue was full, or the bench was going down."""
+    """Not answered: the queue was full, or the bench was shutting down."""
 
 
 class MonitorStatus(TypedDict):
@@ -79,15 +79,15 @@ class MonitorStatus(TypedDict):
 
     address: str
     device: str
-    """As it calls itself; empty before its first message."""
+    """Name it gives itself; empty before its first message."""
     silent_s: float
-    """Since its last byte."""
+    """Time since its last byte, s."""
     ready: bool | None
     ball_detected: bool | None
 
 
 class SimulatorStatus(TypedDict):
-    """How passing shots on to GSPro goes."""
+    """State of the forwarding of shots to GSPro."""
 
     connected: bool
     trouble: str
@@ -100,37 +100,37 @@ class LaunchMonitorStatus(TypedDict):
     """The launch monitor's side of the bench."""
 
     listening: str
-    """ADDRESS:PORT where a monitor may connect; empty when it cannot listen."""
+    """ADDRESS:PORT where a monitor may connect; empty if it cannot listen."""
     present: bool
-    """A monitor is connected, so swings may count on it."""
+    """Whether a monitor is connected."""
     monitors: list[MonitorStatus]
     note: str
-    """What is to be said of it; empty when all is well."""
+    """Remark; empty if all is well."""
     outcomes: dict[str, int]
-    """How many swings and launches came to which `drivers.launch_monitor.matching.MatchOutcome`."""
+    """Number of swings and launches by `drivers.launch_monitor.matching.MatchOutcome`."""
     settled_s: float
-    """After the impact: by then a swing's outcome is settled."""
+    """Time after the impact at which a swing's outcome is settled, s."""
     refused: int
-    """Objects of the monitors that were no messages, not whole or too long."""
+    """Number of invalid, incomplete or too long objects from the monitors."""
     simulator: SimulatorStatus | None
-    """None: shots are not passed on."""
+    """None if shots are not forwarded."""
 
 
 class DeviceStatus(TypedDict):
     """The robot's side of the driver."""
 
     trouble: str
-    """Why it obeys no command; empty while it does."""
+    """Why it does not execute commands; empty while it does."""
     counters: dict[str, int]
-    """What its driver has counted since its start, of frames and of what went wrong; empty: nothing."""
+    """Counters of its driver since its start, of frames and errors."""
 
 
 class BenchStatus(TypedDict):
-    """A snapshot of the bench, JSON-able: no NaN, None where a value is not there."""
+    """A snapshot of the bench, valid as JSON: no NaN, None for missing values."""
 
     version: int
     bench: str
-    """Its id."""
+    """Id of the bench."""
     state: str
     phase: str
     reaction: str
@@ -139,7 +139,7 @@ class BenchStatus(TypedDict):
     vented: bool
     tick: int
     time: float
-    """s, the loop's."""
+    """Time of the loop, s."""
     swings: int
     lease: LeaseStatus | None
     """Filled in by the command plane."""
@@ -149,7 +149,7 @@ class BenchStatus(TypedDict):
     correction: int
     """Number of the learned correction that swings are made with, counted from the start; 0: none."""
     club: str
-    """That the bench was started with."""
+    """Club that the bench was started with."""
     joints_deg: list[float | None]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None
@@ -163,18 +163,18 @@ class BenchStatus(TypedDict):
     support_ready: bool
     """Recorder and publisher are running."""
     launch_monitor: LaunchMonitorStatus | None
-    """None: the bench has none."""
+    """None without a launch monitor."""
     processes: dict[str, ProcessStatus]
     device: DeviceStatus
     loop: LoopStatus
     real_time: dict[str, Any]
-    """What was asked of the machine and what it granted."""
+    """Real-time settings, requested and granted."""
     counts: CountStatus
     """Filled in by the command plane."""
     last_stop: dict[str, Any] | None
     """The stop before this start, or the newest one: cause, time."""
     uptime: float
-    """s since the supervisor's start."""
+    """Time since the supervisor's start, s."""
 
 
 class BenchService(Protocol):
@@ -193,7 +193,7 @@ class BenchService(Protocol):
     def correct(self, profile: str, weights: Sequence[float]) -> Reply:
         """Swing with the correction `weights` of the profile with the digest `profile` from now on.
 
-        Without weights: as designed. Refused while the robot does not rest.
+        Without weights: as designed. Refused unless the robot is at rest.
         """
 
     def stop(self) -> Reply:

@@ -25,7 +25,7 @@ AUTHORITY_DAYS = 3650.0
 """d, validity of the authority."""
 
 _SLACK = timedelta(minutes=5)
-"""By which clocks of two machines may differ."""
+"""Tolerated difference between the clocks of two machines."""
 
 
 class Identity(NamedTuple):
@@ -96,10 +96,10 @@ def write_identity(folder: Path, name: str, identity: Identity) -> None:
 
 
 def read_identity(folder: Path, name: str) -> Identity:
-    """Return what `write_identity` wrote.
+    """Return the identity that `write_identity` wrote.
 
     Raises:
-        BenchError: there is none, or it is of another kind.
+        BenchError: it is missing or of another kind.
     """
     path = folder / f"{name}.pem"
     try:

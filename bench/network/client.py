@@ -1,4 +1,4 @@
-"""Asking a running bench from Python, with the verbs of the command line.
+"""Python client of a running bench, with the verbs of the command line.
 
 with BenchClient.connect(load_configuration()) as bench, bench.lease("Ann"):
     bench.home()
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bench.config import Configuration, NetworkSettings
 
 TIMEOUT = 2.0
-"""s that an answer is waited for: longer than the bench lets a request wait for its turn and for the loop."""
+"""Time-out of an answer, s: longer than a request may wait in the bench for its turn and for the loop."""
 
 REST = 1.0
 """s at rest at the address before a swing: the air in the chambers settles later than the robot."""
@@ -49,7 +49,7 @@ LATCHED = frozenset({"ESTOP", "FAULT"})
 
 
 class CommandRefused(Refused):
-    """The bench refused; `answer` is what it said."""
+    """A request refused by the bench, with its `answer`."""
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
         why, _, cure = answer.reason.partition(": ")
@@ -57,7 +57,9 @@ class CommandRefused(Refused):
         super().__init__(
             f"{verb} of bench {bench}",
             f"refused in state {answer.state}: {why}",
-            f"state {' or '.join(states)}" if states and answer.state not in states else "nothing in its way",
+            f"state {' or '.join(states)}"
+            if states and answer.state not in states
+            else "no blocking condition",
             f"{cure[:1].upper()}{cure[1:]}." if cure else "Look at golfbench status.",
         )
         self.answer = answer
@@ -65,18 +67,18 @@ class CommandRefused(Refused):
 
 @dataclass
 class HeldLease:
-    """The lease as its holder has it."""
+    """A lease, as its holder stores it."""
 
     holder: str
     key: str = field(repr=False)
     seconds: float
-    """For which it is taken and renewed."""
+    """Duration of the lease from each take or renewal, s."""
     sequence: int = 0
-    """Of the newest command sent with it."""
+    """Sequence number of the newest command sent with it."""
 
 
 class ReceivedState(NamedTuple):
-    """A state that the bench published, and when it came (s, time.monotonic)."""
+    """A state published by the bench, and its time of arrival (s, time.monotonic)."""
 
     status: BenchStatus
     at: float
@@ -94,14 +96,14 @@ class BenchClient:
         self._session, self._root = session, f"golfbench/{bench}"
         self._lock = Lock()
         self.held: HeldLease | None = None
-        """What `take_lease` got, or what somebody kept from before."""
+        """The lease from `take_lease`, or one stored earlier."""
 
     @classmethod
     def connect(cls, configuration: Configuration, timeout: float = TIMEOUT) -> Self:
-        """Connect to the bench of `configuration`; answers are waited for `timeout` s.
+        """Connect to the bench of `configuration`; `timeout` (s) applies to each answer.
 
         Raises:
-            NoAnswer: nobody listens at its endpoint.
+            NoAnswer: no bench listens at its endpoint.
         """
         network, bench = configuration.network, configuration.bench.id
         return cls(open_client(network, bench), bench, network, timeout)
@@ -143,7 +145,7 @@ class BenchClient:
 
     @contextmanager
     def shots(self) -> Iterator[Callable[[], ShotMessage | None]]:
-        """Yield a function that returns the next message about a shot told since, None for none yet.
+        """Yield a function that returns the next message about a shot, None if there is none yet.
 
         Paths of records are those of the bench's machine. The function raises BenchError where it does not
         understand a message.
@@ -161,8 +163,8 @@ class BenchClient:
             subscriber.undeclare()
 
     @contextmanager
-    def campaign_told(self, campaign: str) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-        """Yield a function that publishes where `campaign` stands; who asks later is told what was last."""
+    def publish_campaign(self, campaign: str) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+        """Yield a function that publishes the state of `campaign`; later queries get the newest state."""
         key, last = f"{self._root}/campaign/{campaign}", [b""]
 
         def answer(query: zenoh.Query) -> None:
@@ -171,12 +173,12 @@ class BenchClient:
 
         queryable = self._session.declare_queryable(key, answer)
 
-        def tell(message: Mapping[str, Any]) -> None:
+        def publish(message: Mapping[str, Any]) -> None:
             last[0] = json.dumps(message).encode()
             self._session.put(key, last[0], encoding=zenoh.Encoding.APPLICATION_JSON)
 
         try:
-            yield tell
+            yield publish
         finally:
             queryable.undeclare()
 
@@ -231,7 +233,7 @@ class BenchClient:
         timeout: float,
         watch: Callable[[BenchStatus], None] | None,
     ) -> BenchStatus:
-        """Wait until a status is what is `wanted`; refuse one that is neither that nor on the way to it."""
+        """Wait until a status has `reached` the goal; refuse one that is not `on_the_way` to it."""
         deadline = time.monotonic() + timeout
         status = self.status()
         with closing(self.states(min(0.5, timeout))) as states:
@@ -268,30 +270,30 @@ class BenchClient:
         raise _not_understood(answer.content)
 
     def renew_lease(self, seconds: float | None = None) -> float:
-        """Keep the bench for `seconds` from now (default: as it was taken); return them."""
+        """Renew the lease for `seconds` from now (default: as taken); return them."""
         held = self._require_lease(Verb.LEASE)
         held.seconds = held.seconds if seconds is None else seconds
         self._ask_keyed(Verb.LEASE, action="renew", seconds=held.seconds)
         return held.seconds
 
     def release_lease(self) -> None:
-        """Give the bench back; an armed bench disarms."""
+        """Release the lease; an armed bench disarms."""
         self._require_lease(Verb.LEASE)
         self._ask_keyed(Verb.LEASE, action="release")
         self.held = None
 
     @contextmanager
     def lease(self, holder: str, seconds: float = DEFAULT) -> Iterator[HeldLease]:
-        """Hold the bench for a block: taken at its begin, renewed in the background, given back at its end.
+        """Hold the lease for a block: taken at its start, renewed in the background, released at its end.
 
-        A lease that is lost on the way (the daemon started anew) is not taken again: commands are refused.
+        A lease lost on the way (the daemon restarted) is not taken again: commands are refused.
         """
         held = self.take_lease(holder, seconds)
         ended = Event()
 
         def renew() -> None:
             while not ended.wait(seconds / 3):
-                with suppress(BenchError):  # the next command tells why
+                with suppress(BenchError):  # the next command fails with the reason
                     self.renew_lease()
 
         renewing = Thread(target=renew, name="lease", daemon=True)
@@ -311,11 +313,11 @@ class BenchClient:
         return self._ask_keyed(Verb.HOME)
 
     def arm(self) -> CommandAnswer:
-        """Warn, let the air on, go to the address."""
+        """Warn, switch the air on, go to the address."""
         return self._ask_keyed(Verb.ARM)
 
     def disarm(self) -> CommandAnswer:
-        """End what moves in order, and vent; needs no lease."""
+        """Disarm: vent if at rest, otherwise brake first; needs no lease."""
         return self._ask(Verb.DISARM)
 
     def access(self) -> CommandAnswer:
@@ -335,13 +337,13 @@ class BenchClient:
         return self._ask_keyed(Verb.TEE)
 
     def reset(self) -> CommandAnswer:
-        """Leave ESTOP or FAULT once the cause is gone; enables, never moves."""
+        """Leave ESTOP or FAULT once the cause is cleared; never moves the robot."""
         return self._ask_keyed(Verb.RESET)
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
-        """Let the swings to come be made with the correction `weights` of the profile of digest `profile`.
+        """Apply the correction `weights` of the profile with digest `profile` to the coming swings.
 
-        Without weights they are made as designed. It holds until another is given, or the bench starts anew.
+        Without weights they are made as designed. It applies until another is given or the bench restarts.
         """
         return self._ask_keyed(Verb.CORRECT, profile=profile, weights=list(weights))
 
@@ -359,7 +361,7 @@ class BenchClient:
         if self.held is None:
             raise Refused(
                 f"{verb} of bench {self.bench}",
-                "no lease of yours",
+                "no lease",
                 "the lease of the bench",
                 "Take it: golfbench lease take.",
             )
@@ -381,11 +383,11 @@ class BenchClient:
         return answer
 
     def send(self, verb: str, message: bytes) -> bytes:
-        """Send `message` to `verb` as it is, and return the bench's answer as it came.
+        """Send `message` to `verb` unchanged and return the bench's raw answer.
 
         Raises:
-            NoAnswer: none came.
-            BenchError: the message does not hold.
+            NoAnswer: time-out.
+            BenchError: the message is invalid.
         """
         priority = zenoh.Priority.REAL_TIME if verb in STOPS else zenoh.Priority.INTERACTIVE_HIGH
         began = time.monotonic()
@@ -415,7 +417,7 @@ def _read_status(payload: bytes) -> BenchStatus:
 
 
 def _checked_status(read: Any) -> BenchStatus:
-    """Return `read` as a status if it is one of this version with all its parts."""
+    """Return `read` as a status if it is complete and of this version."""
     if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
         raise _not_understood(read)
     if missing := BenchStatus.__required_keys__ - read.keys():

@@ -1,8 +1,8 @@
-"""The messages of the command plane: what may be asked over the network, and how it is answered.
+"""Messages of the command plane: commands over the network and their answers.
 
 A command is a JSON object at `golfbench/<bench>/command/<verb>`, of the keys that `FORMS` gives for its
 verb and no others. `parse_command` is the edge: what it returns needs no further check. Answers are JSON
-objects too (`encode_answer`, `parse_answer`); a message that does not hold gets an error (`encode_error`).
+objects too (`encode_answer`, `parse_answer`); an invalid message gets an error (`encode_error`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_d
 from bench.swing.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 
 VERSION = 1
-"""Of every message."""
+"""Version of every message."""
 
 LONGEST_MESSAGE = 4096
-"""Bytes of a command."""
+"""Max size of a command, bytes."""
 
 LAST_SEQUENCE = 2**53 - 1
 """The largest whole number that every JSON reader keeps exactly."""
@@ -35,7 +35,7 @@ CONVENIENCE = (
 
 
 class Verb(StrEnum):
-    """What can be asked."""
+    """A command of the network."""
 
     STATUS = "status"
     LEASE = "lease"
@@ -53,13 +53,13 @@ class Verb(StrEnum):
 
 
 class Plain(NamedTuple):
-    """Status, disarm, stop or emergency stop: anybody may ask, nothing but the verb is needed."""
+    """Status, disarm, stop or emergency stop: needs no lease."""
 
     verb: Verb
 
 
 class Keyed(NamedTuple):
-    """A request that only the holder of the lease may make."""
+    """A request that needs the lease."""
 
     verb: Verb
     key: str
@@ -67,7 +67,7 @@ class Keyed(NamedTuple):
 
 
 class Correct(NamedTuple):
-    """Let the swings to come be made with a learned correction, or without; only the lease's holder may."""
+    """Set or clear the learned correction of the coming swings; needs the lease."""
 
     key: str
     sequence: int
@@ -77,14 +77,14 @@ class Correct(NamedTuple):
 
 
 class TakeLease(NamedTuple):
-    """Take the bench."""
+    """Take the lease."""
 
     holder: str
     seconds: float = DEFAULT
 
 
 class RenewLease(NamedTuple):
-    """Keep it."""
+    """Renew the lease."""
 
     key: str
     sequence: int
@@ -92,7 +92,7 @@ class RenewLease(NamedTuple):
 
 
 class ReleaseLease(NamedTuple):
-    """Give it back."""
+    """Release the lease."""
 
     key: str
     sequence: int
@@ -110,19 +110,19 @@ REQUESTS: Mapping[Verb, Request] = {
     Verb.TEE: Request.TEE,
     Verb.RESET: Request.RESET,
 }
-"""Verbs that are put to the loop, one at a time. Stop and emergency stop go beside them."""
+"""Verbs that become requests to the loop, one at a time. Stop and emergency stop bypass them."""
 
 STOPS = frozenset({Verb.STOP, Verb.ESTOP})
 
 PLAIN = STOPS | {Verb.STATUS, Verb.DISARM}
-"""Verbs that need no lease: what ends motion, and looking."""
+"""Verbs that need no lease: those that end motion, and status."""
 
 
 # The edge --------------------------------------------------------------------------------------------
 
 
 class _Value(NamedTuple):
-    """What a key's value must be."""
+    """Check of a key's value."""
 
     expected: str
     holds: Callable[[Any], bool]
@@ -283,7 +283,7 @@ def _fault(place: str, found: str, expected: str, cure: str) -> BenchError:
 
 
 def _shown(value: Any) -> str:
-    """Return `value` as JSON has it, in ASCII so that it disturbs no terminal, cut when long."""
+    """Return `value` as JSON, in ASCII so that it disturbs no terminal, cut if long."""
     text = json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -292,7 +292,7 @@ def _shown(value: Any) -> str:
 
 
 class CommandAnswer(NamedTuple):
-    """The bench's answer to a command that held."""
+    """The bench's answer to a valid command."""
 
     accepted: bool
     state: str
@@ -300,7 +300,7 @@ class CommandAnswer(NamedTuple):
     reason: str = ""
     """Why it was refused, and what to do."""
     note: str = ""
-    """What else the operator has to know."""
+    """Further information for the operator."""
     content: Mapping[str, Any] = {}
     """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease."""
 
@@ -309,7 +309,7 @@ def encode_answer(answer: CommandAnswer) -> bytes:
     """Return `answer` as the message that `parse_answer` reads.
 
     Raises:
-        ValueError: its content is nothing that JSON has.
+        ValueError: its content cannot be written as JSON.
     """
     return json.dumps({"version": VERSION, **answer._asdict()}, allow_nan=False).encode()
 
@@ -324,7 +324,7 @@ def parse_answer(payload: bytes) -> CommandAnswer:
     """Return the answer in `payload`.
 
     Raises:
-        BenchError: it is none of this version.
+        BenchError: it is no answer of this version.
     """
     try:
         match json.loads(payload):
@@ -343,7 +343,7 @@ def parse_answer(payload: bytes) -> CommandAnswer:
 
 
 def parse_error(payload: bytes) -> BenchError:
-    """Return the error in `payload`, or one that says that there is none."""
+    """Return the error in `payload`, or an error about its version."""
     try:
         match json.loads(payload):
             case {"version": 1, "error": {**parts}}:

@@ -3,7 +3,7 @@
 Three lanes, each a bounded queue with a thread of its own: stops, requests (one at a time to the loop), and
 what only looks. zenoh's threads do no more than sort a message into its lane; where a lane is full they
 answer "busy" themselves, so that who floods waits for its own flood. A stop is noted before anything else
-is done with its message, also with one that does not hold: only its answer may get lost, never the stop.
+is done with its message, also with an invalid one: only its answer may get lost, never the stop.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ from bench.network.command import (
 from bench.network.lease import Lease, LeaseBook, LeaseRefused
 
 QUEUE = 64
-"""Messages that wait in a lane."""
+"""Max messages waiting in a lane."""
 
 LONGEST_WAIT = 1.0
-"""s that a request may wait in its lane; who sent an older one has given up, so it is not done any more."""
+"""Max waiting time of a request in its lane, s; the sender of an older one has given up: it is dropped."""
 
 HEARTBEAT = 0.2
-"""s between two states when nothing changes."""
+"""Interval of published states without a change, s."""
 
 LONGEST_END = 1.5
-"""s that `CommandPlane.close` waits for the lanes."""
+"""Time `CommandPlane.close` waits for the lanes, s."""
 
 _CHANGES = (
     "state",
@@ -68,22 +68,22 @@ _CHANGES = (
     "guard_closed",
     "guard_locked",
 )
-"""Parts of the state that are told as soon as they change, as the lease's holder and a launch monitor's
+"""Parts of the state that are published as soon as they change, as the lease's holder and a launch monitor's
 coming and going are."""
 
 _BUSY = "too many messages wait, this one was not done: ask again"
 _TOO_LATE = "it waited too long behind others and was not done: ask again"
-_GOING_DOWN = "the bench is going down: ask again when it has started anew"
+_GOING_DOWN = "the bench is shutting down: ask again after its restart"
 _STOPS_ANYWAY = "The bench stops all the same."
 _REQUESTED = frozenset({Verb.LEASE, Verb.CORRECT, *REQUESTS})
 
 
 class Message(NamedTuple):
-    """One command as it came."""
+    """One command as received."""
 
     query: zenoh.Query
     verb: str
-    """What stands after `command/`; of no known one nothing but an error comes."""
+    """Part of the key after `command/`; an unknown one is answered with an error."""
     payload: bytes
     arrived: float
     """s, on the plane's clock."""
@@ -103,7 +103,7 @@ class _Lane:
         self._thread.start()
 
     def offer(self, message: Message) -> bool:
-        """Let `message` wait for its turn; return False when there is no room. Never blocks for long."""
+        """Queue `message`; return False if the queue is full. Never blocks for long."""
         with self._changed:
             if self._closed:
                 return False
@@ -115,19 +115,19 @@ class _Lane:
             return room
 
     def note(self, verb: str) -> None:
-        """Let the thread know that `verb` came, without a message."""
+        """Notify the thread that `verb` arrived, without a message."""
         with self._changed:
             self._verbs.add(verb)
             self._changed.notify()
 
     def close(self) -> None:
-        """Take no more; the thread ends when nothing waits."""
+        """Accept no more messages; the thread ends when the queue is empty."""
         with self._changed:
             self._closed = True
             self._changed.notify()
 
     def join(self, timeout: float) -> bool:
-        """Wait up to `timeout` s for the thread's end; tell whether it came."""
+        """Wait up to `timeout` s for the thread's end; return whether it ended."""
         self._thread.join(max(0.0, timeout))
         return not self._thread.is_alive()
 
@@ -154,7 +154,7 @@ class CommandPlane:
         desk: BenchService,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin to answer. `bench` is the bench's id; leases run on `clock` (s)."""
+        """Start answering. `bench` is the bench's id; leases run on `clock` (s)."""
         self._root, self._desk, self._clock = f"golfbench/{bench}", desk, clock
         self._book, self._book_lock = LeaseBook(), Lock()
         self._counts, self._count_lock = Counter[str](), Lock()
@@ -186,7 +186,7 @@ class CommandPlane:
         self.close()
 
     def close(self) -> bool:
-        """End within 2 s: requests that wait are refused, stops are done; False if the desk hangs."""
+        """Close within 2 s: waiting requests are refused, stops are carried out; False if the desk hangs."""
         self._closing = True
         with suppress(zenoh.ZError):  # the session may be gone
             self._queryable.undeclare()
@@ -201,15 +201,15 @@ class CommandPlane:
             self._shot.undeclare()
         return all(ended)
 
-    # What the supervisor asks and tells ----------------------------------------------------------
+    # For the supervisor --------------------------------------------------------------------------
 
     def lease(self) -> Lease | None:
-        """Return the lease that counts now."""
+        """Return the valid lease, if any."""
         with self._book_lock:
             return self._book.held(self._clock())
 
     def counts(self) -> CountStatus:
-        """Return what became of the messages so far."""
+        """Return the counts of messages by outcome."""
         with self._count_lock:
             c = self._counts
             return CountStatus(
@@ -217,7 +217,7 @@ class CommandPlane:
             )
 
     def publish_state(self, status: BenchStatus) -> bool:
-        """Publish `status` if it tells of a change or a heartbeat is due; return whether it was."""
+        """Publish `status` if it has changed or a heartbeat is due; return whether it was."""
         status = self._completed(status)
         lease, monitor, now = status["lease"], status["launch_monitor"], self._clock()
         beside = lease and lease["holder"], monitor and monitor["present"]
@@ -225,7 +225,7 @@ class CommandPlane:
         if telling == self._told and now - self._told_at < HEARTBEAT:
             return False
         self._told, self._told_at = telling, now
-        with suppress(zenoh.ZError):  # nobody there to hear it
+        with suppress(zenoh.ZError):  # no session to publish to
             self._state.put(json.dumps(status, allow_nan=False))
         return True
 
@@ -236,7 +236,7 @@ class CommandPlane:
             self._event.put(json.dumps(message, allow_nan=False))
 
     def publish_shot(self, message: Mapping[str, Any]) -> None:
-        """Publish what is known of a shot by now, see `bench.shot.shot_message`."""
+        """Publish the present message about a shot, see `bench.shot.shot_message`."""
         with suppress(zenoh.ZError):
             self._shot.put(json.dumps(message, allow_nan=False))
 
@@ -267,14 +267,14 @@ class CommandPlane:
                 self._counts["dropped"] += 1
 
     def _verb(self, key: str) -> str:
-        """Return what stands after `command/` in `key`, also where it names several benches."""
+        """Return the part of `key` after `command/`, also if it names several benches."""
         chunks = key.split("/", 3)
         return chunks[3] if len(chunks) == 4 and chunks[2] == "command" else key
 
     # The lanes' work -----------------------------------------------------------------------------
 
     def _do_stops(self, messages: list[Message], verbs: frozenset[str]) -> None:
-        """Stop once for all who asked, then answer each."""
+        """Stop once for all waiting requests, then answer each."""
         replies: dict[str, CommandAnswer] = {}
         for verb, stop in ((Verb.ESTOP, self._desk.emergency_stop), (Verb.STOP, self._desk.stop)):
             if verb in verbs:
@@ -347,7 +347,7 @@ class CommandPlane:
                 return self._asked(lambda: self._desk.request(REQUESTS[verb]))
 
     def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
-        """Return the desk's reply to `ask`; a desk that fails has refused."""
+        """Return the desk's reply to `ask`; an exception counts as refused."""
         try:
             return CommandAnswer(*ask())
         except Exception as error:  # see _do
@@ -369,7 +369,7 @@ class CommandPlane:
             return self._last_state
 
     def _completed(self, status: BenchStatus) -> BenchStatus:
-        """Return `status` with what only the plane knows."""
+        """Return `status` with lease and counts."""
         self._last_state = status["state"]
         lease, now = self.lease(), self._clock()
         told = None if lease is None else LeaseStatus(holder=lease.holder, seconds_left=lease.expiry - now)

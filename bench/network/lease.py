@@ -1,4 +1,4 @@
-"""Who holds the bench: one named holder at a time, with a secret key, until an instant.
+"""The lease of a bench: one named holder at a time, with a secret key and an expiry.
 
 A restart of the daemon begins a new book and so voids every lease.
 """
@@ -13,11 +13,11 @@ LONGEST_HOLDER = 64
 """Characters of a holder's name."""
 
 SHORTEST, DEFAULT, LONGEST = 5.0, 30.0, 600.0
-"""s for which a lease is taken or renewed."""
+"""Min, default and max duration of a lease, s."""
 
 
 class LeaseRefused(Exception):
-    """A lease is not given or does not count; the text says why, and what to do. Never holds a key."""
+    """A refused lease or an invalid key; the text gives cause and action, never a key."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Lease:
     number: int
     """Counts the leases of a book from 1: no two have the same, also of one holder."""
     sequence: int = 0
-    """Of the newest command that carried the key; the next one's must be higher."""
+    """Sequence number of the newest command with the key; the next one must be higher."""
 
 
 def new_key() -> str:
@@ -41,12 +41,12 @@ def new_key() -> str:
 
 
 def is_holder(name: str) -> bool:
-    """Tell whether `name` may stand in a lease, in logs and on a terminal."""
+    """Return whether `name` is valid in a lease, in logs and on a terminal."""
     return 0 < len(name) <= LONGEST_HOLDER and name.isprintable() and name == name.strip()
 
 
 def is_duration(seconds: float) -> bool:
-    """Tell whether a lease may be taken for `seconds`."""
+    """Return whether `seconds` is a valid duration of a lease."""
     return SHORTEST <= seconds <= LONGEST
 
 
@@ -59,17 +59,17 @@ class LeaseBook:
         self._given = 0
 
     def held(self, now: float) -> Lease | None:
-        """Return the lease that counts at `now`."""
+        """Return the lease that is valid at `now`."""
         if self._lease is not None and now >= self._lease.expiry:
             self._lease = None
         return self._lease
 
     def take(self, holder: str, seconds: float, now: float) -> Lease:
-        """Give the bench to `holder` for `seconds`.
+        """Grant the lease to `holder` for `seconds`.
 
         Raises:
             LeaseRefused: somebody holds it; also a holder of the same name, who has a key already.
-            ValueError: `holder` or `seconds` is none (`is_holder`, `is_duration`).
+            ValueError: `holder` or `seconds` is invalid (`is_holder`, `is_duration`).
         """
         if not (is_holder(holder) and is_duration(seconds)):
             raise ValueError(f"no lease for {holder!r} and {seconds!r} s")
@@ -80,32 +80,30 @@ class LeaseBook:
         return self._lease
 
     def use(self, key: str, sequence: int, now: float) -> Lease:
-        """Let one command with `key` and `sequence` pass, and return its lease.
+        """Accept one command with `key` and `sequence`, and return its lease.
 
         Raises:
             LeaseRefused: the key is not the holder's, or the sequence does not rise.
         """
         lease = self.held(now)
         if lease is None:
-            raise LeaseRefused(
-                "nobody holds the bench, the lease has ended: take it (golfbench lease take), then ask again"
-            )
+            raise LeaseRefused("no valid lease: take it (golfbench lease take), then ask again")
         if not secrets.compare_digest(key.encode(), lease.key.encode()):
             raise LeaseRefused(_held_by(lease, now))
         if sequence <= lease.sequence:
             raise LeaseRefused(
                 f"sequence {sequence} after {lease.sequence}, repeated or out of order: it was not done; "
-                "look at the state, then ask anew"
+                "check the state, then ask again"
             )
         self._lease = replace(lease, sequence=sequence)
         return self._lease
 
     def renew(self, key: str, sequence: int, seconds: float, now: float) -> Lease:
-        """Let the holder of `key` keep the bench for `seconds` from `now`; also less than was left.
+        """Renew the lease of `key` for `seconds` from `now`, even if more was left.
 
         Raises:
             LeaseRefused: as `use`.
-            ValueError: `seconds` is none (`is_duration`).
+            ValueError: `seconds` is invalid (`is_duration`).
         """
         if not is_duration(seconds):
             raise ValueError(f"no lease for {seconds!r} s")

@@ -1,4 +1,4 @@
-"""A swing of a running bench, as whoever asked for it sees it over the network."""
+"""A swing of a running bench, as a client sees it over the network."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from bench.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import MatchOutcome
 
 LOOK = 0.05
-"""s between two looks at the bench."""
+"""Polling interval of the bench, s."""
 FEED = 2.0
-"""s that a ball may take to the tee."""
+"""Max time of a ball to the tee, s."""
 STORED = 30.0
-"""s that a swing's record may take."""
+"""Max time until a swing's record is stored, s."""
 
 
 class SwingRecord(NamedTuple):
-    """What the bench stored of a swing."""
+    """A swing's record, as the bench stored it."""
 
     path: Path
     cycles: np.ndarray[Any, Any]
@@ -32,20 +32,20 @@ class SwingRecord(NamedTuple):
 
 
 class ShotNews:
-    """What the bench tells of shots, as it comes; what became of swings is kept until it is forgotten."""
+    """Messages about shots as they arrive; outcomes of swings are kept until forgotten."""
 
     def __init__(self, next_message: Callable[[], ShotMessage | None]) -> None:
-        """`next_message` is `BenchClient.shots`'."""
+        """`next_message` is the function from `BenchClient.shots`."""
         self._next_message = next_message
         self._outcomes: dict[str, ShotMessage] = {}
-        """By their shots' ids."""
+        """Keyed by shot ID."""
 
     def forget(self) -> None:
-        """Forget what became of swings so far."""
+        """Forget the outcomes so far."""
         self._outcomes.clear()
 
     def record_since(self, tick: int) -> SwingRecord | None:
-        """Return the record of the swing begun after `tick`; None when it does not come."""
+        """Return the record of the swing begun after `tick`; None after a time-out."""
         deadline = time.monotonic() + STORED
         while time.monotonic() < deadline:
             message = self._hear()
@@ -57,8 +57,8 @@ class ShotNews:
                 return SwingRecord(message.record, cycles, metadata)
         return None
 
-    def told_of(self, record: SwingRecord, status: BenchStatus) -> ShotMessage | None:
-        """Return what the launch monitor's side says of the swing of `record`; None when it says nothing."""
+    def message_about(self, record: SwingRecord, status: BenchStatus) -> ShotMessage | None:
+        """Return the launch monitor's message about the swing of `record`; None after a time-out."""
         shot, link = record.metadata.get("shot_id"), status["launch_monitor"]
         deadline = time.monotonic() + STORED + (0.0 if link is None else link["settled_s"])
         while shot not in self._outcomes and time.monotonic() < deadline:
@@ -66,7 +66,7 @@ class ShotNews:
         return self._outcomes.get(shot or "")
 
     def _hear(self) -> ShotMessage | None:
-        """Return the next message about a shot, None for none yet."""
+        """Return the next message about a shot, None if there is none yet."""
         message = self._next_message()
         if message is None:
             time.sleep(LOOK)
@@ -76,7 +76,7 @@ class ShotNews:
 
 
 def tee_up(client: BenchClient, pause: Callable[[], None]) -> bool:
-    """Raise the next ball; tell whether one came. `pause` is called between two looks."""
+    """Raise the next ball; return whether one came. `pause` is called between two polls."""
     client.tee()
     deadline = time.monotonic() + FEED
     while not client.status()["ball_present"]:

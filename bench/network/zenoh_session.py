@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from bench.config import NetworkSettings
 
 LONGEST_MESSAGE = 2**20
-"""Bytes; the transport drops a longer one before anybody sees it."""
+"""Max size of a message, bytes; the transport drops longer ones."""
 
 LONGEST_WAIT = 0.1
-"""s that a send waits for a peer that takes nothing, before the link to it is closed."""
+"""Max time a send waits for a blocked peer before the link to it is closed, s."""
 
 TLS = "tls/"
-"""Begin of an endpoint beyond this machine."""
+"""Prefix of an endpoint for other machines."""
 
 _QUEUE = 16
 """Batches (64 kB) of a link that wait to be sent; half a second of telemetry at 1 kHz, with zenoh's own 2 a
@@ -43,11 +43,11 @@ were lost whenever zenoh's threads stood still on a busy machine for longer than
 
 
 class NoAnswer(BenchError):
-    """The bench does not answer. zenoh does not say whether it refused the connection or is not there."""
+    """No answer from the bench; zenoh does not report whether it refused the connection or is not running."""
 
     exit_code = ExitCode.NO_ANSWER
 
-    def __init__(self, bench: str, endpoint: str, waited: str = "nobody listens there") -> None:
+    def __init__(self, bench: str, endpoint: str, waited: str = "no process listens there") -> None:
         super().__init__(
             f"bench {bench} at {endpoint}",
             f"no answer: denied or not running ({waited})",
@@ -60,11 +60,11 @@ class NoAnswer(BenchError):
 def open_daemon(network: NetworkSettings) -> zenoh.Session:
     """Return a session that listens at the endpoint, and beyond this machine where `network` says so.
 
-    It begins without the router, and connects to it as soon and as often as it is there.
+    It starts without the router, and connects and reconnects to it when it is available.
 
     Raises:
         BenchError: nothing can listen there, for example because another process does; the endpoint is that
-            of another machine; the certificate or its key does not hold.
+            of another machine; the certificate or its key is invalid.
     """
     if network.endpoint.startswith(TLS):
         raise BenchError(
@@ -84,7 +84,7 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
         raise BenchError(
             f"network.endpoint {' and network.beyond '.join(listen)}",
             "already in use" if in_use else _first_line(error),
-            "an endpoint of this machine where nobody listens",
+            "a free endpoint of this machine",
             "Another bench may be running: golfbench status. Or choose another port.",
         ) from None
 
@@ -93,15 +93,15 @@ def open_client(network: NetworkSettings, bench: str) -> zenoh.Session:
     """Return a session connected to the daemon of `bench`; it connects again when the daemon comes back.
 
     Raises:
-        NoAnswer: nobody listens there, or whoever does takes no connection with this certificate.
-        BenchError: the certificate or its key does not hold.
+        NoAnswer: no process listens there, or it rejects this certificate.
+        BenchError: the certificate or its key is invalid.
     """
     configuration = _configuration("client", network, connect=[network.endpoint])
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
     except zenoh.ZError:
         secure = network.endpoint.startswith(TLS)
-        waited = "nobody listens there" + ", or not to this certificate" * secure
+        waited = "no process listens there" + ", or it rejects this certificate" * secure
         raise NoAnswer(bench, network.endpoint, waited) from None
 
 

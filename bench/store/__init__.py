@@ -1,1 +1,1 @@
-"""The bench's database: what is kept beside the records of the swings."""
+"""The bench's database: all stored data except the records of swings."""

@@ -1,4 +1,4 @@
-"""The air at the bench as somebody or something read it; the newest reading counts, for a time."""
+"""Readings of the air at the bench; the newest is used for a limited time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def add_reading(database: Engine, bench: str, reading: AirReading) -> None:
 
 
 def newest_reading(database: Engine, bench: str, since: datetime) -> AirReading | None:
-    """Return the newest reading at `bench` that is not older than `since`; None when there is none."""
+    """Return the newest reading at `bench` since `since`; None if there is none."""
     c = _READINGS.c
     query = (
         select(c.date, c.temperature, c.pressure, c.relative_humidity, c.by)

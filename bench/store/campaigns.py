@@ -27,29 +27,29 @@ _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS = (
 
 
 class CampaignState(StrEnum):
-    """Where a campaign stands."""
+    """State of a campaign."""
 
     RUNNING = "running"
-    """Or its runner died: `campaign resume` tells."""
+    """Or its runner died: `campaign resume` finds out."""
     WAITING = "waiting"
-    """For a person to do what a prompt asks; or its runner died meanwhile."""
+    """Waiting for the answer to a prompt; or its runner died meanwhile."""
     PAUSED = "paused"
     SUSPENDED = "suspended"
-    """By itself, for a reason that a person must look at."""
+    """Suspended by its runner, for a reason that a person must clear."""
     STOPPED = "stopped"
-    """By a person, after a whole shot; it can be resumed."""
+    """Stopped by a person after a complete shot; it can be resumed."""
     ABORTED = "aborted"
-    """By a person, at once; it is over."""
+    """Aborted by a person at once; it cannot be resumed."""
     FINISHED = "finished"
 
 
 ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
-"""States that nothing leads out of."""
+"""Final states."""
 
 
 @dataclass(frozen=True)
 class CampaignEntry:
-    """A campaign as it was begun."""
+    """A campaign with all inputs it was started with."""
 
     id: str
     bench: str
@@ -67,12 +67,12 @@ class CampaignEntry:
 
     @property
     def hit_scope(self) -> str:
-        """Return whose hits these are."""
+        """Scope of its hit counts: the campaign if simulated, else the bench."""
         return self.id if self.simulated else self.bench
 
 
 class Standing(NamedTuple):
-    """Where a campaign stands and what is asked of it."""
+    """State of a campaign, with its reason and pending request."""
 
     state: CampaignState
     reason: str
@@ -88,7 +88,7 @@ class StoredShot(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened before a shot."""
+    """An event before a shot."""
 
     date: datetime
     before_shot: int
@@ -97,7 +97,7 @@ class Event(NamedTuple):
 
 
 class Prompt(NamedTuple):
-    """What a person is asked to do before a shot."""
+    """A prompt to the operator before a shot."""
 
     number: int
     """From 1, within its campaign."""
@@ -105,7 +105,7 @@ class Prompt(NamedTuple):
     kind: str
     text: str
     content: Mapping[str, Any]
-    """What is in place once it is done."""
+    """State of the bench once it is done."""
     asked: datetime
     answered: datetime | None = None
     by: str = ""
@@ -113,7 +113,7 @@ class Prompt(NamedTuple):
 
 
 class Hit(NamedTuple):
-    """What wears: a ball's sample, a club, a valve."""
+    """A part that wears: a ball's sample, a club, a valve."""
 
     kind: str
     name: str
@@ -128,14 +128,14 @@ class CampaignStore:
 
     @property
     def database(self) -> Engine:
-        """The database, for what else is in it."""
+        """The database, for its other contents."""
         return self._engine
 
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
 
         Raises:
-            Refused: there is one of that id.
+            Refused: the id exists already.
         """
         values = asdict(entry) | {
             "state": CampaignState.RUNNING,
@@ -147,14 +147,14 @@ class CampaignStore:
                 connection.execute(insert(_CAMPAIGNS).values(values))
         except IntegrityError:
             raise Refused(
-                f"campaign {entry.id}", "one of that id", "a new id", "Start it again in a second."
+                f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
             ) from None
 
     def entry(self, campaign: str) -> CampaignEntry:
-        """Return a campaign as it was begun.
+        """Return a campaign's entry.
 
         Raises:
-            BenchError: there is none.
+            BenchError: there is no such campaign.
         """
         names = CampaignEntry.__dataclass_fields__
         with self._engine.connect() as connection:
@@ -167,7 +167,7 @@ class CampaignStore:
         return CampaignEntry(**found)
 
     def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
-        """Return all campaigns, the newest first, with where they stand and their shots by status."""
+        """Return all campaigns, the newest first, with their states and shots by status."""
         names = CampaignEntry.__dataclass_fields__
         with self._engine.connect() as connection:
             rows = connection.execute(select(_CAMPAIGNS).order_by(_CAMPAIGNS.c.date.desc())).mappings().all()
@@ -187,7 +187,7 @@ class CampaignStore:
         ]
 
     def standing(self, campaign: str) -> Standing:
-        """Return where a campaign stands."""
+        """Return the state of a campaign."""
         c = _CAMPAIGNS.c
         with self._engine.connect() as connection:
             row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
@@ -245,7 +245,7 @@ class CampaignStore:
             connection.execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
 
     def answer(self, campaign: str, number: int, by: str, date: datetime) -> bool:
-        """Note that prompt `number` is done; tell whether it was open until now."""
+        """Mark prompt `number` as done; return whether it was open."""
         c = _PROMPTS.c
         mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
         with self._writing() as connection:
@@ -253,7 +253,7 @@ class CampaignStore:
         return bool(done.rowcount)
 
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
-        """Return the bench's newest answered prompt of `kind`, with its campaign; None when there is none.
+        """Return the bench's newest answered prompt of `kind`, with its campaign; None if there is none.
 
         A simulated campaign has a bench of its own, a real bench has one for all its campaigns.
         """
@@ -271,7 +271,7 @@ class CampaignStore:
         return None if row is None else (row[0], Prompt(*row[1:]))
 
     def hits(self, scope: str) -> Counter[Hit]:
-        """Return how often everything was used."""
+        """Return the number of uses of each part."""
         c = _HITS.c
         with self._engine.connect() as connection:
             rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
@@ -317,7 +317,7 @@ class CampaignStore:
             ) from None
 
     def _writing(self) -> Any:
-        """Return a transaction that takes its turn to write at once."""
+        """Return a transaction that takes the write lock at once."""
         return self._engine.execution_options(sqlite_begin="IMMEDIATE").begin()
 
 

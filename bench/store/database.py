@@ -35,12 +35,12 @@ def _add_prompts(connection: Connection) -> None:
 
 
 def _add_learned_swings(connection: Connection) -> None:
-    """Version 3 knew nothing of learning."""
+    """Version 3 had no learned corrections."""
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_4])
 
 
 def _add_air_readings(connection: Connection) -> None:
-    """Version 4 knew the configured air only."""
+    """Version 4 had no readings of the air."""
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_5])
 
 
@@ -50,14 +50,14 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     3: _add_learned_swings,
     4: _add_air_readings,
 }
-"""Version -> what turns its tables into those of the next one."""
+"""Migration of the tables from each version to the next."""
 
 BUSY_TIMEOUT = 5.0
-"""s to wait for another process' write."""
+"""Time to wait for another process' write, s."""
 
 
 def is_there(url: URL) -> bool:
-    """Tell whether there may be something to read: a server, or SQLite's file."""
+    """Return whether there may be data to read: a server, or SQLite's file."""
     return url.get_backend_name() != "sqlite" or Path(str(url.database)).exists()
 
 
@@ -65,10 +65,10 @@ def is_there(url: URL) -> bool:
 def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
     """Open the database at `url`, made or migrated to SCHEMA_VERSION if need be (dated `now`), and close it.
 
-    What the database itself cannot do within the block becomes a BenchError; a broken constraint does not.
+    Errors of the database within the block become BenchErrors; broken constraints do not.
 
     Raises:
-        BenchError: it cannot be opened, is no database of golfbench, or is one of a newer version.
+        BenchError: it cannot be opened, is no golfbench database, or is of a newer version.
         OSError: its folder cannot be made.
     """
     place = url.render_as_string(hide_password=True)
@@ -115,7 +115,7 @@ def _prepare_sqlite(connection: Any, _: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    """Begin the transaction in earnest; one that is to write takes its turn at once."""
+    """Begin the transaction; one that writes takes the write lock at once."""
     kind = connection.get_execution_options().get("sqlite_begin", "DEFERRED")
     connection.exec_driver_sql(f"BEGIN {kind}")
 
@@ -137,7 +137,7 @@ def _bring_up_to_date(engine: Engine, place: str, now: datetime) -> None:
 
 
 def _version(connection: Connection, place: str) -> int | None:
-    """Return the version of the tables, None when there are none."""
+    """Return the version of the tables, None if there are none."""
     tables = inspect(connection).get_table_names()
     if not tables:
         return None

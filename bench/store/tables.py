@@ -57,7 +57,7 @@ class CalibrationRow(Row):
     version: Mapped[int]
     """Rises by one per bench and kind."""
     subject: Mapped[str]
-    """What was calibrated when there are several of a kind (the club's name), else empty."""
+    """Name of the calibrated part if there are several of a kind (the club), else empty."""
     date: Mapped[datetime]
     expires: Mapped[datetime]
     by: Mapped[str]
@@ -92,15 +92,15 @@ class CampaignRow(Row):
     date: Mapped[datetime]
     simulated: Mapped[bool]
     state: Mapped[str]
-    """Of `bench.store.campaigns.CampaignState`."""
+    """A `bench.store.campaigns.CampaignState`."""
     reason: Mapped[str]
-    """Why it is in that state; empty when there is nothing to say."""
+    """Reason of that state, or empty."""
     requested: Mapped[str]
-    """What was asked of its runner and not yet done: "pause", "stop", "abort" or nothing."""
+    """Pending request to its runner: "pause", "stop", "abort" or empty."""
     seed: Mapped[int]
     plan: Mapped[dict[str, Any]]
     digest: Mapped[str]
-    """Of the plan."""
+    """Digest of the plan."""
     configuration: Mapped[dict[str, Any]]
     versions: Mapped[dict[str, Any]]
     real_time: Mapped[dict[str, Any]]
@@ -157,7 +157,7 @@ class ShotRow(Row):
 
 
 class CampaignEventRow(Row):
-    """What happened in a campaign beside its shots."""
+    """An event of a campaign other than a shot."""
 
     __tablename__ = "campaign_events"
 
@@ -170,7 +170,7 @@ class CampaignEventRow(Row):
 
 
 class CampaignPromptRow(Row):
-    """What a person was asked to do at the bench: mount a club, fill the feeder."""
+    """A prompt to the operator: mount a club, fill the feeder."""
 
     __tablename__ = "campaign_prompts"
 
@@ -181,7 +181,7 @@ class CampaignPromptRow(Row):
     kind: Mapped[str]
     text: Mapped[str]
     content: Mapped[dict[str, Any]]
-    """What is in place once it is done."""
+    """State of the bench once it is done."""
     asked: Mapped[datetime]
     answered: Mapped[datetime | None]
     by: Mapped[str]
@@ -189,7 +189,7 @@ class CampaignPromptRow(Row):
 
 
 class HitCountRow(Row):
-    """How often something was used: a ball, a club, a valve."""
+    """Number of uses of a ball, a club, a valve."""
 
     __tablename__ = "hit_counts"
 
@@ -215,9 +215,9 @@ class LearnedSwingRow(Row):
     date: Mapped[datetime]
     simulated: Mapped[bool]
     source: Mapped[str]
-    """Of the delivery that it was learned from."""
+    """Source of the delivery that it was learned from."""
     digest: Mapped[str]
-    """Of the profile's tables."""
+    """Digest of the profile's tables."""
     club: Mapped[str]
     supply_pressure: Mapped[float]
     """Pa absolute, regulated."""

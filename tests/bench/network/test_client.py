@@ -220,7 +220,7 @@ def test_it_finds_the_bench_again_after_a_restart_but_its_lease_is_void() -> Non
             while not _answers(bench):
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
-            with pytest.raises(CommandRefused, match="nobody holds the bench"):
+            with pytest.raises(CommandRefused, match="no valid lease"):
                 bench.reset()
 
 

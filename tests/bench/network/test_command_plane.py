@@ -199,7 +199,7 @@ def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Ask
 def test_what_moves_is_refused_without_a_lease(bench: RunningPlane, asker: Asker) -> None:
     for verb in ("home", "arm", "access", "secure", "swing", "tee", "reset"):
         answer = asker.ask_keyed(verb, new_key())
-        assert (answer.accepted, answer.reason[:22]) == (False, "nobody holds the bench")
+        assert (answer.accepted, answer.reason[:14]) == (False, "no valid lease")
     assert bench.desk.requests == []
 
 
@@ -234,7 +234,7 @@ def test_a_restart_voids_every_lease(asker: Asker, bench: RunningPlane) -> None:
         assert not asker.ask_keyed("reset", key).accepted
 
 
-# What does not hold ----------------------------------------------------------------------------------
+# Invalid messages ------------------------------------------------------------------------------------
 
 
 def test_what_does_not_hold_is_answered_with_an_error(asker: Asker) -> None:
@@ -381,7 +381,7 @@ def test_it_ends_in_time_although_the_desk_hangs() -> None:
             assert isinstance(first(), CommandAnswer)
             answer = second()
             assert isinstance(answer, CommandAnswer)
-            assert "going down" in answer.reason
+            assert "shutting down" in answer.reason
             assert running.desk.requests == [Request.RESET]
 
 

@@ -58,7 +58,7 @@ def test_it_ends_at_its_instant_not_before() -> None:
     lease = book.take("Ann", 30.0, now=0.0)
     assert book.held(29.999) == lease
     assert book.held(30.0) is None
-    with pytest.raises(LeaseRefused, match="nobody holds the bench"):
+    with pytest.raises(LeaseRefused, match="no valid lease"):
         book.use(lease.key, 1, now=30.0)
     assert book.take("Bob", 5.0, now=30.0).holder == "Bob"
 

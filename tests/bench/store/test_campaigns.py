@@ -165,7 +165,7 @@ def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
 def test_an_id_is_given_once(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
-        with pytest.raises(Refused, match="one of that id"):
+        with pytest.raises(Refused, match="the id exists already"):
             store.begin(ENTRY)
         with pytest.raises(BenchError, match="no such campaign"):
             store.entry("other")
