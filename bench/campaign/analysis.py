@@ -1,4 +1,4 @@
-"""What a campaign found: levels described and compared, by the analysis its plan fixed beforehand.
+"""Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
 Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
 the plan says so; the other way stands beside it, and so does a mixed model. Holm's step-down holds the error
@@ -31,7 +31,7 @@ OUTLIER = 3.5
 
 
 class Spread(NamedTuple):
-    """Mean and standard deviation of a figure, with intervals; NaN where there is too little."""
+    """Mean and standard deviation of a figure, with intervals; NaN with too few shots."""
 
     n: int
     mean: float
@@ -52,7 +52,7 @@ class Level:
     excluded: int
     failed: int
     reasons: dict[str, int]
-    """Why shots do not count, and how often."""
+    """Number of shots by reason that they are not valid."""
     spread: Spread
 
 
@@ -79,28 +79,28 @@ class Pair:
     shots: int
     """Valid shots of the level with fewer."""
     power: float
-    """To find the difference worth finding, with the scatter seen."""
+    """Power to find the difference worth finding, with the measured scatter."""
     verdict: str
     """"different", "same", "both" (different, but by less than the margin), "not enough shots" or "open"."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One model's answer for one section."""
+    """Result of one model for one section."""
 
     method: str
     deviation: float
-    """Of one shot, other effects taken out."""
+    """Standard deviation of one shot, other effects removed."""
     freedom: float
     pairs: tuple[Pair, ...]
     drift: float | None
-    """Of the quantity a shot, from the control ball; None when it is not in the model."""
+    """Drift of the quantity per shot, from the control ball; None if it is not in the model."""
     drift_error: float | None
 
 
 @dataclass(frozen=True)
 class SectionAnalysis:
-    """What was found in one section."""
+    """Results of one section."""
 
     number: int
     name: str
@@ -108,13 +108,13 @@ class SectionAnalysis:
     control: Level | None
     confirmatory: Comparison | None
     beside: Comparison | None
-    """The same without, or with, the drift taken out."""
+    """The same analysis without, or with, the drift correction."""
     outliers: tuple[tuple[int, float], ...]
-    """(shot, robust z) of valid shots far off; never removed."""
+    """(shot, robust z) of outliers among valid shots; never removed."""
 
 
 def analyse(plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str) -> SectionAnalysis:
-    """Return what the `shots` of one section say."""
+    """Return the analysis of one section's `shots`."""
     mine = [shot for shot in shots if shot.role != Role.WARM_UP]
     tests = [shot for shot in mine if shot.role == Role.TEST]
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
@@ -144,7 +144,7 @@ def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Ar
 
 
 def alpha_of(plan: CampaignPlan) -> float:
-    """Return the error of one look at the data."""
+    """Return the error level of one look at the data."""
     looks = plan.stop.looks if plan.stop.rule != "fixed" else 1
     return (1 - plan.analysis.confidence) / looks
 
@@ -186,7 +186,7 @@ def _compared(
 
 
 def shots_still_needed(plan: CampaignPlan, comparison: Comparison) -> tuple[int | None, int | None]:
-    """Return how many valid shots of each level would do, with the scatter seen.
+    """Return how many valid shots of each level would suffice, with the measured scatter.
 
     The first finds the difference worth finding, the second calls equal levels the same; each with the wished
     power. None: too many to name, or not asked.
@@ -235,7 +235,7 @@ def _judged(
 def _power(difference: float, contrast: Contrast, fit: BlockFit, alpha: float) -> float:
     if not contrast.error:
         return 1.0
-    blocks = 2 * (fit.deviation / contrast.error) ** 2  # as many complete blocks as tell as much
+    blocks = 2 * (fit.deviation / contrast.error) ** 2  # number of complete blocks with the same information
     return power_of_difference(difference, fit.deviation, blocks, contrast.freedom, alpha)
 
 
@@ -298,7 +298,7 @@ def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
 
 
 def decide(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
-    """Return why a section's `shots` are enough by the plan's stopping rule; empty when they are not."""
+    """Return why a section's `shots` are enough by the plan's stopping rule; empty if they are not."""
     result = analyse(plan, shots, 1, "").confirmatory
     count = len(levels(plan))
     if result is None or len(result.pairs) < count * (count - 1) // 2:

@@ -24,7 +24,7 @@ class Contrast(NamedTuple):
 
     estimate: float
     error: float
-    """Standard error; 0 when nothing scatters."""
+    """Standard error; 0 without scatter."""
     freedom: float
 
     def interval(self, confidence: float) -> tuple[float, float]:
@@ -34,13 +34,13 @@ class Contrast(NamedTuple):
 
     @property
     def p(self) -> float:
-        """Two-sided probability of such a difference where there is none."""
+        """Two-sided p value of the difference."""
         if not self.error:
             return 1.0 if not self.estimate else 0.0
         return float(2 * stats.t.sf(abs(self.estimate) / self.error, self.freedom))
 
     def p_same(self, margin: float) -> float:
-        """Probability of two one-sided tests: small when the difference is less than `margin` for sure."""
+        """P value of two one-sided tests: small if the difference is reliably less than `margin`."""
         if not self.error:
             return 0.0 if abs(self.estimate) < margin else 1.0
         return float(stats.t.sf((margin - abs(self.estimate)) / self.error, self.freedom))
@@ -50,7 +50,7 @@ class BlockFit(NamedTuple):
     """A fitted model."""
 
     effects: Array
-    """Of levels 0, 1, ..., (then of time), levels relative to level 0."""
+    """Effects of levels 0, 1, ... relative to level 0, then of time."""
     inverse: Array
     """(X'X)^-1 of the same; level 0 is left out."""
     deviation: float
@@ -61,7 +61,7 @@ class BlockFit(NamedTuple):
     """Projection onto what can be estimated."""
 
     def contrast(self, first: int, second: int) -> Contrast | None:
-        """Return level `first` less level `second`; None when the blocks do not connect the two."""
+        """Return level `first` less level `second`; None if no blocks connect the two."""
         weights = np.zeros(len(self.inverse))
         for level, sign in ((first, 1.0), (second, -1.0)):
             if level:

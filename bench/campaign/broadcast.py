@@ -1,4 +1,4 @@
-"""Where a campaign stands, told over the network: `golfbench/<bench>/campaign/<id>`, JSON.
+"""State of a campaign, published over the network: `golfbench/<bench>/campaign/<id>`, JSON.
 
 It is published at each shot and each change of state, and answered to who asks in between.
 """
@@ -18,13 +18,13 @@ from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 VERSION = 1
-"""Of the message."""
+"""Version of the message."""
 _LAST = 10
-"""Shots whose pace foretells the rest."""
+"""Number of last shots whose pace predicts the remaining time."""
 
 
 class Broadcast(Watcher):
-    """Tells `publish` of everything that it hears."""
+    """Publishes the state of a campaign after each shot and change."""
 
     def __init__(
         self, entry: CampaignEntry, plan: CampaignPlan, publish: Callable[[dict[str, Any]], None]
@@ -47,7 +47,7 @@ class Broadcast(Watcher):
         }
 
     def shot(self, shot: Shot) -> None:
-        """Tell of a shot, and of the time that the rest will take."""
+        """Publish a shot and the remaining time."""
         m = self._message
         m["shots"] += 1
         m["valid"] += shot.status is ShotStatus.VALID
@@ -70,7 +70,7 @@ class Broadcast(Watcher):
         self._publish(m)
 
     def standing(self, state: CampaignState, reason: str) -> None:
-        """Tell where it stands; while it waits, `reason` is what a person is to do."""
+        """Publish the state; while it waits, `reason` is the prompt."""
         self._message |= {"state": state, "reason": reason}
         self._publish(self._message)
 
@@ -82,16 +82,16 @@ class Together(Watcher):
         self._watchers = watchers
 
     def shot(self, shot: Shot) -> None:
-        """Tell all of a shot."""
+        """Pass a shot to all watchers."""
         for watcher in self._watchers:
             watcher.shot(shot)
 
     def say(self, text: str) -> None:
-        """Tell all of something that happened."""
+        """Pass an event to all watchers."""
         for watcher in self._watchers:
             watcher.say(text)
 
     def standing(self, state: CampaignState, reason: str) -> None:
-        """Tell all where the campaign stands."""
+        """Pass the campaign's state to all watchers."""
         for watcher in self._watchers:
             watcher.standing(state, reason)

@@ -24,7 +24,7 @@ from bench.shot.shot import Shot, ShotStatus
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
 _MANY = 1500
-"""Points from which a cloud is drawn as a picture."""
+"""Number of points from which a cloud is drawn as a bitmap."""
 _DELIVERY = ("club_speed_mps", "attack_angle_deg", "dynamic_loft_deg", "strike_x_mm")
 
 
@@ -101,7 +101,7 @@ def _dispersion(plan: CampaignPlan, shots: Sequence[Shot]) -> Figure:
 
 
 def _levels(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
-    """Each level's shots with mean and interval: the compared quantity, and the club speed that came."""
+    """Each level's shots with mean and interval: the compared quantity, and the delivered club speed."""
     unit, name = UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     found = _by_level(plan, shots)
     figure = styled(1.0 + 0.32 * max(len(found), 2))
@@ -143,7 +143,7 @@ def _spread_out(count: int) -> np.ndarray:
 
 
 def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis) -> Figure:
-    """The compared quantity over the shots, its level's mean taken off, and the control ball's course."""
+    """The compared quantity over the shots less its level's mean, and the control ball's drift."""
     unit, name = UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
     figure = styled(2.5)
     axes = figure.subplots()
@@ -178,7 +178,7 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis)
 
 
 def _delivery(shots: Sequence[Shot]) -> Figure:
-    """The club at the ball over the campaign: valid shots, and those that did not count."""
+    """The delivery over the campaign: valid and other shots."""
     figure = styled(3.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
     names = {column: (text, unit) for column, text, unit, _ in FIGURES}

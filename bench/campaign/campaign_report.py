@@ -1,4 +1,4 @@
-"""The report of a campaign from its stored shots: one HTML file that needs nothing else."""
+"""The report of a campaign from its stored shots: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, E
 from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000
-"""Shots up to which each has a row; of more only those that do not count or are flagged."""
+"""Max number of shots with a row each; of more, only those not valid or flagged."""
 _MOST_ROWS = 500
 
 LIMITS = (
@@ -42,7 +42,7 @@ LIMITS = (
 
 @dataclass(frozen=True)
 class CampaignRecord:
-    """A campaign as the database holds it."""
+    """A campaign as stored in the database."""
 
     entry: CampaignEntry
     standing: Standing
@@ -54,7 +54,7 @@ class CampaignRecord:
 
 
 def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
-    """Return a campaign with all that the database has of it."""
+    """Return a campaign with all its data in the database."""
     return CampaignRecord(
         entry,
         store.standing(entry.id),
@@ -156,7 +156,7 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
 
 
 def _range(values: Sequence[float], digits: int, unit: str) -> str:
-    """Return what a figure was over the campaign; empty when it was not measured."""
+    """Return the range of a figure over the campaign; empty if it was not measured."""
     if not values:
         return ""
     low, high = (f"{value:.{digits}f}" for value in (min(values), max(values)))
@@ -164,15 +164,15 @@ def _range(values: Sequence[float], digits: int, unit: str) -> str:
 
 
 def _conditioned(record: CampaignRecord) -> str:
-    """Say who vouches for how the balls were kept."""
+    """Return who confirmed the conditioning of the balls."""
     people = dict.fromkeys(p.by for p in record.prompts if p.kind == PromptKind.BALLS and p.by)
     if record.entry.simulated:
         return "as planned; simulated balls have no temperature"
-    return f"confirmed by {', '.join(people)}" if people else "as planned, confirmed by nobody"
+    return f"confirmed by {', '.join(people)}" if people else "as planned, not confirmed"
 
 
 def _handwork(prompts: Sequence[Prompt]) -> list[str]:
-    """Return what was done by hand, what a simulation did by itself as a number only."""
+    """Return the manual work; that done by the simulation as a number only."""
     by_itself = Counter(prompt.kind for prompt in prompts if prompt.by == "simulation")
     words = [f"{number} times {kind}: done by the simulation itself" for kind, number in by_itself.items()]
     for prompt in prompts:
@@ -183,7 +183,7 @@ def _handwork(prompts: Sequence[Prompt]) -> list[str]:
 
 
 def _standing_words(standing: Standing) -> str:
-    """Say it first when the campaign is not whole."""
+    """Return a notice if the campaign is incomplete."""
     if standing.state is CampaignState.FINISHED:
         return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
     reason = f" ({standing.reason})" if standing.reason else ""
@@ -222,7 +222,7 @@ def _limits(record: CampaignRecord) -> list[str]:
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
             "what the models do, not what balls do.",
             "The robot swung in real time and its scatter is its own. What the ball does was computed from "
-            "the delivery that the encoders tell; on the robot acted the ball of its own configuration. From "
+            "the delivery measured by the encoders; on the robot acted its own configuration's ball. From "
             f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
             f"from hit to hit and {100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} "
             f"m/s, spin {s.spin_rpm:g} rpm.",

@@ -1,4 +1,4 @@
-"""The learned corrections that a campaign swings with, and how a swing is learned anew on its way."""
+"""The learned corrections of a campaign's swings, and their relearning during the campaign."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
 Robot = Callable[[LearningProblem], AbstractContextManager[Swinger]]
-"""Lends the robot to a learner."""
+"""Provides the robot for a learner."""
 
 
 class CorrectedProfiles(Protocol):
-    """The profiles of a campaign and what is added to them, by swing and club."""
+    """The profiles of a campaign and their corrections, by swing and club."""
 
     def designed(self, arm: Arm) -> Profile:
         """Return the profile of `arm` without correction."""
         ...
 
     def weights(self, arm: Arm) -> tuple[float, ...]:
-        """Return the weights that `arm` is swung with; none: as designed."""
+        """Return the correction weights of `arm`; empty: as designed."""
         ...
 
     def profile(self, arm: Arm) -> Profile:
@@ -44,7 +44,7 @@ class CorrectedProfiles(Protocol):
         ...
 
     def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """Learn the swing that has drifted anew before shot `number`, and return what is to be told of it.
+        """Relearn the drifted swing before shot `number`, and return the text of the event.
 
         `robot` swings; `truth` is the robot in simulation.
 
@@ -76,7 +76,7 @@ class AsDesigned:
 
 
 class CampaignCorrections:
-    """By swing and club; a campaign begins with the newest ones that hold and were there when it began."""
+    """Corrections by swing and club; a campaign starts with the newest valid ones of its start."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class CampaignCorrections:
         *,
         simulated: bool,
     ) -> None:
-        """`profiles` are as designed; what was learned is used if it is as `simulated` as the campaign."""
+        """`profiles` are as designed; corrections are used if they are `simulated` like the campaign."""
         self._entry, self._plan, self._configuration = entry, plan, configuration
         self._database, self._profiles, self._simulated = database, profiles, simulated
         self._lectures: dict[Arm, LearningProblem] = {}
@@ -109,7 +109,7 @@ class CampaignCorrections:
         return self._profiles[arm]
 
     def weights(self, arm: Arm) -> tuple[float, ...]:
-        """Return the weights that `arm` is swung with; none: as designed."""
+        """Return the correction weights of `arm`; empty: as designed."""
         learned = self._learned[arm]
         return () if learned is None else learned.weights
 
@@ -153,9 +153,9 @@ class CampaignCorrections:
             found = replace(found, version=keep(self._database, found))
         swings = f"{len(found.content['swings']) - 1} learning swings"
         if not found.within:
-            return f"{profile.name}: {drift.text}; not learned anew in {swings}, it goes on as before"
+            return f"{profile.name}: {drift.text}; not relearned in {swings}, it goes on as before"
         self._learned[arm] = found
-        return f"{profile.name}: {drift.text}; learned anew in {swings}, version {found.version}"
+        return f"{profile.name}: {drift.text}; relearned in {swings}, version {found.version}"
 
     def _lecture(self, arm: Arm) -> LearningProblem:
         if arm not in self._lectures:

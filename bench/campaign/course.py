@@ -1,4 +1,4 @@
-"""The course of a campaign: which shot comes next, given those before it, and when it is over.
+"""The course of a campaign: the next shot, given those before it, and when it is over.
 
 `course` is a generator: it yields the next step and is sent the shot that came of it. It reads no clock and
 draws nothing by itself, so that sending it the stored shots of an interrupted campaign leads to the very
@@ -19,7 +19,7 @@ from bench.shot.shot import Shot, ShotStatus
 
 
 class Step(NamedTuple):
-    """The next shot: what is tried, for which time, and which delivery it is judged by."""
+    """The next shot: its trial, its attempt, and the delivery it is judged by."""
 
     trial: PlannedShot
     attempt: int
@@ -30,14 +30,14 @@ class Ending(NamedTuple):
     """How a campaign ended."""
 
     complete: bool
-    """It did what its plan asks; early by the plan's own stopping rule is complete."""
+    """Whether the plan was completed, possibly early by its own stopping rule."""
     reason: str
 
 
 Decide = Callable[[CampaignPlan, Sequence[Shot]], str]
-"""From a section's shots: why it has enough, or nothing."""
+"""Returns from a section's shots why they are enough; empty if they are not."""
 Planned = Mapping[tuple[str, str], Centre]
-"""(swing, club) -> delivery it was designed for."""
+"""Designed delivery by (swing, club)."""
 Course = Generator[Step, Shot, Ending]
 
 
@@ -71,13 +71,13 @@ def course(plan: CampaignPlan, planned: Planned, decide: Decide) -> Course:
 
 
 def is_settled(plan: CampaignPlan, shot: Shot) -> bool:
-    """Tell whether a planned shot is done with after `shot`: it is valid, or was repeated often enough."""
+    """Return whether `shot` settles its planned shot: it is valid, or was the last attempt."""
     tried = shot.status is ShotStatus.VALID or shot.attempt > plan.design.repeats
     return tried and shot.role != Role.WARM_UP
 
 
 def looks_after(plan: CampaignPlan) -> frozenset[int]:
-    """Return the blocks of a section after which the plan's stopping rule is asked; never the last one."""
+    """Return the blocks of a section after which the plan's stopping rule is checked; never the last one."""
     stop, blocks = plan.stop, plan.design.blocks
     if stop.rule == "fixed":
         return frozenset()
@@ -86,7 +86,7 @@ def looks_after(plan: CampaignPlan) -> frozenset[int]:
 
 
 def _warm_up(plan: CampaignPlan, section: Section, arm: Arm) -> Generator[Step, Shot, tuple[list[Shot], str]]:
-    """Swing until the club speed is stable; return the last shots, and why not when it is refused."""
+    """Swing until the club speed is stable; return the last shots, and the reason if it is not."""
     w, recent = plan.warm_up, list[Shot]()
     for position in range(1, w.at_most + 1):
         trial = PlannedShot(Role.WARM_UP, section.number, 0, position, arm)
@@ -105,7 +105,7 @@ def _warm_up(plan: CampaignPlan, section: Section, arm: Arm) -> Generator[Step, 
 
 
 def _set_up_wrong(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
-    """Tell when the control ball's speed is not what the machine is to be set to."""
+    """Return why the control ball's speed is outside the set-up tolerance; empty if it is not."""
     wanted, tolerance = plan.set_up.control_ball_speed, plan.set_up.tolerance
     speeds = [shot.ball_speed_mps for shot in shots if shot.ball_speed_mps is not None]
     if not wanted or (speeds and abs(float(np.mean(speeds)) - wanted) <= tolerance):

@@ -1,4 +1,4 @@
-"""All figures of a campaign in one value: what the report prints, what JSON holds, what a baseline checks."""
+"""All results of a campaign in one value, for the report, JSON and the baseline."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RuleFinding:
     text: str
     level: str
     value: float
-    """Mean, in the rule's quantity; of a symmetry rule the greatest difference of means."""
+    """Mean in the rule's quantity; for a symmetry rule the max difference of means."""
     at_most: float
     holds: bool
     source: str
@@ -39,7 +39,7 @@ class RuleFinding:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a campaign found."""
+    """Results of a campaign."""
 
     shots: int
     by_status: Mapping[str, int]
@@ -49,7 +49,7 @@ class Findings:
     verdicts: tuple[tuple[Verdict, ...], ...]
     """For each section."""
     needed: tuple[tuple[int | None, int | None], ...]
-    """For each section: valid shots of each level that would tell them apart, and call them the same."""
+    """For each section: valid shots of each level to find a difference, and to call them the same."""
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """For each (swing, club)."""
     rules: tuple[RuleFinding, ...]
@@ -112,7 +112,7 @@ def _rules(plan: CampaignPlan, shots: Sequence[Shot]) -> list[RuleFinding]:
 
 
 def findings_record(found: Findings) -> dict[str, Any]:
-    """Return the findings for JSON; what is not known is null."""
+    """Return the findings for JSON; unknown values are null."""
     return {
         "schema": SCHEMA,
         "shots": found.shots,

@@ -1,4 +1,4 @@
-"""What a person has put into the bench, and what must be asked for before a shot: club, balls, profile.
+"""The fitting of the bench (club, balls, profile), and the prompts needed before a shot.
 
 Pure: what is in place follows from the answered prompts and the shots since, so that a restart knows it too.
 """
@@ -18,16 +18,16 @@ from bench.store.campaigns import Hit, Prompt
 
 
 class PromptKind(StrEnum):
-    """What a person is asked for."""
+    """Kind of a prompt."""
 
     CLUB = "club"
     BALLS = "balls"
     BENCH = "bench"
-    """To start the bench anew: no simulation does that by itself."""
+    """Restart the bench: no simulation does that by itself."""
 
 
 class Preparation(NamedTuple):
-    """What must be done before a shot, in words, and what is in place then."""
+    """Work needed before a shot, in words, and the fitting after it."""
 
     kind: PromptKind
     text: str
@@ -39,14 +39,14 @@ Numbered = tuple[str, int]
 
 
 class Fitting(NamedTuple):
-    """What is in the bench."""
+    """Club and balls in the bench."""
 
     club: str
     feeder: tuple[Numbered, ...] = ()
     """Balls in it, the next one first."""
 
     def with_done(self, prompt: Prompt) -> Fitting:
-        """Return what is in place after an answered prompt."""
+        """Return the fitting after an answered prompt."""
         match prompt.content:
             case {"club": str(club)}:
                 return self._replace(club=club)
@@ -55,12 +55,12 @@ class Fitting(NamedTuple):
         return self
 
     def after(self, shot: Shot) -> Fitting:
-        """Return what is left after `shot`; after one that failed nobody knows what the feeder holds."""
+        """Return the fitting after `shot`; after a failed one the feeder's content is unknown."""
         return self._replace(feeder=() if shot.status is ShotStatus.FAILED else self.feeder[1:])
 
 
 def fitting_after(club: str, shots: Sequence[Shot], prompts: Sequence[Prompt]) -> Fitting:
-    """Return what is in the bench that began with `club`, after `shots` and the answered of `prompts`."""
+    """Return the fitting of a bench started with `club`, after `shots` and the answered `prompts`."""
     fitting = Fitting(club)
     done: dict[int, list[Prompt]] = {}
     for prompt in prompts:
@@ -77,7 +77,7 @@ def fitting_after(club: str, shots: Sequence[Shot], prompts: Sequence[Prompt]) -
 def missing(
     plan: CampaignPlan, fitting: Fitting, step: Step, sample: int, hits: Mapping[Hit, int]
 ) -> Preparation | None:
-    """Return what must be done before `step` is taken with ball `sample`; None: all is in place."""
+    """Return the work needed before `step` is taken with ball `sample`; None if none is."""
     arm, handling = step.trial.arm, plan.ball_handling
     if fitting.club != arm.club:
         return Preparation(

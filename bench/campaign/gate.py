@@ -1,4 +1,4 @@
-"""The validity gate: a shot counts when the club came as it should, wherever the ball went."""
+"""The validity gate: a shot is valid by its delivery, never by the ball's result."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.robot import Club
 
 
 class Centre(NamedTuple):
-    """The delivery that shots are compared with; None: not known, and not looked at. SI, radians."""
+    """The reference delivery of shots; None: unknown and not checked. SI, radians."""
 
     club_speed: float | None = None
     attack_angle: float | None = None
@@ -35,7 +35,7 @@ _WORDS = (
 
 
 def delivered(shot: Shot, club: Club) -> Centre:
-    """Return the delivery of `shot` as the gate sees it."""
+    """Return the figures of the delivery of `shot` that the gate checks."""
     return Centre(
         shot.club_speed_mps,
         None if shot.attack_angle_deg is None else radians(shot.attack_angle_deg),
@@ -53,7 +53,7 @@ def median_delivery(shots: Sequence[Shot], club: Club) -> Centre:
 
 
 def planned_delivery(profile: Profile, lie: float) -> Centre:
-    """Return what `profile` was designed for, its path in a plane tilted by `lie` (rad)."""
+    """Return the designed delivery of `profile`, its path in a plane tilted by `lie` (rad)."""
     plan = profile.delivery
     slope = plan.get("path_slope_deg")
     attack = None if slope is None else asin(sin(lie) * sin(radians(slope)))
@@ -61,7 +61,7 @@ def planned_delivery(profile: Profile, lie: float) -> Centre:
 
 
 def outside(shot: Shot, club: Club, centre: Centre, gate: Gate) -> str:
-    """Return why the delivery of `shot` does not count; empty when it does."""
+    """Return why the delivery of `shot` is not valid; empty if it is."""
     if shot.delivery_source not in gate.sources:
         return f"delivery from {shot.delivery_source or 'no source'}, which the plan does not accept"
     half = (gate.club_speed, gate.attack_angle, gate.shaft_lean, gate.strike_x, gate.strike_y)

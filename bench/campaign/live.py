@@ -1,7 +1,7 @@
 """Shots of a running bench, over the network and in real time.
 
 A shot is: make the bench ready, raise a ball, swing once it rests at its address, wait for its record and for
-the launch. What the club did is told by the record, what the ball did by the bench's launch monitor. A
+the launch. Club data come from the record, ball data from the bench's launch monitor. A
 simulated bench may do without one: then the ball is computed here from the delivery.
 
 After a stop only a person's reset and arming go on. A simulated bench resets, homes and arms itself, and each
@@ -51,16 +51,16 @@ from sim.live.surroundings import SurroundingsWriter
 from sim.robot import Club
 
 HOLDER = "campaign "
-"""Begin of the name with which a campaign holds the bench."""
+"""Prefix of a campaign's name as holder of the lease."""
 LEASE = 15.0
-"""s; a runner that died holds the bench no longer."""
+"""Duration of the lease, s: a dead runner holds the bench no longer."""
 _READY = 60.0
-"""s that it may take to rest at its address, or until the lease of a runner that died is over."""
+"""Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
 _SWING = 60.0
-"""s that a swing may take, until the robot is back or stands."""
+"""Max duration of a swing, until the robot is back or stands, s."""
 NO_WORD = "the launch monitor's process told nothing of the swing"
 _RESETS = 3
-"""Before one shot, after which even a simulated bench is left to a person."""
+"""Max number of automatic resets of a simulated bench before one shot."""
 
 
 Events = tuple[tuple[str, str], ...]
@@ -69,10 +69,10 @@ Events = tuple[tuple[str, str], ...]
 def require_live(
     plan: CampaignPlan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus
 ) -> None:
-    """Refuse a plan that the running bench cannot take its shots for, not even with a person's help.
+    """Refuse a plan whose shots the running bench cannot take, even with an operator's help.
 
     Raises:
-        Refused: it fits none of the plan's arms, somebody has it, or nobody measures what is asked for.
+        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity.
     """
     place, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
@@ -98,7 +98,7 @@ def require_live(
             f"{place}: analysis.quantity",
             plan.analysis.quantity,
             "club_speed_mps",
-            "This bench measures the club only: what the ball does takes a launch monitor, [launch_monitor] "
+            "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
             "enabled = true.",
         )
     if plan.ball_handling.identify or not plan.ball_handling.magazine:
@@ -113,13 +113,13 @@ def require_live(
 def _fits(
     plan: CampaignPlan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus
 ) -> bool:
-    """Tell whether the bench as it was started swings `club` with `profile`."""
+    """Return whether the bench, as started, swings `club` with `profile`."""
     alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
     return alike and profile.name == status["profile"]
 
 
 class LiveShots:
-    """The running bench as a campaign sees it; use it as a context, at whose end the lease is given back."""
+    """The running bench as a campaign sees it; a context, which releases the lease at its end."""
 
     def __init__(
         self,
@@ -135,11 +135,11 @@ class LiveShots:
         monitored: bool = False,
         air: Callable[[], Air | None] = lambda: None,
     ) -> None:
-        """`monitored`: the bench's launch monitor tells of the balls.
+        """`monitored`: ball data come from the bench's launch monitor.
 
         `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
 
-        `clubs` are those of the bench's configuration; `air` tells what was read of a real bench's.
+        `clubs` are those of the bench's configuration; `air` returns the reading at a real bench.
         """
         self._plan, self._swings, self._clubs = plan, swings, clubs
         self._client, self._holder, self.simulated = client, holder, simulated
@@ -147,7 +147,7 @@ class LiveShots:
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held = False
         self._ordered: tuple[tuple[float, ...], int] = (), 0
-        """Weights that the bench was told to swing with, and its number of them."""
+        """Weights requested from the bench, and its number of the correction."""
         self._monitored = monitored
         self._ball_chosen = False
         self._freshly_armed, self._stays_armed = False, True
@@ -169,7 +169,7 @@ class LiveShots:
         return datetime.now(UTC)
 
     def hindrance(self, step: Step) -> Hindrance | None:
-        """Return that no launch monitor is connected, where one is to be, or that the supply is too low."""
+        """Return the hindrance of a missing launch monitor or of too low a supply pressure, if any."""
         with _suspending():
             status = self._client.status()
         return self._unseen(status) or self._short_of_air(step, status)
@@ -178,12 +178,12 @@ class LiveShots:
         if not self._monitored:
             return None
         if (link := status["launch_monitor"]) is None:
-            raise Suspended("the bench was started anew without its launch monitor, [launch_monitor] enabled")
+            raise Suspended("the bench restarted without its launch monitor, [launch_monitor] enabled")
         note = f": {link['note']}" if link["note"] else ""
         return None if link["present"] else Hindrance(f"no launch monitor is connected{note}")
 
     def _short_of_air(self, step: Step, status: BenchStatus) -> Hindrance | None:
-        """Look at the supply of a robot that rests at its address: otherwise its manifold is empty."""
+        """Check the supply pressure, at the address only: otherwise its manifold is empty."""
         supply, pressure = self._plan.supply, status["supply_pressure_pa"]
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
             return None
@@ -195,8 +195,8 @@ class LiveShots:
         return Hindrance(text, armed=True, patience=supply.patience)
 
     def rest(self) -> None:
-        """Let the air out."""
-        with suppress(BenchError):  # it is not armed, or the next shot tells
+        """Disarm: vent the robot."""
+        with suppress(BenchError):  # not armed, or the next shot fails with the reason
             self._client.disarm()
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
@@ -212,15 +212,15 @@ class LiveShots:
                 return self._untaken(step, number, sample, tuple(events))
             self._wait_until_over()
             record = self._news.record_since(tick)
-            told = None
+            message = None
             if self._monitored and record is not None:
-                told = self._news.message_about(record, self._client.status())
-        return self._taken(step, number, sample, record, told, tuple(events))
+                message = self._news.message_about(record, self._client.status())
+        return self._taken(step, number, sample, record, message, tuple(events))
 
     # A person at the robot -------------------------------------------------------------------------
 
     def lacks(self, step: Step) -> Preparation | None:
-        """Return what the bench must be started anew with before `step`."""
+        """Return what the bench must be restarted with before `step`."""
         with _suspending():
             status = self._client.status()
         arm = step.trial.arm
@@ -235,7 +235,7 @@ class LiveShots:
         return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
 
     def hand_over(self, kind: PromptKind) -> None:
-        """Vent the robot and unlock the guard; for Kind.BENCH give the bench back altogether."""
+        """Vent the robot and unlock the guard; for `PromptKind.BENCH` release the lease instead."""
         with _suspending():
             self.rest()
             if kind is PromptKind.BENCH:
@@ -246,7 +246,7 @@ class LiveShots:
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
     def take_back(self, kind: PromptKind) -> None:
-        """Lock the guard, once the person has closed it."""
+        """Lock the guard once it is closed."""
         if kind is PromptKind.BENCH:
             return
         with _suspending():
@@ -254,7 +254,7 @@ class LiveShots:
             self._until(lambda status: status["state"] != "ACCESS", self._client.secure)
 
     def _until(self, holds: Callable[[BenchStatus], bool], ask: Callable[[], object]) -> None:
-        """Ask until the bench has done it: chambers must be empty first, or a guard closed."""
+        """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed."""
         deadline = time.monotonic() + _READY
         while not holds(self._client.status()):
             try:
@@ -267,7 +267,7 @@ class LiveShots:
     # Moving the bench ------------------------------------------------------------------------------
 
     def _take_lease(self) -> None:
-        """Hold the bench; that of a runner of this campaign that died is waited for."""
+        """Take the lease; wait for that of a dead runner of this campaign to expire."""
         deadline = time.monotonic() + _READY
         while not self._held:
             try:
@@ -281,17 +281,17 @@ class LiveShots:
                 self._pause()
 
     def _swing(self, step: Step, events: list[tuple[str, str]]) -> int | None:
-        """Swing as soon as the robot rests at its address; return a tick before, None when no ball came.
+        """Swing as soon as the robot rests at its address; return a tick before it, None if no ball came.
 
         Raises:
-            ShotPostponed: it rests there, with too little air.
+            ShotPostponed: the supply pressure is too low.
         """
         deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
         while True:
             status = self._client.status()
             lease = status["lease"]
             if lease is None or lease["holder"] != self._holder:
-                raise Suspended("the bench was started anew, or its lease given to somebody else")
+                raise Suspended("the bench restarted, or another holder has its lease")
             try:
                 if status["state"] == "ARMED" and status["phase"] == "HOLD":
                     held_since = min(held_since, status["time"])
@@ -324,7 +324,7 @@ class LiveShots:
             self._pause()
 
     def _correct(self, step: Step, status: BenchStatus) -> None:
-        """Let the bench swing with what was learned for `step`, also one that was started anew."""
+        """Set the correction learned for `step`, also after a restart of the bench."""
         arm = step.trial.arm.swing, step.trial.arm.club
         weights, number = self._swings.weights(arm), status["correction"]
         if (weights, number) != self._ordered and (weights or number):
@@ -332,7 +332,7 @@ class LiveShots:
             self._ordered = weights, self._client.status()["correction"]
 
     def relearn(self, drift: Drift, number: int) -> str:
-        """Learn a swing anew on the bench, without a ball: the lease goes to the learner meanwhile."""
+        """Relearn a swing on the bench without a ball; the learner holds the lease meanwhile."""
         self._lease.close()
         self._held = False
         with _suspending():
@@ -346,15 +346,15 @@ class LiveShots:
         return self._plan.warm_up.practice and self._freshly_armed and self._stays_armed
 
     def _practise(self, events: list[tuple[str, str]]) -> None:
-        """Swing without a ball; a bench that does not stay armed after it has nothing to get used to."""
+        """Swing without a ball; not repeated on a bench that does not stay armed after it."""
         self._client.swing()
         self._freshly_armed = False
         self._wait_until_over()
         self._stays_armed = self._client.status()["state"] == "ARMED"
-        events.append(("practice", "a swing without a ball, as the bench was armed anew"))
+        events.append(("practice", "a swing without a ball, as the bench was re-armed"))
 
     def _bring_nearer(self, status: BenchStatus) -> bool:
-        """Ask for the next step on the way to the address; tell whether it was a reset."""
+        """Request the next step on the way to the address; return whether it was a reset."""
         match status["state"]:
             case "READY":
                 self._client.arm()
@@ -367,11 +367,11 @@ class LiveShots:
             case "SAFE":
                 self._client.home()
             case "ACCESS":
-                raise Suspended("the guard is unlocked: golfbench secure, then resume")
+                raise Suspended("the guard is unlocked: golfbench access --end, then resume")
         return False
 
     def _pause(self) -> None:
-        """Wait for the next look, unless somebody asks to end before the swing."""
+        """Wait for the next poll; raise on a request to end before the swing."""
         if self._aborted():
             self._client.stop()
             raise Suspended("aborted by request")
@@ -396,7 +396,7 @@ class LiveShots:
         return ball_as_hit(self._plan, step.trial.arm.ball, sample, number, draw)
 
     def _choose_ball(self, ball: Ball | None) -> bool:
-        """Let the simulated tee raise balls like `ball`; tell whether it is on this machine and does."""
+        """Make the simulated tee raise balls like `ball`; return whether it is on this machine and does."""
         try:
             with SurroundingsWriter(bench_folder(self._client.bench)) as hands:
                 hands.choose_ball(ball)
@@ -414,7 +414,7 @@ class LiveShots:
         events: Events,
         reason: str = "feeder empty or jammed: no ball came",
     ) -> Taken:
-        """Return the shot that the robot did not swing for, or whose record is missing."""
+        """Return a failed shot: no swing, or no record of it."""
         shot = Shot.from_measurements(
             **_row(step, number, sample),
             delivery=None,
@@ -432,7 +432,7 @@ class LiveShots:
         number: int,
         sample: int,
         record: SwingRecord | None,
-        told: ShotMessage | None,
+        message: ShotMessage | None,
         events: Events,
     ) -> Taken:
         arm, row = step.trial.arm, _row(step, number, sample)
@@ -464,10 +464,10 @@ class LiveShots:
         launch, figures, doubt = None, dict[str, Any](), ""
         air = around.air if self.simulated else self._air()
         if self._monitored:
-            doubt = NO_WORD if told is None else told.reason
-            if told is not None and told.launch is not None:
-                figures, launch = told_figures(told.launch), told.launch.launch
-                more["launch"] = launch_to_json(told.launch)
+            doubt = NO_WORD if message is None else message.reason
+            if message is not None and message.launch is not None:
+                figures, launch = told_figures(message.launch), message.launch.launch
+                more["launch"] = launch_to_json(message.launch)
         elif self.simulated and delivery is not None and struck:
             draws = random_of(self._plan, number).standard_normal(6)
             try:
@@ -503,7 +503,7 @@ class LiveShots:
 
 
 def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
-    """Return what is known of a shot before it is taken."""
+    """Return the columns of a shot that are known before it is taken."""
     trial, arm = step.trial, step.trial.arm
     return {
         "shot": number,
@@ -522,7 +522,7 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
 
 @contextmanager
 def _suspending() -> Iterator[None]:
-    """Turn what the bench refuses, or that it does not answer, into Suspended."""
+    """Turn refusals and missing answers of the bench into `Suspended`."""
     try:
         yield
     except BenchError as error:

@@ -28,10 +28,10 @@ from bench.campaign.sequence import Role
 from bench.shot.shot import Shot
 
 _LEAST, _MOST = -8.0, 18.0
-"""Bounds of log(variance of a shot / variance of an effect); the upper one is an effect of nothing."""
+"""Bounds of log(variance of a shot / variance of an effect); at the upper one the effect is zero."""
 
 _BALLS = 300
-"""Balls up to which each has an effect of its own; of more each is hit too seldom to have one."""
+"""Max number of balls with an effect each; with more, each is hit too seldom."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class MixedPair:
 
 @dataclass(frozen=True)
 class MixedModel:
-    """What the mixed model says."""
+    """Result of the mixed model."""
 
     block_deviation: float
     ball_deviation: float | None
-    """Between balls of one model; None where each model had one ball only, or very many."""
+    """Standard deviation between balls of one model; None if each model had one ball only, or very many."""
     deviation: float
     """Of one shot."""
     freedom: float
@@ -67,14 +67,14 @@ class Reml(NamedTuple):
     effects: Array
     covariance: Array
     variance: float
-    """Of one observation."""
+    """Variance of one observation."""
     block_variance: float
     group_variance: float
     converged: bool
 
 
 def mixed_model(plan: CampaignPlan, shots: Sequence[Shot]) -> MixedModel | None:
-    """Return the mixed model of one section's `shots`; None when there is too little for one."""
+    """Return the mixed model of one section's `shots`; None if there are too few."""
     names, factor = levels(plan), plan.design.compare
     every, values = values_of(plan, [shot for shot in shots if shot.role == Role.TEST])
     present = [name for name in names if sum(getattr(s, factor) == name for s in every) >= 2]

@@ -1,4 +1,4 @@
-"""Begin a campaign, go on with one, and ask a running one to pause, stop or abort."""
+"""Start and resume campaigns; request a pause, stop or abort of a running one."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignS
 from sim.air import Air
 
 PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
-"""Whose versions stand in the record."""
+"""Packages whose versions are recorded."""
 
 SHORTEST_PREFIX = 4
-"""Characters of a campaign's id that may stand for the whole."""
+"""Min number of characters of an abbreviated campaign id."""
 
 
 def new_entry(
@@ -50,7 +50,7 @@ def new_entry(
 ) -> CampaignEntry:
     """Return a campaign that begins `now`; its id is name and time.
 
-    `real_time` tells of the running bench that takes its shots; None: they are taken in lock-step.
+    `real_time` are the facts of the running bench that takes its shots; None: lock-step.
     """
     return CampaignEntry(
         id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
@@ -82,11 +82,11 @@ def run_simulated(
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
 ) -> RunOutcome:
-    """Begin or go on with a simulated campaign until its end or a stop.
+    """Start or resume a simulated campaign; run it until its end or a stop.
 
     Raises:
         Refused: another runner has it.
-        BenchError: something cannot be stored; what is stored is whole.
+        BenchError: a shot cannot be stored; stored shots are complete.
         ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
@@ -114,7 +114,7 @@ def run_live(
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
 ) -> RunOutcome:
-    """Begin or go on with a campaign on the running bench; every shot is stored at once.
+    """Start or resume a campaign on the running bench; every shot is stored at once.
 
     Raises:
         Refused: another runner has the campaign or the bench.
@@ -135,8 +135,8 @@ def run_live(
 
     if not entry.simulated and air() is None:
         watcher.say(
-            "The air has not been read lately: shots are without it, carry is for the configured air. "
-            "golfbench campaign air tells it, also meanwhile."
+            "No recent reading of the air: shots have none, carry is for the configured air. "
+            "Enter one with golfbench campaign air, at any time."
         )
     with (
         runner_lock(data_dir, entry.id),
@@ -166,10 +166,10 @@ def run_live(
 
 
 def bench_facts(plan: CampaignPlan, configuration: Configuration, status: BenchStatus) -> dict[str, Any]:
-    """Return what a campaign notes of the running bench that takes its shots.
+    """Return the facts a campaign records about the running bench that takes its shots.
 
     Raises:
-        Refused: the bench cannot take them, or another runner or person has it.
+        Refused: the bench cannot take them, or is held by another runner or person.
     """
     settings = configuration.bench
     require_free(settings.data_dir, settings.id)
@@ -182,7 +182,7 @@ def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
     """Refuse a plan whose balls have taken too many hits already.
 
     Raises:
-        Refused: there are not enough left.
+        Refused: too few hits are left.
     """
     handling, hits = plan.ball_handling, store.hits(scope)
     for ball, needed in hits_needed(plan).items():
@@ -200,14 +200,14 @@ def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
 def require_resumable(
     entry: CampaignEntry, state: CampaignState, configuration: Configuration, plan: CampaignPlan | None
 ) -> None:
-    """Refuse to go on with a campaign that is over, or with another plan or configuration than its own.
+    """Refuse to resume a finished campaign, or one with another plan or configuration.
 
     Raises:
         Refused: the text says which.
     """
     place = f"campaign {entry.id}"
     if state in ENDED:
-        raise Refused(place, str(state), "a campaign that is not over", "Begin a new one.")
+        raise Refused(place, str(state), "an unfinished campaign", "Begin a new one.")
     if plan is not None and plan.digest != entry.digest:
         raise Refused(
             place,
@@ -260,20 +260,20 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> st
         raise Refused(
             f"campaign {campaign}",
             str(standing.state),
-            "a campaign that is not over",
-            "Nothing is to be done.",
+            "an unfinished campaign",
+            "No action needed.",
         )
     if not is_running(data_dir, campaign):
         if request == "abort":
             store.change(campaign, state=CampaignState.ABORTED, reason="aborted by request", requested="")
-            return "aborted; nobody was running it"
+            return "aborted; it had no runner"
         raise Refused(
             f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
         )
     store.change(campaign, requested=request)
     return {
-        "pause": "pauses after the shot under way",
-        "stop": "stops after the shot under way",
+        "pause": "pauses after the current shot",
+        "stop": "stops after the current shot",
         "abort": "is aborted",
         "": "goes on",
     }[request]
@@ -281,10 +281,10 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> st
 
 @contextmanager
 def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
-    """Be the one runner of `name`.
+    """Hold the lock as the only runner of `name`.
 
     Raises:
-        Refused: another process is, which is named.
+        Refused: another process holds it.
     """
     with _locked(_lock_file(data_dir, name), f"campaign {name}", name):
         yield
@@ -292,10 +292,10 @@ def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
 
 @contextmanager
 def bench_lock(data_dir: Path, entry: CampaignEntry) -> Iterator[None]:
-    """Be the one runner that swings the bench of `entry`; a runner that dies lets go of it.
+    """Hold the lock as the only runner on the bench of `entry`; it ends with the process.
 
     Raises:
-        Refused: another one is, which is named.
+        Refused: another runner holds it.
     """
     with _locked(_bench_file(data_dir, entry.bench), f"bench {entry.bench}", entry.id):
         yield
@@ -322,7 +322,7 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
 
 
 def require_free(data_dir: Path, bench: str) -> None:
-    """Refuse when a campaign swings `bench` already.
+    """Refuse if another campaign uses `bench`.
 
     Raises:
         Refused: it is named.
@@ -334,7 +334,7 @@ def require_free(data_dir: Path, bench: str) -> None:
 
 
 def is_running(data_dir: Path, name: str) -> bool:
-    """Tell whether a process runs `name`."""
+    """Return whether a process runs `name`."""
     path = _lock_file(data_dir, name)
     if not path.exists():
         return False

@@ -1,4 +1,4 @@
-"""What a report's page is made of: its template, its table of shots, configurations as text."""
+"""Parts of a report's page: template, table of shots, configurations as text."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ TABLE = (
 
 
 def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
-    """Return a page of this package, with `filters` of its own; what is not defined in it is an error."""
+    """Return a template of this package with its own `filters`; undefined variables are errors."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(
             lambda wanted: (files("bench.campaign") / wanted).read_text(encoding="utf-8")

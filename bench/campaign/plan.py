@@ -19,7 +19,7 @@ from sim.robot import Club
 Quantity = Literal[
     "carry_m", "total_m", "ball_speed_mps", "launch_angle", "spin_rpm", "club_speed_mps", "landing_angle"
 ]
-"""What can be compared; angles are the columns in degrees."""
+"""Quantities that can be compared; angles in degrees."""
 Factor = Literal["ball", "club", "swing"]
 
 _Count = Annotated[int, Range(0, 100000, "")]
@@ -28,7 +28,7 @@ _Length = Annotated[float, Range(0.0, 1000.0, "m")]
 
 @dataclass(frozen=True)
 class Heading:
-    """What the campaign is called."""
+    """Name and title of the campaign."""
 
     name: str
     title: str
@@ -36,7 +36,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class ExperimentDesign:
-    """What is swung at what, in which order."""
+    """Levels, blocks and order of the shots."""
 
     compare: Factor
     """Its levels take turns within a block; the other two factors make sections, one after the other."""
@@ -46,17 +46,17 @@ class ExperimentDesign:
     blocks: Annotated[int, Range(1, 100000, "")]
     """Complete blocks in each section."""
     seed: Annotated[int, Range(0, 2**31 - 1, "")]
-    """Of the order."""
+    """Seed of the shot order."""
     seconds_per_shot: Annotated[float, Range(1.0, 3600.0, "s")]
     repeats: Annotated[int, Range(0, 20, "")]
-    """Further attempts at a shot that was not valid."""
+    """Max number of repeats of a shot that was not valid."""
     failures_in_a_row: Annotated[int, Range(1, 100, "")]
-    """Shots that are not valid, one after the other, after which the campaign is suspended."""
+    """Number of consecutive shots not valid after which the campaign is suspended."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """The control ball, which tells drift from difference."""
+    """The control ball, which separates drift from differences."""
 
     ball: str
     """Hit at start, middle and end of each block; empty: none."""
@@ -67,9 +67,9 @@ class WarmUp:
     """Swings before each section, until the club speed is stable."""
 
     window: Annotated[int, Range(2, 50, "")]
-    """Last shots that are looked at."""
+    """Number of last shots that are checked."""
     tolerance: Annotated[float, Range(0.0, 50.0, "m/s")]
-    """Greatest range of their club speeds."""
+    """Max range of their club speeds, m/s."""
     at_most: Annotated[int, Range(0, 200, "")]
     """Shots after which the campaign is refused; 0: no warm-up."""
     practice: bool
@@ -81,10 +81,10 @@ class BallHandling:
     """Physical balls of each model, and how they are kept."""
 
     samples: Annotated[int, Range(1, 1000, "")]
-    """Of each model, numbered from `first_sample`; they take turns."""
+    """Number of balls of each model, numbered from `first_sample`, used in turn."""
     first_sample: Annotated[int, Range(1, 100000, "")]
     hits: Annotated[int, Range(1, 10000, "")]
-    """A ball may take, in all campaigns of this bench together."""
+    """Max hits of a ball in all campaigns of this bench together."""
     temperature: Annotated[float, Range(250.0, 330.0, "K")]
     temperature_tolerance: Annotated[float, Range(0.0, 20.0, "K")]
     conditioning_time: Annotated[float, Range(0.0, 1e6, "s")]
@@ -99,9 +99,9 @@ class Learning:
     """Corrections of the swings, see `golfbench learn`."""
 
     refresh: bool
-    """Learn a swing anew between blocks when its delivery has drifted."""
+    """Relearn a swing between blocks if its delivery has drifted."""
     swings: Annotated[int, Range(1, 100, "")]
-    """For that, at most."""
+    """Max number of swings for relearning."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class SupplyRequirement:
     """The air that a running bench must have before each swing."""
 
     least: Annotated[float, Range(0.0, 1.5, "")]
-    """Share of the pressure that the swing was designed for; 0: not looked at."""
+    """Share of the pressure that the swing was designed for; 0: not checked."""
     patience: Annotated[float, Range(0.0, 86400.0, "s")]
     """Held at its address until the pressure is back; then the robot is vented and a person is needed."""
 
@@ -119,15 +119,15 @@ class AirSettings:
     """The air at a running bench; a simulated one has the configured air."""
 
     valid_for: Annotated[float, Range(0.0, 1e6, "s")]
-    """That a reading (`golfbench campaign air`) counts; shots without one have none."""
+    """Validity of a reading (`golfbench campaign air`), s; shots without one have no air."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Half widths of what counts as the same delivery; 0: not looked at. Never the ball's result."""
+    """Tolerances (half widths) of the delivery; 0: not checked. Never the ball's result."""
 
     centre: Literal["warm-up", "planned"]
-    """The median of the warm-up's last shots, or what the swing was designed for."""
+    """Centre: the median of the warm-up's last shots, or the designed delivery."""
     club_speed: Annotated[float, Range(0.0, 50.0, "m/s")]
     attack_angle: Annotated[float, Range(0.0, pi / 4, "rad")]
     shaft_lean: Annotated[float, Range(0.0, pi / 4, "rad")]
@@ -145,27 +145,27 @@ class Stop:
     rule: Literal["fixed", "width", "equivalence"]
     """All blocks; or every interval of a difference narrow enough; or every pair shown to be the same."""
     width: Annotated[float, Range(0.0, 1e6, "")]
-    """Greatest half width of a difference's interval, in the unit of the compared quantity."""
+    """Max half width of a difference's interval, in the unit of the compared quantity."""
     blocks_at_least: Annotated[int, Range(2, 100000, "")]
     looks: Annotated[int, Range(1, 50, "")]
-    """Times the data are looked at, evenly from blocks_at_least to blocks, the end included."""
+    """Number of looks at the data, evenly from blocks_at_least to blocks, the end included."""
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """What the campaign is to answer, said before its first shot."""
+    """Question of the campaign, fixed before its first shot."""
 
     quantity: Quantity
     deviation: Annotated[float, Range(0.0, 1e6, "")]
-    """Expected standard deviation of one shot, unit of the quantity; 0: not known, no power is foretold."""
+    """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
     difference: Annotated[float, Range(1e-9, 1e6, "")]
-    """Worth finding."""
+    """Difference worth finding."""
     margin: Annotated[float, Range(0.0, 1e6, "")]
     """Differences below it count as the same (TOST); 0: not asked."""
     confidence: Annotated[float, Range(0.5, 0.9999, "")]
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
-    """Taken out by the control ball within blocks; the other analysis stands beside it."""
+    """Whether drift within blocks is removed by the control ball; the other analysis is reported, too."""
 
 
 @dataclass(frozen=True)
@@ -173,13 +173,13 @@ class SetUp:
     """The machine is set by the control ball's speed; the club's is a reference only (2025 practice)."""
 
     control_ball_speed: Annotated[float, Range(0.0, 120.0, "m/s")]
-    """0: not looked at."""
+    """0: not checked."""
     tolerance: Annotated[float, Range(0.0, 20.0, "m/s")]
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Which dated rules the figures are judged by."""
+    """Dated rules for the figures."""
 
     apply: tuple[str, ...]
     """Names of rule sets, see `bench/campaign/rules.toml`."""
@@ -187,7 +187,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What differs from shot to shot in `--sim` (standard deviations), and what goes wrong in which shots."""
+    """Scatter from shot to shot in `--sim` (standard deviations), and injected faults by shot."""
 
     supply: Annotated[float, Range(0.0, 0.2, "")]
     restitution: Annotated[float, Range(0.0, 0.2, "")]

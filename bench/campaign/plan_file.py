@@ -25,19 +25,19 @@ from sim.robot import Club
 
 DEFAULTS = Path(__file__).with_name("defaults.toml")
 EXAMPLES = Path(__file__).parent.parent / "campaigns"
-"""Folder of the campaigns that come with golfbench; their names stand for their paths."""
+"""Folder of the shipped campaigns, which are found by name."""
 
 
 def campaign_names() -> list[str]:
-    """Return the names of the campaigns that come with golfbench."""
+    """Return the names of the shipped campaigns."""
     return sorted(path.stem for path in EXAMPLES.glob("*.toml"))
 
 
 def find_plan(wanted: Path) -> Path:
-    """Return the file of a campaign: a path, or the name of one that comes with golfbench.
+    """Return the file of a campaign: a path, or the name of a shipped one.
 
     Raises:
-        BenchError: there is none; the text names the known ones.
+        BenchError: there is no such file; the text names the shipped ones.
     """
     if wanted.is_file():
         return wanted
@@ -60,7 +60,7 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
     given = as_tree(read_toml(file, "a campaign's plan", "Correct the path."), file, faults)
     known: dict[str, Mapping[str, Any]] = {"balls": configuration.balls, "clubs": configuration.clubs}
     entries = {name: _completed(name, given.pop(name, {}), known[name], file, faults) for name in known}
-    base = as_tree(read_toml(DEFAULTS, "defaults", "Install golfbench anew."), DEFAULTS, faults)
+    base = as_tree(read_toml(DEFAULTS, "defaults", "Reinstall golfbench."), DEFAULTS, faults)
     plan = _build({**laid_over(base, given), **entries}, file, faults)
     if plan is not None:
         balls, clubs = {**configuration.balls, **plan.balls}, {**configuration.clubs, **plan.clubs}
@@ -72,7 +72,7 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
             clubs={name: clubs[name] for name in plan.design.clubs if name in clubs},
         )
     if plan is None or faults:
-        raise ExceptionGroup(f"{file} does not hold", faults)
+        raise ExceptionGroup(f"{file} is invalid", faults)
     return plan
 
 
@@ -87,11 +87,11 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
     for name in ("balls", "clubs"):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
-    today = as_tree(read_toml(DEFAULTS, "defaults", "Install golfbench anew."), DEFAULTS, faults)
+    today = as_tree(read_toml(DEFAULTS, "defaults", "Reinstall golfbench."), DEFAULTS, faults)
     tree = laid_over(today, as_tree(tables, Path(place), faults))  # an older plan has fewer keys
     plan = _build(tree, Path(place), faults)
     if plan is None:
-        raise ExceptionGroup(f"{place} does not hold", faults)
+        raise ExceptionGroup(f"{place} is invalid", faults)
     return plan
 
 
@@ -133,7 +133,7 @@ def _completed(
 
 
 class Mistake(NamedTuple):
-    """What several keys together do not hold."""
+    """Yield the errors that concern several keys."""
 
     key: str
     found: str
@@ -202,7 +202,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
 
 
 def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Tell of balls that would be hit more often than they may, repeats left out."""
+    """Yield an error if balls would exceed their hits, repeats left out."""
     handling = plan.ball_handling
     allowed = handling.samples * handling.hits
     for name, needed in hits_needed(plan).items():

@@ -1,4 +1,4 @@
-"""What a campaign can tell: power, resolution and number of shots, before it begins and after.
+"""Power, resolution and number of shots of a campaign, before and after it.
 
 All for two levels in randomised complete blocks: the variance of a difference of means over b blocks is
 2 s^2 / b, estimated with `freedom` degrees of freedom. Deviation and difference have one unit.
@@ -13,7 +13,7 @@ import numpy as np
 from scipy import optimize, stats
 
 _MOST = 1_000_000
-"""Blocks up to which an answer is sought."""
+"""Max number of blocks that is searched."""
 
 
 def block_freedom(levels: int, blocks: float, controls: int = 0, drift: bool = False) -> float:
@@ -67,7 +67,7 @@ def resolution(deviation: float, blocks: float, freedom: float, alpha: float, po
 
 
 def blocks_needed(chance: Callable[[int], float], power: float, at_least: int = 2) -> int | None:
-    """Return the fewest blocks whose `chance` reaches `power`; None when no feasible number does."""
+    """Return the min number of blocks whose `chance` reaches `power`; None if no feasible number does."""
     high = max(at_least, 2)
     while chance(high) < power:
         high *= 2

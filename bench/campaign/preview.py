@@ -1,4 +1,4 @@
-"""What `golfbench campaign check` tells before anything moves: the order, the hits, what can be resolved."""
+"""Output of `golfbench campaign check` before anything moves: shot order, hits, resolution."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ UNITS: Mapping[str, str] = {
     "landing_angle": "°",
     "spin_rpm": "rpm",
 }
-"""Unit of each quantity that can be compared."""
+"""Units of the quantities that can be compared."""
 
 _SHOWN = 3
-"""Blocks of each section that are printed unless all are wanted."""
+"""Number of blocks printed of each section without --all."""
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What one section of a plan can tell; figures in the quantity's unit, None where nothing can be said."""
+    """Resolution of one section of a plan; figures in the quantity's unit, None if unknown."""
 
     levels: int
     pairs: int
     blocks: int
     freedom: float
     alpha: float
-    """Of each pair, so that all together keep the confidence."""
+    """Error level of each pair, so that all pairs together keep the confidence."""
     power: float | None
-    """To find the difference worth finding, in one pair."""
+    """Power to find the difference worth finding, in one pair."""
     resolution: float | None
-    """Difference that is found with the wished power."""
+    """Difference that is found with the planned power."""
     needed: int | None
-    """Valid shots of each level for the wished power."""
+    """Valid shots of each level for the planned power."""
     same: float | None
-    """Chance to call equal levels the same."""
+    """Probability to call equal levels the same."""
 
 
 def outlook(plan: CampaignPlan) -> Outlook:
-    """Return what a section of `plan` can tell when all its blocks are done and every shot is valid."""
+    """Return the resolution of a section of `plan` after all its blocks, with all shots valid."""
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
     pairs = len(list(combinations(range(count), 2)))
     controls = controls_per_block(plan)
@@ -81,7 +81,7 @@ def outlook(plan: CampaignPlan) -> Outlook:
 
 
 def preview_record(plan: CampaignPlan) -> dict[str, Any]:
-    """Return what `check` tells, for a program to read."""
+    """Return the output of `check` for JSON."""
     trials = all_trials(plan)
     return {
         "name": plan.campaign.name,
@@ -149,7 +149,7 @@ def _word(plan: CampaignPlan, trial: PlannedShot) -> str:
 
 
 def outlook_words(plan: CampaignPlan) -> list[str]:
-    """Say in words what the plan can tell."""
+    """Return the resolution of the plan in words."""
     a, found = plan.analysis, outlook(plan)
     unit = UNITS[a.quantity]
     if not found.pairs:

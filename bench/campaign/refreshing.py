@@ -1,4 +1,4 @@
-"""When a swing is learned anew: between blocks, when its delivery has drifted from what it was.
+"""When a swing is relearned: between blocks, when its delivery has drifted.
 
 A block's deliveries of one swing and club are compared with those of the first block after it was learned
 last, small blocks taken together, by the same measuring chain: what the chain sees wrongly it sees wrongly
@@ -25,20 +25,20 @@ Array = NDArray[np.float64]
 Arm = tuple[str, str]
 """Swing and club."""
 
-_LEAST = 3
-"""Shots of a swing and club that say something: smaller blocks wait for the next one."""
+_MIN_SHOTS = 3
+"""Min number of shots of a swing and club that are judged; smaller blocks are added to the next one."""
 _NAMES = ("head speed", "attack angle", "shaft lean", "strike heel to toe", "strike low to high")
 
 
 class Drift(NamedTuple):
-    """A swing that is to be learned anew."""
+    """A drift after which a swing is relearned."""
 
     arm: Arm
     text: str
 
 
 class Drifts:
-    """Told of every shot in order, asked before each step; all it knows follows from the shots."""
+    """Receives every shot in order and is asked before each step; its state follows from the shots alone."""
 
     def __init__(self, plan: CampaignPlan) -> None:
         self._plan = plan
@@ -48,22 +48,22 @@ class Drifts:
         self._open: dict[Arm, Drift] = {}
 
     def before(self, step: Step) -> Drift | None:
-        """Return that the swing of `step` is to be learned anew, as it has drifted in a block before.
+        """Return the drift after which the swing of `step` is relearned, seen in an earlier block.
 
-        It is told once, and not before this very swing is up again: its club is mounted then.
+        It is returned once, when this swing is next: its club is mounted then.
         """
         if not self._plan.learning.refresh:
             return None
         block, arm = (step.trial.section, step.trial.block), step.trial.arm
         if block != self._block:
             self._block = block
-            for told in [key for key, shots in self._seen.items() if len(shots) >= _LEAST]:
-                if (drift := self._judged(told, self._seen.pop(told))) is not None:
-                    self._open[told] = drift
+            for key in [key for key, shots in self._seen.items() if len(shots) >= _MIN_SHOTS]:
+                if (drift := self._drift_of(key, self._seen.pop(key))) is not None:
+                    self._open[key] = drift
         return self._open.pop((arm.swing, arm.club), None)
 
     def note(self, shot: Shot) -> None:
-        """Take note of a shot; warm-up and what does not count say nothing."""
+        """Note a shot; warm-up and invalid shots are ignored."""
         if shot.status is not ShotStatus.VALID or shot.role == Role.WARM_UP:
             return
         centre = delivered(shot, self._plan.clubs[shot.club])
@@ -71,7 +71,7 @@ class Drifts:
         if np.isfinite(figures).all():
             self._seen[shot.swing, shot.club].append(figures)
 
-    def _judged(self, arm: Arm, shots: list[Array]) -> Drift | None:
+    def _drift_of(self, arm: Arm, shots: list[Array]) -> Drift | None:
         now, before = np.array(shots), self._baseline.get(arm)
         if before is None:
             self._baseline[arm] = now

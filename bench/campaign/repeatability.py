@@ -1,4 +1,4 @@
-"""How well the robot repeats the delivery: within a block, and over the whole campaign.
+"""Repeatability of the delivery: within a block, and over the whole campaign.
 
 Repeatability is the scatter between shots of one block; reproducibility adds what differs between blocks
 (one-way random effects, as ISO 5725-2 has it, blocks in the place of laboratories). Intervals: chi-square for
@@ -26,12 +26,12 @@ FIGURES = (
     ("strike_x_mm", "Strike, heel–toe", "mm", 2),
     ("strike_y_mm", "Strike, low–high", "mm", 2),
 )
-"""Column, name, unit and digits of what is delivered."""
+"""Column, name, unit and digits of each figure of the delivery."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """A standard deviation with its 95 % interval; NaN where there is too little."""
+    """A standard deviation with its 95 % interval; NaN with too few shots."""
 
     deviation: float
     low: float
@@ -57,7 +57,7 @@ class Repeatability:
 
 
 def repeatability(shots: Sequence[Shot]) -> dict[tuple[str, str], list[Repeatability]]:
-    """Return what was delivered in the valid `shots`, for each (swing, club)."""
+    """Return the repeatability of the delivery in the valid `shots`, for each (swing, club)."""
     groups: dict[tuple[str, str], list[Shot]] = {}
     for shot in shots:
         if shot.status is ShotStatus.VALID and shot.block:

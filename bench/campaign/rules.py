@@ -1,4 +1,4 @@
-"""Dated rule sets: what the governing bodies allow, from when to when, and how sure that is known."""
+"""Dated rule sets of the governing bodies: limits, dates, and how certain they are."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RuleSet:
     begins: date
     ends: date
     quantity: str
-    """Column of the shot table that is judged."""
+    """Judged column of the shot table."""
     at_most: float
     """Limit, tolerance included; for `symmetry` of a difference."""
     tolerance_included: float
@@ -35,7 +35,7 @@ class RuleSet:
     source: str
 
     def in_force(self, day: date) -> bool:
-        """Tell whether the rule holds on `day`."""
+        """Return whether the rule is in force on `day`."""
         return self.begins <= day <= self.ends
 
 

@@ -1,4 +1,4 @@
-"""Runs a campaign: takes the course's shots, stores them in batches, obeys pause, stop and abort."""
+"""Run a campaign: take the course's shots, store them in batches, obey pause, stop and abort."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS
 
 BATCH = 50
-"""Shots that one transaction adds at most, and a crash of a simulated campaign costs at most."""
+"""Max number of shots per transaction, lost at most in a crash of a simulated campaign."""
 
 _LOOK = 0.2
-"""s between two looks at the database while paused."""
+"""Polling interval of the database while paused, s."""
 _SETTLED = 3.0
-"""s for which nothing must be in the way before a campaign that suspended itself goes on."""
+"""Time without hindrance before a suspended campaign continues by itself, s."""
 
 
 class Suspended(Exception):
-    """The bench gives no more shots until a person has looked; the text says why."""
+    """No more shots until a person has checked the bench; the text gives the reason."""
 
 
 class Hindrance(NamedTuple):
-    """What is in the way of a shot and passes by itself."""
+    """A hindrance to a shot that passes by itself."""
 
     text: str
     armed: bool = False
-    """Only a bench that stays armed, resting at its address, sees it pass."""
+    """Whether only an armed bench, resting at its address, sees it pass."""
     patience: float = inf
-    """s; then it is left to a person."""
+    """Max waiting time, s; then a person is needed."""
 
 
 class ShotPostponed(Exception):
@@ -58,7 +58,7 @@ class ShotSource(Protocol):
     simulated: bool
 
     def time_of(self, number: int) -> datetime:
-        """Return the time at which shot `number` begins: the clock's, or a virtual one."""
+        """Return the start time of shot `number`: real or virtual."""
         ...
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
@@ -66,13 +66,13 @@ class ShotSource(Protocol):
 
         Raises:
             Suspended: it was not taken, and none can be for now.
-            ShotPostponed: it was not taken; `hindrance` tells why.
-            KeyboardInterrupt: somebody asked to stop before the swing.
+            ShotPostponed: it was not taken; `hindrance` returns the reason.
+            KeyboardInterrupt: a stop was requested before the swing.
         """
         ...
 
     def relearn(self, drift: Drift, number: int) -> str:
-        """Learn a swing that has drifted anew before shot `number`; return what is to be told of it.
+        """Relearn a drifted swing before shot `number`; return the text of the event.
 
         Raises:
             Suspended: it cannot.
@@ -80,15 +80,15 @@ class ShotSource(Protocol):
         ...
 
     def hindrance(self, step: Step) -> Hindrance | None:
-        """Return what is in the way of `step` and passes by itself; None: nothing. Raises Suspended."""
+        """Return the hindrance to `step`, None if there is none. Raises Suspended."""
         ...
 
     def rest(self) -> None:
-        """Leave nothing armed: it is not known when the next shot comes."""
+        """Disarm: the time of the next shot is unknown."""
         ...
 
     def lacks(self, step: Step) -> Preparation | None:
-        """Return what the bench must be started anew with before `step`; None: nothing."""
+        """Return what the bench must be restarted with before `step`; None if no restart is needed."""
         ...
 
     def hand_over(self, kind: PromptKind) -> None:
@@ -101,27 +101,27 @@ class ShotSource(Protocol):
 
 
 class Operator(Protocol):
-    """Who is asked to do what the robot cannot; the answer may also come from elsewhere, by the database."""
+    """The operator, for work the robot cannot do; answers may also come through the database."""
 
     name: str
     kinds: frozenset[PromptKind]
-    """What is asked for; anything else that a person would do happens by itself, as in simulation."""
+    """Kinds of prompts to show; others are answered automatically, as in simulation."""
 
     def show(self, prompt: Prompt) -> None:
-        """Show what is to be done."""
+        """Show a prompt."""
         ...
 
     def answered(self) -> bool:
-        """Tell whether it was said to be done here; never waits."""
+        """Return whether the prompt was answered here; never waits."""
         ...
 
     def hide(self) -> None:
-        """Ask no more: it is done, or nobody waits for it any longer."""
+        """Hide the prompt: it is answered or no longer needed."""
         ...
 
 
 class _Pending(NamedTuple):
-    """A shot on its way to the disk, with what goes into the database beside it."""
+    """A shot on its way to the disk, with its rows for the database."""
 
     future: Future[StoredShot]
     hits: tuple[Hit, ...]
@@ -131,7 +131,7 @@ class _Pending(NamedTuple):
 
 
 class RunOutcome(NamedTuple):
-    """Where a run left its campaign."""
+    """State of a campaign after a run."""
 
     state: CampaignState
     reason: str
@@ -141,16 +141,16 @@ class RunOutcome(NamedTuple):
 
 @dataclass
 class Watcher:
-    """Who is told how a run goes on; does nothing by itself."""
+    """Receives the progress of a run; this base class ignores it."""
 
     def shot(self, shot: Shot) -> None:
-        """Hear of a shot that was taken."""
+        """Receive a shot."""
 
     def say(self, text: str) -> None:
-        """Hear of something that happened."""
+        """Receive an event."""
 
     def standing(self, state: CampaignState, reason: str) -> None:
-        """Hear where the campaign stands; while it waits, `reason` is what a person is to do."""
+        """Receive the campaign's state; while it waits, `reason` is the prompt."""
 
 
 class Runner:
@@ -167,7 +167,7 @@ class Runner:
         batch: int = BATCH,
         operator: Operator | None = None,
     ) -> None:
-        """`operator` None: nobody is there; what the simulation cannot do by itself waits for an answer."""
+        """`operator` None: prompts that the simulation cannot answer wait for the database."""
         self._entry, self._plan, self._store, self._source = entry, plan, store, source
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
@@ -178,13 +178,13 @@ class Runner:
         self._open: Prompt | None = None
         self._done_by_itself: list[Prompt] = []
         self._noted: list[tuple[str, str]] = []
-        """(kind, text) of what happened before the next shot."""
+        """(kind, text) of events before the next shot."""
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
 
     def run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
-        """Go on from where the campaign stands; shots taken so far are told to the watcher first.
+        """Continue the campaign; earlier shots go to the watcher first.
 
         Raises:
             BenchError: something cannot be stored; what is in the database is whole, and `resume` goes on.
@@ -198,7 +198,7 @@ class Runner:
             try:
                 state, reason = self._go_on(course, step, interrupted, writer)
             finally:
-                with suppress(BenchError):  # the first trouble is the one to tell of
+                with suppress(BenchError):  # report the first error
                     self._commit()
         self._store.change(self._entry.id, requested="")
         self._stand(state, reason)
@@ -214,7 +214,7 @@ class Runner:
             for stored in shots:
                 self._require_same(step, stored.shot)
                 if drift := self._drifts.before(step):
-                    self._source.relearn(drift, stored.shot.shot)  # and was told of then
+                    self._source.relearn(drift, stored.shot.shot)  # reported then
                 self._note(stored.shot)
                 step = course.send(stored.shot)
         except StopIteration as stop:
@@ -223,7 +223,7 @@ class Runner:
         return step
 
     def _recall(self, shots: Sequence[Shot]) -> None:
-        """Find out what is in the bench, and whether a prompt is still open."""
+        """Restore the fitting of the bench and any open prompt."""
         entry, prompts = self._entry, self._store.prompts(self._entry.id)
         club = entry.real_time.get("club") or entry.configuration["swing"]["club"]
         self._fitting = fitting_after(club, shots, prompts)
@@ -237,7 +237,7 @@ class Runner:
             self._fitting = self._fitting.with_done(last[1])  # perhaps one of another campaign
 
     def _require_same(self, step: Step, shot: Shot) -> None:
-        """Refuse to go on when the stored shot is not the one the plan had here."""
+        """Refuse to continue if the stored shot is not the planned one."""
         trial = step.trial
         planned = (trial.role, trial.block, trial.position, trial.arm.swing, trial.arm.club, trial.arm.ball)
         stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
@@ -246,7 +246,7 @@ class Runner:
                 f"campaign {self._entry.id}, shot {shot.shot}",
                 f"stored as {stored}",
                 f"{planned} by its plan",
-                "Its records and its plan do not belong together; begin a new campaign.",
+                "Its records do not belong to its plan; start a new campaign.",
             )
 
     def _go_on(
@@ -318,7 +318,7 @@ class Runner:
         return (CampaignState.FINISHED if step.complete else CampaignState.SUSPENDED), step.reason
 
     def _go_back_to_work(self) -> None:
-        """Take the bench back from a person who answered while no runner was there."""
+        """Take the bench back after an answer that came without a runner."""
         waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
         if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
             self._source.take_back(PromptKind(prompts[-1].kind))
@@ -328,7 +328,7 @@ class Runner:
     def _fit(
         self, step: Step, number: int, sample: int, interrupted: Callable[[], bool]
     ) -> tuple[CampaignState, str] | None:
-        """Have a person do what the shot needs; return where to go when somebody asks to end instead."""
+        """Prompt the operator for the work before the shot; return the ending if one is requested instead."""
         while wish := missing(self._plan, self._fitting, step, sample, self._hits) or self._source.lacks(
             step
         ):
@@ -394,7 +394,7 @@ class Runner:
         self._watcher.standing(state, reason)
 
     def _hindered(self, step: Step, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
-        """Suspend while something is in the way that passes by itself; yield as `_asked`."""
+        """Suspend during a hindrance that passes by itself; yield as `_asked`."""
         if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
@@ -421,12 +421,12 @@ class Runner:
         self._say("suspended", text)
 
     def _say(self, kind: str, text: str) -> None:
-        """Tell of something now, and of the next shot."""
+        """Report an event now, and store it with the next shot."""
         self._watcher.say(text)
         self._noted.append((kind, text))
 
     def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
-        """Yield where to go when somebody asks to end; waits while paused."""
+        """Yield the ending if one is requested; waits while paused."""
         campaign, paused = self._entry.id, False
         while True:
             if interrupted():
@@ -454,7 +454,7 @@ class Runner:
                     return
 
     def _gated(self, step: Step, taken: Taken) -> Shot:
-        """Return the shot, excluded when its delivery does not count."""
+        """Return the shot, excluded if its delivery is not valid."""
         shot = taken.shot
         if shot.status is ShotStatus.VALID:
             club = self._plan.clubs[step.trial.arm.club]
@@ -463,7 +463,7 @@ class Runner:
         return shot
 
     def _written(self, shot: Shot, taken: Taken) -> StoredShot:
-        """Write the shot's cycles, whole, and return what the database is to know."""
+        """Write the shot's cycles to a complete file and return the row for the database."""
         if taken.cycles is None:
             return StoredShot(shot)
         path = self._folder / f"{shot.shot:06d}.parquet"
@@ -478,10 +478,10 @@ class Runner:
         self._watcher.shot(shot)
 
     def _commit(self) -> None:
-        """Add what is pending in one transaction, once all its files are whole.
+        """Add the pending shots in one transaction, once all their files are complete.
 
         Raises:
-            BenchError: a file cannot be stored; the shots before it are added all the same.
+            BenchError: a file cannot be stored; the shots before it are still added.
         """
         pending, self._pending = self._pending, []
         shots, events, hits, prompts = list[StoredShot](), list[Event](), Counter[Hit](), list[Prompt]()
@@ -501,7 +501,7 @@ class Runner:
 
 
 def _used(step: Step, taken: Taken, sample: int) -> tuple[Hit, ...]:
-    """Return what the shot wore."""
+    """Return the uses of the shot's ball, club and valves."""
     arm = step.trial.arm
     valves = tuple(Hit("valve", name) for name in ACTUATORS) if taken.cycles is not None else ()
     struck = (Hit("ball", arm.ball, sample), Hit("club", arm.club)) if taken.struck else ()

@@ -1,4 +1,4 @@
-"""Who hits what when: randomised complete blocks in sections, from the plan's seed alone."""
+"""Order of shots: randomised complete blocks in sections, from the plan's seed alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.campaign.plan import CampaignPlan, levels
 
 
 class Arm(NamedTuple):
-    """One combination that is compared, or kept the same."""
+    """One combination of ball, club and swing."""
 
     swing: str
     club: str
@@ -24,7 +24,7 @@ class Arm(NamedTuple):
 
 
 class Role(StrEnum):
-    """What a shot is for."""
+    """Role of a shot."""
 
     WARM_UP = "warm-up"
     CONTROL = "control"
@@ -45,7 +45,7 @@ class PlannedShot(NamedTuple):
 
 
 class Section(NamedTuple):
-    """What stays the same while the compared factor's levels take turns."""
+    """A section: club and swing, or ball, that stay the same while the compared levels alternate."""
 
     number: int
     arms: tuple[Arm, ...]

@@ -1,4 +1,4 @@
-"""Shots of the simulated bench in lock-step: each depends on plan and number only, never on those before."""
+"""Shots of the simulated bench in lock-step: each depends on plan and number only, never on earlier shots."""
 
 from __future__ import annotations
 
@@ -34,27 +34,27 @@ from sim.launch_monitor import MonitorParameters
 from sim.plant import PlantParameters
 
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
-"""A simulated campaign's first shot: its clock is as virtual as its robot, so that it repeats."""
+"""Virtual time of a simulated campaign's first shot, fixed so that it is repeatable."""
 
 _SHOTS, _SAMPLES = 1, 2
 """Streams of random numbers."""
 
 
 class Taken(NamedTuple):
-    """A shot as it was taken, with its record."""
+    """A shot with its record."""
 
     shot: Shot
     cycles: np.ndarray[Any, Any] | None
-    """None: the robot did not swing."""
+    """None if the robot did not swing."""
     metadata: Mapping[str, Any]
     struck: bool
-    """The ball was hit, which wears it."""
+    """Whether the ball was hit, which wears it."""
     events: tuple[tuple[str, str], ...] = ()
-    """(kind, text) of what happened before it."""
+    """(kind, text) of the events before it."""
     stopped: bool = False
-    """The robot was stopped within the swing."""
+    """Whether the robot was stopped within the swing."""
     original: Path | None = None
-    """The bench's own record, which moves to the campaign's."""
+    """The bench's own record, which is moved to the campaign's folder."""
 
 
 def random_of(plan: CampaignPlan, number: int) -> np.random.Generator:
@@ -71,7 +71,7 @@ def ball_as_hit(plan: CampaignPlan, name: str, sample: int, number: int, draw: f
 
 
 def monitored(s: Simulation, launch: Launch, noise: np.ndarray) -> Launch:
-    """Return `launch` as the simulated launch monitor sees it; `noise` are four normal numbers."""
+    """Return `launch` as the simulated launch monitor measures it; `noise` are four normal numbers."""
     return Launch(
         speed=launch.speed + s.ball_speed * float(noise[0]),
         launch_angle=launch.launch_angle + s.launch_angle * float(noise[1]),
@@ -110,11 +110,11 @@ class SimulatedShots:
         self._armed: dict[tuple[str, str], tuple[ArmedBench, dict[str, Any]]] = {}
 
     def time_of(self, number: int) -> datetime:
-        """Return when shot `number` is."""
+        """Return the time of shot `number`."""
         return BEGIN + timedelta(seconds=(number - 1) * self._plan.design.seconds_per_shot)
 
     def relearn(self, drift: Drift, number: int) -> str:
-        """Learn a swing anew on the robot as it is at shot `number`."""
+        """Relearn a swing on the robot as it is at shot `number`."""
         truth = self._worn(drift.arm[1], number)
 
         def robot(lecture: LearningProblem) -> AbstractContextManager[Swinger]:
@@ -125,7 +125,7 @@ class SimulatedShots:
         return text
 
     def hindrance(self, step: Step) -> None:
-        """Return nothing: what passes by itself has passed."""
+        """Return None: hindrances are part of the simulated shot."""
 
     def rest(self) -> None:
         """Nothing is to be done: its time stands still between two shots."""
@@ -134,17 +134,17 @@ class SimulatedShots:
         """Return nothing: it swings every profile."""
 
     def hand_over(self, kind: PromptKind) -> None:
-        """Nothing is to be done."""
+        """No action needed."""
 
     def take_back(self, kind: PromptKind) -> None:
-        """Nothing is to be done."""
+        """No action needed."""
 
     def arm_all(self) -> None:
         """Arm with every swing and club, which otherwise happens at the first shot of each.
 
         Raises:
             Refused: the robot does not reach an address.
-            KeyboardInterrupt: somebody asked to stop.
+            KeyboardInterrupt: a stop was requested.
         """
         for swing in self._plan.design.swings:
             for club in self._plan.design.clubs:
@@ -186,7 +186,7 @@ class SimulatedShots:
         )
 
     def _feeder_trouble(self, ball: str, number: int, sample: int) -> str:
-        """Return why no ball is struck at; another ball is noticed where its number is read only."""
+        """Return why there is no ball to strike; a wrong ball is noticed only if its number is read."""
         s = self._plan.simulation
         if number in s.feeder_jam:
             return "feeder jam: no ball came"
@@ -199,7 +199,7 @@ class SimulatedShots:
     def _judged(
         self, step: Step, number: int, sample: int, result: SwingResult, ball: Ball, noise: np.ndarray
     ) -> Shot:
-        """Return the shot as launch monitor and flight model see it."""
+        """Return the shot with the figures of launch monitor and flight model."""
         status, reason = result.status, result.reason
         heard, flight = MonitorResult(None, ""), None
         if result.launch is not None:
@@ -256,7 +256,7 @@ class SimulatedShots:
         )
 
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
-        """Return the bench armed with a swing and a club, and what stands in all its records."""
+        """Return the bench armed with a swing and a club, and the metadata of all its records."""
         if (swing, club) not in self._armed:
             c = self._configuration
             around = FlightConditions(c.air, c.wind, c.turf)
@@ -277,14 +277,14 @@ class SimulatedShots:
         return self._armed[swing, club]
 
     def _worn(self, club: str, number: int) -> PlantParameters:
-        """Return the plant with `club` as it is at shot `number`, without what varies from shot to shot."""
+        """Return the plant with `club` as it is at shot `number`, without shot-to-shot scatter."""
         friction = 1.0 + self._plan.simulation.wear * number / 1000
         if friction == 1.0:
             return self._nominal(club)
         return Variation(friction=(friction,) * 3).applied_to(self._nominal(club))
 
     def _nominal(self, club: str) -> PlantParameters:
-        """Return the plant with `club` and the encoders' noise, without what varies from shot to shot."""
+        """Return the plant with `club` and the encoders' noise, without shot-to-shot scatter."""
         plant = self._configuration.plant
         noise = float(np.hypot(plant.encoders.noise, self._plan.simulation.encoders))
         return replace(

@@ -18,11 +18,11 @@ from sim.launch_monitor import MonitorParameters, monitor_messages
 
 
 class MonitorResult(NamedTuple):
-    """What came of a shot at the launch monitor."""
+    """Result of a shot at the launch monitor."""
 
     launch: LaunchRecord | None
     reason: str
-    """Why its figures do not count, or why there are none; empty when they do."""
+    """Why its figures are missing or invalid; empty if they are valid."""
 
 
 def hear(

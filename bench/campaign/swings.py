@@ -1,4 +1,4 @@
-"""The swings of a plan: each must be designed for the clubs it swings, and possible on this bench."""
+"""The swings of a plan: each must be designed for its clubs and possible on this bench."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bench.swing.profile import Profile, load_profile
 from sim.robot import Club
 
 Profiles = Mapping[tuple[str, str], Profile]
-"""By swing and club, by the names that the plan gives them."""
+"""Keyed by the plan's names of swing and club."""
 
 _ON_THE_BALL_ONLY = frozenset(
     {"name", "loft", "face_angle", "restitution", "tangential_factor", "bulge_radius", "roll_radius"}
 )
-"""Fields of a club that the robot does not feel."""
+"""Fields of a club that do not act on the robot."""
 
 
 def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles:
@@ -28,7 +28,7 @@ def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles
 
     Raises:
         BenchError: a profile is missing or cannot be read.
-        ExceptionGroup: of BenchErrors, where one does not fit a club or cannot be swung here.
+        ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
     for swing, name in product(plan.design.swings, plan.design.clubs):
@@ -58,12 +58,12 @@ def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles
 
 
 def with_face_of(club: Club, other: Club) -> Club:
-    """Return `club` as the robot feels it with all that the ball feels, and the name, of `other`."""
+    """Return a club with the mechanics of `club` and the face, head and name of `other`."""
     return replace(club, **{name: getattr(other, name) for name in _ON_THE_BALL_ONLY})
 
 
 def felt_alike(club: Club, other: Club | None) -> bool:
-    """Tell whether the robot feels no difference between two clubs."""
+    """Return whether two clubs are the same to the robot."""
     return other is not None and all(
         getattr(club, f.name) == getattr(other, f.name)
         for f in fields(Club)

@@ -21,7 +21,7 @@ NAMES = {
     "landing_angle": "landing angle",
     "spin_rpm": "spin",
 }
-"""Quantities as people call them."""
+"""Names of the quantities in sentences."""
 
 
 class Verdict(NamedTuple):
@@ -33,7 +33,7 @@ class Verdict(NamedTuple):
 
 
 def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
-    """Return one answer for a pair, or one for all pairs and one for each that was resolved."""
+    """Return one answer for one pair; for more, one for all pairs and one for each resolved pair."""
     name = NAMES[plan.analysis.quantity]
     if len(levels(plan)) < 2:
         level = analysis.levels[0]
@@ -128,7 +128,7 @@ def _signed(value: float) -> str:
 
 
 def robot_words(delivered: Mapping[tuple[str, str], Sequence[Repeatability]]) -> str:
-    """Say how repeatable the robot was in club speed, a sentence for each swing and club."""
+    """Return the robot's repeatability of club speed, a sentence for each swing and club."""
     words = []
     for (swing, club), figures in delivered.items():
         speed = next((f for f in figures if f.column == "club_speed_mps" and f.n > 1), None)

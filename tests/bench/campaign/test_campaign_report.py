@@ -233,7 +233,7 @@ def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) 
     assert "1 times club: done by the simulation itself" in page
     assert "Mount club wood. not done yet" in page
     nobody = replace(real, prompts=())
-    assert "confirmed by nobody" in _words(render_campaign_report(nobody, findings(real.plan, real.shots)))
+    assert "not confirmed" in _words(render_campaign_report(nobody, findings(real.plan, real.shots)))
 
 
 def test_the_air_is_told_as_it_changed(record: CampaignRecord) -> None:

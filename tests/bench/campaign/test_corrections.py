@@ -107,7 +107,7 @@ def test_what_was_learned_on_the_way_is_swung_and_found_again(database: Engine, 
     keep(database, stored(0.7, NOW))
     swings = made(database)
     told = swings.refresh(DRIFT, 17, school.robot)
-    assert told == f"{PROFILE.name}: {DRIFT.text}; learned anew in 3 learning swings, version 2"
+    assert told == f"{PROFILE.name}: {DRIFT.text}; relearned in 3 learning swings, version 2"
     assert swings.weights(ARM) == (0.1,) * SIZE
     assert swings.refresh(DRIFT, 29, school.robot).endswith("version 3")
     assert [swings for swings, _ in school.lessons] == [PLAN.learning.swings] * 2
@@ -124,7 +124,7 @@ def test_what_was_learned_on_the_way_is_swung_and_found_again(database: Engine, 
 def test_a_correction_that_misses_its_target_is_not_used(database: Engine, school: School) -> None:
     school.within = False
     swings = made(database)
-    assert "not learned anew in 3 learning swings" in swings.refresh(DRIFT, 17, school.robot)
+    assert "not relearned in 3 learning swings" in swings.refresh(DRIFT, 17, school.robot)
     assert swings.profile(ARM) is PROFILE
 
 

@@ -614,7 +614,7 @@ class Listening(Watcher):
 
 @pytest.mark.live
 @pytest.mark.timeout(400)
-def test_a_swing_is_learned_anew_on_the_bench_without_a_ball(
+def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That it drifts is said here; a simulated robot of a running bench does not."""
@@ -637,7 +637,7 @@ def test_a_swing_is_learned_anew_on_the_bench_without_a_ball(
         assert [shot.reason for shot in shots] == ["", ""], said.texts
         assert outcome.state is CampaignState.FINISHED
         assert bench.client.status()["swings"] == 4
-        assert any("drifted; learned anew in 1 learning swings, version 1" in text for text in said.texts)
+        assert any("drifted; relearned in 1 learning swings, version 1" in text for text in said.texts)
         files = [configuration.bench.data_dir / stored.file for stored in store.shots(entry.id)]
         first, second = (read_swing(file)[1] for file in files)
         assert "correction" not in first["profile"]

@@ -41,7 +41,7 @@ CONFIGURATION = load_configuration(Path("shipped"))
 
 
 class Rig(Scripted):
-    """Notes when a person was let in; `lacking` is what it must be started anew with."""
+    """Notes when a person was let in; `lacking` is what it must be restarted with."""
 
     def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
         super().__init__(script)
@@ -246,15 +246,15 @@ def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[.
     assert third.prompts == []
 
 
-def test_a_bench_that_must_start_anew_is_never_done_by_itself(make: Callable[..., Series]) -> None:
+def test_a_bench_that_must_restart_is_never_done_by_itself(make: Callable[..., Series]) -> None:
     series, rig, person = make(), Rig(), Person(kinds=frozenset({PromptKind.BENCH}))
-    rig.lacking = Preparation(PromptKind.BENCH, "Start the bench anew.", {"profile": "slow"})
+    rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
     assert series.run(rig, person).state is CampaignState.FINISHED
     assert [p.kind for p in person.shown] == [PromptKind.BENCH]
     assert rig.doors[:2] == ["bench open", "bench shut"]
 
 
-def test_the_feeder_is_filled_in_order_and_anew_after_trouble(make: Callable[..., Series]) -> None:
+def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable[..., Series]) -> None:
     jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
     plan = load_plan(Path("two-balls"), CONFIGURATION)
     plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=4))

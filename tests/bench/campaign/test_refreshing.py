@@ -1,4 +1,4 @@
-"""A swing is learned anew when its delivery has drifted, and only then."""
+"""A swing is relearned when its delivery has drifted, and only then."""
 
 from __future__ import annotations
 

@@ -377,7 +377,7 @@ def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
         assert bench.store.standing(name).requested == "pause"
     assert not is_running(bench.folder, name)
     assert "aborted" in ask(bench.store, bench.folder, name, "abort")
-    with pytest.raises(Refused, match="not over"):
+    with pytest.raises(Refused, match="unfinished"):
         ask(bench.store, bench.folder, name, "stop")
 
 
