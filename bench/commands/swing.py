@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +13,13 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
+
     from bench.config import Configuration
+    from bench.design.designer import SwingDemand
+    from bench.swing.golfers import Golfer
+    from bench.swing.profile import Profile
+    from sim.plant import PlantParameters
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -166,8 +175,8 @@ def check(
     """Check on the simulated plant how every stop ends, from every instant of a swing.
 
     Each reaction, each valve stuck open or shut, a silent bench and a missing ball, against the ratings of
-    stops and chambers. Ends with 1 when a reaction of the stopping table, the silent bench or the missing
-    ball ends unsafe; a stuck valve that ends unsafe is shown too.
+    stops and chambers. Exits with 1 if a reaction of the stopping table, the silent bench or the missing ball
+    ends unsafe; a stuck valve that ends unsafe is only shown.
     """
     import json
 
@@ -198,109 +207,112 @@ def check(
         raise typer.Exit(ExitCode.REFUSED)
 
 
+Output = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="FILE",
+        help="Profile to write, .toml, with its table beside it.",
+        show_default="CLUB-SPEEDmps.toml",
+    ),
+]
+ClubName = Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")]
+GolferName = Annotated[str | None, typer.Option(metavar="NAME", help="Golfer to imitate.")]
+HeadSpeed = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M_PER_S",
+        min=5.0,
+        max=60.0,
+        help="Head speed at the ball.",
+        show_default="45, or the golfer's",
+    ),
+]
+Attack = Annotated[float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")]
+Lean = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG",
+        min=-3.0,
+        max=3.0,
+        help="Shaft lean at the ball, in the swing plane.",
+        show_default="the easiest within 1.5 deg",
+    ),
+]
+Strike = Annotated[
+    float, typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane.")
+]
+Margin = Annotated[
+    float,
+    typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of each valve reserved for feedback."),
+]
+Backswing = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        min=0.5,
+        max=3.0,
+        help="Duration of the backswing.",
+        show_default="0.85, or the golfer's",
+    ),
+]
+Highest = Annotated[
+    bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
+]
+Nearest = Annotated[
+    bool,
+    typer.Option(
+        "--nearest",
+        help="If out of reach, design the nearest swing and show the deviations: downswing time, "
+        "attack angle, head speed.",
+    ),
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        "--from",
+        metavar="PROFILE",
+        help='Swing to start the optimization from, or "nothing".',
+        show_default="the configuration's",
+    ),
+]
+
+
 @app.command()
 def design(
     context: typer.Context,
-    output: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FILE",
-            help="Profile to write, .toml, with its table beside it.",
-            show_default="named by speed and angles",
-        ),
-    ] = None,
-    club: Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")] = None,
-    golfer: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Golfer to imitate."),
-    ] = None,
-    speed: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M_PER_S",
-            min=5.0,
-            max=60.0,
-            help="Head speed at the ball.",
-            show_default="45, or golfer's",
-        ),
-    ] = None,
-    attack: Annotated[
-        float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")
-    ] = 0.0,
-    lean: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEG",
-            min=-3.0,
-            max=3.0,
-            help="Shaft lean at the ball, in the swing plane.",
-            show_default="the easiest within 1.5 deg",
-        ),
-    ] = None,
-    strike: Annotated[
-        float,
-        typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane."),
-    ] = 0.0,
-    margin: Annotated[
-        float,
-        typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of each valve reserved for feedback."),
-    ] = 15.0,
-    backswing: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            min=0.5,
-            max=3.0,
-            help="Duration of the backswing.",
-            show_default="0.85, or the golfer's",
-        ),
-    ] = None,
-    highest: Annotated[
-        bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
-    ] = False,
-    nearest: Annotated[
-        bool,
-        typer.Option(
-            "--nearest",
-            help="If out of reach, design the nearest swing and show the deviations: downswing time, "
-            "attack angle, head speed.",
-        ),
-    ] = False,
-    start: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="PROFILE",
-            help='Swing to start the optimization from, or "nothing".',
-            show_default="the configuration's",
-        ),
-    ] = None,
+    output: Output = None,
+    club: ClubName = None,
+    golfer: GolferName = None,
+    speed: HeadSpeed = None,
+    attack: Attack = 0.0,
+    lean: Lean = None,
+    strike: Strike = 0.0,
+    margin: Margin = 15.0,
+    backswing: Backswing = None,
+    highest: Highest = False,
+    nearest: Nearest = False,
+    start: Start = None,
 ) -> None:
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
-    Deterministic. A demand out of reach is refused with its limit; --nearest designs the
-    nearest and says what it gave way in.
+    Deterministic. A demand out of reach is refused with its limit; --nearest designs the nearest swing and
+    shows the deviations.
     """
     import math
-    from dataclasses import replace
 
     from rich.console import Console
 
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
-    from bench.commands.progress import progress_bar
-    from bench.design.designer import DesignFailed, SwingDemand, design_swing, highest_speed
-    from bench.design.follow import demand_like, gave_way
+    from bench.design.designer import DesignFailed, SwingDemand
+    from bench.design.follow import demand_like
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
     from bench.swing.golfers import find_golfer, human_downswing
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile, save_profile
 
     configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
     plant = configuration.plant_with(club=club)
     whose = None if golfer is None else find_golfer(golfer)
-    begin = None if start == "nothing" else load_profile(find_profile(start or configuration.swing.profile))
     demand = SwingDemand(
         head_speed=45.0 if speed is None else speed,
         attack=math.radians(attack),
@@ -309,61 +321,108 @@ def design(
         margin=margin / 100,
         nearest=nearest,
     )
-    text = ""
     if whose is not None:
-        human = human_downswing(plant, whose)
-        demand = demand_like(plant, whose, human, demand, speed)
-        text = f"as close to a golfer as the robot can: {whose.text}"
+        demand = demand_like(plant, whose, human_downswing(plant, whose), demand, speed)
     if backswing is not None:
         demand = replace(demand, backswing_time=backswing)
-    if output is None:
-        output = Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
-    settings = (configuration.control, configuration.envelope, configuration.estimator)
+    begin = None if start == "nothing" else start or configuration.swing.profile
+    path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
+    try:
+        if highest:
+            _show_highest_speed(configuration, plant, demand, begin)
+            return
+        swing = _save_design(configuration, plant, demand, begin, path, whose)
+    except DesignFailed as failure:
+        raise BenchError(
+            "swing design",
+            str(failure),
+            "a swing that this plant can do",
+            "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
+            "--nearest gives way.",
+        ) from None
+    if whose is not None:
+        rows = [golfer_row(plant, whose, swing)]
+        Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
+    typer.echo(f"Next: golfbench swing check {path}")
+
+
+def _profile_named(name: str | None) -> Profile | None:
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    return None if name is None else load_profile(find_profile(name))
+
+
+@contextmanager
+def _design_progress() -> Iterator[Callable[[str, float], None]]:
+    """Yield a function that shows the finished part (0 to 1) of a step of the design."""
+    from bench.commands.progress import progress_bar
+
     with progress_bar() as bar:
-        tasks = {}
+        tasks: dict[str, TaskID] = {}
 
-        def show_progress(what: str, part: float) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=1.0)
-            bar.update(tasks[what], completed=part)
+        def show(step: str, part: float) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task(step, total=1.0)
+            bar.update(tasks[step], completed=part)
 
-        try:
-            if highest:
-                found = highest_speed(plant, demand, *settings, start=begin, progress=show_progress)
-                typer.echo(
-                    f"At most {found.plan.speed:.1f} m/s at the ball, {margin:g} % of each valve left to "
-                    "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
-                    f"{found.limit}."
-                )
-                for name, gain in list(found.plan.binding.items())[:5]:
-                    typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")
-                return
-            made = design_swing(
-                plant,
-                demand,
-                output.stem,
-                golfer=golfer or "robot",
-                text=text,
-                control=configuration.control,
-                envelope=configuration.envelope,
-                estimator=configuration.estimator,
-                start=begin,
-                progress=show_progress,
-            )
-        except DesignFailed as failure:
-            raise BenchError(
-                "swing design",
-                str(failure),
-                "a swing that this plant can do",
-                "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
-                "--nearest gives way.",
-            ) from None
+        yield show
+
+
+def _show_highest_speed(
+    configuration: Configuration, plant: PlantParameters, demand: SwingDemand, begin: str | None
+) -> None:
+    """Print the highest head speed, its limit, and what would raise it."""
+    from bench.design.designer import highest_speed
+
+    c = configuration
+    start = _profile_named(begin)
+    with _design_progress() as progress:
+        found = highest_speed(
+            plant, demand, c.control, c.envelope, c.estimator, start=start, progress=progress
+        )
+    typer.echo(
+        f"At most {found.plan.speed:.1f} m/s at the ball, {100 * demand.margin:g} % of each valve left to "
+        "feedback, cushions kept when the ball is missed or the bench falls silent;\n"
+        f"{found.limit}."
+    )
+    for name, gain in list(found.plan.binding.items())[:5]:
+        typer.echo(f"  one per cent more of {name}: {gain:+.3f} m/s")
+
+
+def _save_design(
+    configuration: Configuration,
+    plant: PlantParameters,
+    demand: SwingDemand,
+    begin: str | None,
+    path: Path,
+    golfer: Golfer | None,
+) -> Profile:
+    """Design a swing, save it at `path`, print its delivery and cushions, and return it."""
+    from bench.design.designer import design_swing
+    from bench.design.follow import gave_way
+    from bench.swing.profile import save_profile
+
+    start = _profile_named(begin)
+    with _design_progress() as progress:
+        made = design_swing(
+            plant,
+            demand,
+            path.stem,
+            golfer="robot" if golfer is None else golfer.name,
+            text="" if golfer is None else f"as close to a golfer as the robot can: {golfer.text}",
+            control=configuration.control,
+            envelope=configuration.envelope,
+            estimator=configuration.estimator,
+            start=start,
+            progress=progress,
+        )
     given = gave_way(demand, made.profile)
     swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
-    save_profile(output, swing)
+    save_profile(path, swing)
     delivery, limits = swing.delivery, swing.limits
     typer.echo(
-        f"{output}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
+        f"{path}: in closed loop {delivery['head_speed_mps']:.2f} m/s, "
         f"attack {delivery['attack_angle_deg']:+.2f} deg, lean {delivery['shaft_lean_deg']:+.2f} deg, "
         f"strike {delivery['in_plane_error_mm']:+.2f} mm."
     )
@@ -373,10 +432,7 @@ def design(
     )
     if given:
         typer.echo("Gave way: " + "; ".join(given) + ".")
-    if whose is not None:
-        rows = [golfer_row(plant, whose, swing)]
-        Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
-    typer.echo(f"Next: golfbench swing check {output}")
+    return swing
 
 
 @app.command()

@@ -6,15 +6,17 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import pytest
 
 from bench.cli import main
+from bench.design.designer import DesignFailed
 from bench.errors import BenchError, ExitCode
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
-from bench.swing.profile import Profile, save_profile
+from bench.swing.profile import Profile, load_profile, save_profile
 
 
 class Answer(NamedTuple):
@@ -24,6 +26,8 @@ class Answer(NamedTuple):
 
 
 Run = Callable[..., Answer]
+
+SHIPPED = load_profile(find_profile("driver-85mph"))
 
 
 @pytest.fixture
@@ -166,3 +170,61 @@ def test_a_mistaken_golfer_or_picture_is_told(arguments: list[str], told: str, r
     answer = run(*arguments)
     assert answer.code == ExitCode.BAD_INPUT
     assert told in answer.err
+
+
+def test_design_saves_the_profile_and_shows_its_delivery(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def made(*arguments: Any, progress: Callable[[str, float], None], **named: Any) -> Any:
+        asked.append((arguments, named))
+        progress("plan", 0.5)
+        return SimpleNamespace(profile=SHIPPED)
+
+    monkeypatch.setattr("bench.design.designer.design_swing", made)
+    path = tmp_path / "fast.toml"
+    answer = run(
+        "--config",
+        "mine.toml",
+        "swing",
+        "design",
+        str(path),
+        "--golfer",
+        "tour-female",
+        "--margin",
+        "20",
+        "--from",
+        "nothing",
+    )
+    assert answer.code == 0, answer.err
+    ((_, demand, name), named) = asked[0]
+    assert (name, named["golfer"], named["start"], demand.margin) == ("fast", "tour-female", None, 0.2)
+    assert "in closed loop" in answer.out
+    assert "Cushions at most" in answer.out
+    assert f"golfbench swing check {path}" in "".join(answer.out.split("\n"))
+    assert load_profile(path).delivery == SHIPPED.delivery
+
+
+def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = SimpleNamespace(speed=47.3, binding={"supply pressure": 0.12})
+
+    def found(*_: Any, start: Any, **__: Any) -> Any:
+        assert start is not None
+        return SimpleNamespace(plan=plan, limit="the wrist's valve limits it")
+
+    monkeypatch.setattr("bench.design.designer.highest_speed", found)
+    answer = run("--config", "mine.toml", "swing", "design", "--highest")
+    assert answer.code == 0, answer.err
+    assert "At most 47.3 m/s at the ball, 15 % of each valve" in answer.out
+    assert "one per cent more of supply pressure: +0.120 m/s" in answer.out
+
+    def failed(*_: Any, **__: Any) -> Any:
+        raise DesignFailed("no way")
+
+    monkeypatch.setattr("bench.design.designer.highest_speed", failed)
+    answer = run("--config", "mine.toml", "swing", "design", "--highest")
+    assert answer.code == ExitCode.BAD_INPUT
+    assert "no way" in answer.err
