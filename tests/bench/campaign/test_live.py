@@ -625,7 +625,7 @@ def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     arm = ("default", "driver")
     asked = chain([None, Drift(arm, "drifted")], repeat(None))
     monkeypatch.setattr("bench.campaign.refreshing.Drifts.before", lambda self, step: next(asked))
-    monkeypatch.setattr("bench.learning.learn.Lesson.within", True)
+    monkeypatch.setattr("bench.learning.learn.LearningResult.within", True)
     url = database_url("", configuration.bench.data_dir)
     with running_bench(file) as bench, open_database(url) as engine:
         store, said = CampaignStore(engine), Listening()
