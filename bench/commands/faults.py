@@ -11,8 +11,8 @@ from bench.commands.session import Session
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.faults.case import CaseOutcome
     from bench.faults.matrix import MatrixPlan
+    from bench.faults.verdict import CaseOutcome
     from bench.swing.profile import Profile
 
 app = typer.Typer(no_args_is_help=True)
@@ -52,14 +52,12 @@ def run(
 
     Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
     """
-    import json
-
     from rich.console import Console
 
     from bench.commands.faults_page import matrix_page, matrix_table, reasons_table
     from bench.errors import BenchError, ExitCode
     from bench.faults.matrix import plan_matrix
-    from bench.faults.summary import PHASES
+    from bench.faults.summary import PHASES, summary_text
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
     from bench.telemetry.whole_file import whole_file
@@ -75,7 +73,7 @@ def run(
     )
     summary = _matrix(configuration, swing, folder, plan, model_check, compare, processes)
     texts = {
-        "matrix.json": json.dumps(summary, indent=1) + "\n",
+        "matrix.json": summary_text(summary),
         "matrix.html": matrix_page(summary, summary.get("comparison")),
     }
     for name, text in texts.items():
@@ -177,7 +175,10 @@ def table(
         text = hazard_table(json.loads(matrix.read_text()))
     except (ValueError, KeyError, TypeError):
         raise BenchError(
-            str(matrix), "no matrix", "what golfbench faults run leaves as matrix.json", "Run it."
+            str(matrix),
+            "not a matrix",
+            "a matrix.json of `golfbench faults run`",
+            "Run `golfbench faults run` and name its matrix.json.",
         ) from None
     if output is None:
         typer.echo(text, nl=False)

@@ -1,4 +1,4 @@
-"""How a matrix is shown: a table for people, one HTML page with a heat map."""
+"""A fault matrix as a table for the terminal, and as one HTML page with a heat map."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def matrix_table(summary: dict[str, Any]) -> Table:
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in summary["verdicts"].items())
     table = Table(
         title=f"{summary['cases']} cases: {verdicts}; {summary['left_out_by_rule']} pairs left out by rule",
-        caption="● stopped and safe  ○ no harm  ? not noticed, and the shot or the pose is another  "
-        "✗ unsafe  · cannot matter",
+        caption="● detected and safe  ○ harmless  ? undetected, another shot or pose  "
+        "✗ unsafe  · left out by rule",
     )
     table.add_column("fault")
     for phase in PHASES:
@@ -45,7 +45,7 @@ def matrix_table(summary: dict[str, Any]) -> Table:
 
 def reasons_table(summary: dict[str, Any]) -> Table:
     """Return the faults that end unsafe, with instants and reasons."""
-    table = Table("fault", "unsafe", "reasons", title="What ends unsafe", box=None)
+    table = Table("fault", "unsafe", "reasons", title="Unsafe ends", box=None)
     for row in summary["rows"]:
         if unsafe := row["verdicts"].get("unsafe", 0):
             table.add_row(row["breakage"], str(unsafe), "\n".join(row["reasons"][:4]))
@@ -53,7 +53,7 @@ def reasons_table(summary: dict[str, Any]) -> Table:
 
 
 def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None = None) -> str:
-    """Return the page: one file that loads nothing."""
+    """Return the page: one file without external resources."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((files("bench.faults") / "page.html.j2").read_text())
     return template.render(summary=summary, phases=PHASES, comparison=comparison or [])

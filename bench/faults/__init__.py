@@ -1,1 +1,1 @@
-"""Every kind of fault, on every signal, in every phase: what becomes of robot and bench."""
+"""The fault matrix: every kind of fault, on every signal, in every phase, and how it ends."""

@@ -1,4 +1,4 @@
-"""What is broken in the matrix, when, and which pairs cannot matter by rule."""
+"""The breakages of the matrix, and the rules by which a breakage cannot matter in a phase."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from drivers.base import CHAMBERS, JOINTS
 from sim.faults import Fault, Kind, sort_of
 
 Event = Literal["", "stop", "guard opened", "emergency stop", "no ball"]
-"""What happens besides: a stop that needs the part, or the one thing that a stuck switch should have told."""
+"""Event after the fault: a stop that needs the part, or the event that a stuck switch should report."""
 
 EVENT_AFTER = 0.05
-"""s from the fault to the event."""
+"""Time from the fault to the event, s."""
 
 
 @dataclass(frozen=True)
@@ -155,29 +155,29 @@ MOVING: frozenset[str] = frozenset(
 
 
 def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
-    """Return the rule by which `breakage` cannot matter in `phase`; empty when it can."""
+    """Return the rule by which `breakage` cannot matter in `phase`; empty if it can."""
     signal, sort = breakage.fault.signal, sort_of(breakage.fault.signal)
     if sort == "launch monitor":
-        return "the loop hears nothing of the launch monitor; what it tells is judged after the swing"
+        return "the loop does not read the launch monitor; its data are judged after the swing"
     if signal == "local reset":
-        return "only a reset of a bench that asks for it reads the button; a level is no edge"
+        return "the button is read during a reset only, and a reset needs an edge, not a level"
     if signal == "ball sensor" and not breakage.event:
-        return "the loop decides nothing by the ball sensor"
+        return "the loop makes no decision from the ball sensor"
     if breakage.event == "no ball" and phase != "hold":
-        return "the ball is there or not when the swing begins"
+        return "the ball is present or absent from the start of the swing"
     if signal == "vents" and phase == "standing":
         return "the vents are open and the supply is shut while the robot stands"
     if signal == "supply" and breakage.event == "stop" and phase == "standing":
-        return "nothing is to be stopped while the robot stands"
+        return "there is nothing to stop while the robot stands"
     if sort == "pressure" and signal != "supply sensor" and phase == "standing":
-        return "the chambers are empty; what the sensor does later is tried from the other phases"
+        return "the chambers are empty; later effects of the sensor are tried from the other phases"
     if signal == "supply sensor" and phase in ("homing", "committed", "impact", "follow-through"):
-        return "" if model_check else "the supply's pressure is not judged here"
+        return "" if model_check else "the supply pressure is not checked in this phase"
     return ""
 
 
 PLAUSIBLE_KINDS = frozenset({"offset", "scale", "drifting"})
-"""Readings that are wrong but plausible."""
+"""Kinds of fault whose readings are wrong but plausible."""
 
 HARDWARE: tuple[tuple[str, str], ...] = (
     ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply by itself"),
@@ -195,9 +195,9 @@ HARDWARE: tuple[tuple[str, str], ...] = (
     ("link", "a watchdog in the valve electronics (20 ms)"),
     ("clock", "the watchdog's own oscillator in the valve electronics"),
     ("loop", "a watchdog in the valve electronics (20 ms)"),
-    ("process", "none: software stops it"),
-    ("tee", "none: the follow-through without a ball is within the ratings"),
-    ("switch", "none"),
-    ("launch monitor", "none: it moves nothing"),
+    ("process", "not needed: software stops it"),
+    ("tee", "not needed: the follow-through without a ball is within the ratings"),
+    ("switch", "not needed"),
+    ("launch monitor", "not needed: it moves nothing"),
 )
-"""What only hardware can cover, by signal or sort."""
+"""Protection that only hardware can give, by signal or sort."""

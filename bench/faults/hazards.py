@@ -10,17 +10,17 @@ from sim.faults import sort_of
 HEAD = """# Hazards
 
 Made by `golfbench faults table` from `sim/FAULTS.json`, the matrix of `golfbench faults run`; do not edit.
-It speaks of the simulated robot with the shipped configuration: assumed valves, absorbers and chambers. It is
-no risk assessment of an installation, but what such an assessment may start from.
+It covers the simulated robot with the shipped configuration: assumed valves, absorbers and chambers. It does
+not replace the risk assessment of an installation, but such an assessment may start from it.
 """
 
 
 def hardware_for(signal: str) -> str:
-    """Return what only hardware can cover."""
+    """Return the protection that only hardware can give."""
     for name, text in HARDWARE:
         if name in (signal, sort_of(signal)):
             return text
-    return "none"
+    return "not needed"
 
 
 def hazard_table(summary: dict[str, Any]) -> str:
@@ -31,27 +31,25 @@ def hazard_table(summary: dict[str, Any]) -> str:
         f"{summary['cases']} cases from {len(summary['instants'])} instants "
         f"({', '.join(sorted(summary['instants']))}), "
         f"model-based check {'on' if summary['model_check'] else 'off'}: "
-        f"{v['safe']} noticed and safe, {v['harmless']} without harm, {v['undetected']} not noticed though "
-        f"shot or pose became another, {v['unsafe']} unsafe; {summary['left_out_by_rule']} pairs cannot "
-        "matter by rule.",
+        f"{v['safe']} detected and safe, {v['harmless']} harmless, {v['undetected']} undetected with another "
+        f"shot or pose, {v['unsafe']} unsafe; {summary['left_out_by_rule']} pairs left out by rule.",
         "",
-        "| hazard: what fails | cases | detected by | reaction, ticks | residual risk | only by hardware |",
+        "| hazard | cases | detected by | reaction, ticks | residual risk | only by hardware |",
         "|---|---|---|---|---|---|",
     ]
     lines += [_row(row) for row in summary["rows"] if row["verdicts"]]
-    lines += ["", "## Pairs that cannot matter", "", *(_rules(summary))]
+    lines += ["", "## Pairs left out by rule", "", *(_rules(summary))]
     if summary.get("comparison"):
         lines += ["", "## The model-based check, off and on", "", *_comparison(summary["comparison"])]
-    lines += ["", "## What no software covers", "", *_ALWAYS]
+    lines += ["", "## Hazards that software cannot cover", "", *_ALWAYS]
     return "\n".join(lines) + "\n"
 
 
 _ALWAYS = (
     "- A person inside the fence: fence, light curtain and a hard-wired emergency stop of two channels.",
     "- A burst hose or cylinder, a broken shaft, a loose head: fence, relief valves, inspection.",
-    "- A raised arm that friction alone holds after the air has left: a pin or a support before anybody goes "
-    "near.",
-    "- A shoulder valve stuck open at full speed when the chambers' sensors are away too: absorbers for the "
+    "- A raised arm that only friction holds after venting: a pin or a support before anybody goes near.",
+    "- A shoulder valve stuck open at full speed when the chamber sensors have failed too: absorbers for the "
     "whole swing's energy, or a second valve in series.",
     "- The bench's computer and the valve electronics failing together: the emergency stop's own dump valve.",
 )
@@ -60,8 +58,8 @@ _ALWAYS = (
 def _row(row: dict[str, Any]) -> str:
     ticks = row["detection_ticks"]
     median = f", median {ticks[len(ticks) // 2]}" if ticks else ""
-    reaction = ", ".join(row["reactions"]) or "none"
-    found = ", ".join(row["detected_by"]) or "nothing"
+    reaction = ", ".join(row["reactions"]) or "-"
+    found = ", ".join(row["detected_by"]) or "-"
     count = sum(row["verdicts"].values())
     bad = [f"{row['verdicts'][name]} {name}" for name in ("unsafe", "undetected") if name in row["verdicts"]]
     residual = "; ".join(bad) + (f": {row['reasons'][0]}" if bad and row["reasons"] else "")
@@ -70,7 +68,7 @@ def _row(row: dict[str, Any]) -> str:
         str(count),
         found,
         reaction + median,
-        residual or "none seen",
+        residual or "not seen",
         hardware_for(row["signal"]),
     )
     return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
@@ -81,7 +79,7 @@ def _rules(summary: dict[str, Any]) -> list[str]:
     for row in summary["rows"]:
         for rule in row["rules"]:
             rules.setdefault(rule, []).append(row["breakage"])
-    return [f"- {rule} ({len(names)} faults, as {names[0]})." for rule, names in rules.items()]
+    return [f"- {rule} (faults: {len(names)}, e.g. {names[0]})." for rule, names in rules.items()]
 
 
 def _comparison(rows: list[dict[str, Any]]) -> list[str]:

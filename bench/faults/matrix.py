@@ -1,4 +1,4 @@
-"""The whole matrix: which cases there are, and their run in parallel processes that may be interrupted."""
+"""The whole matrix: the plan of its cases, and their run in parallel processes that may be interrupted."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from pathlib import Path
 from typing import Any
 
 from bench.config import Configuration
-from bench.faults.case import CaseOutcome, Instant, Workbench, instants_of
+from bench.faults.case import Workbench
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
+from bench.faults.instants import Instant, instants_of
+from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 from drivers.base.machine_code import source_digest
 
 _PR_SET_PDEATHSIG = 1
 _AT_ONCE = 12
-"""Cases of one instant that a process runs before it tells of them."""
+"""Cases of one instant that a process runs before it reports."""
 
 
 @dataclass(frozen=True)
 class Skipped:
-    """A pair that cannot matter, with the rule that says so."""
+    """A pair that cannot matter, with its rule."""
 
     breakage: str
     signal: str
@@ -39,7 +41,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class MatrixPlan:
-    """What is to be run."""
+    """Cases to run, and pairs left out."""
 
     cases: tuple[tuple[Breakage, Instant], ...]
     skipped: tuple[Skipped, ...]
@@ -76,7 +78,7 @@ def plan_matrix(
 
 
 def digest_of(configuration: Configuration, profile: Profile, model_check: bool) -> str:
-    """Return what results depend on, as a digest: sources, plant, settings, profile."""
+    """Return the digest of all that results depend on: sources, plant, settings, profile."""
     effective = configuration.effective()
     parts = {
         name: effective[name]
@@ -87,14 +89,14 @@ def digest_of(configuration: Configuration, profile: Profile, model_check: bool)
 
 
 class CaseStore:
-    """Outcomes of one matrix in a file of JSON lines: what stands there is not run again."""
+    """Outcomes of one matrix in a file of JSON lines; stored cases are not run again."""
 
     def __init__(self, path: Path, digest: str) -> None:
-        """Read what is there; a file of another matrix, or a torn last line, is begun anew or cut off."""
+        """Read the stored outcomes; a file of another matrix is replaced, a torn last line dropped."""
         self.path = path
         self.outcomes: dict[tuple[str, str], CaseOutcome] = {}
         self.seconds = 0.0
-        """That its cases took, over all runs."""
+        """Time that the cases took over all runs, s."""
         lines = path.read_text().splitlines() if path.exists() else []
         if not lines or _parsed(lines[0]).get("digest") != digest:
             lines = [json.dumps({"schema": 1, "digest": digest})]
@@ -119,7 +121,7 @@ class CaseStore:
                 file.write(json.dumps(outcome.as_json()) + "\n")
 
     def took(self, seconds: float) -> None:
-        """Store how long a run took."""
+        """Store the duration of a run."""
         self.seconds += seconds
         with self.path.open("a") as file:
             file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
@@ -134,7 +136,7 @@ def _parsed(line: str) -> dict[str, Any]:
 
 
 def outcome_of(record: dict[str, Any]) -> CaseOutcome:
-    """Return the Outcome that `CaseOutcome.as_json` made."""
+    """Return the outcome of a record of `CaseOutcome.as_json`."""
     return CaseOutcome(**{**record, "reasons": tuple(record["reasons"])})
 
 
@@ -149,10 +151,10 @@ def run_matrix(
     progress: Callable[[int], None] = lambda done: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[CaseOutcome]:
-    """Run what `store` does not hold yet, and return the outcomes of all of `plan` in its order.
+    """Run the cases that `store` lacks, and return the outcomes of all of `plan` in its order.
 
-    In this process with `processes` 1, else in so many, by default one a core. `progress` is told of cases
-    done. Ended early by `stop`, it returns what there is; the rest is run the next time.
+    In this process with `processes` 1, else in as many, by default one a core. `progress` is called with the
+    number of cases done. On `stop` the outcomes so far are returned; the rest is run the next time.
     """
     left = [(b, i) for b, i in plan.cases if (b.name, i.name) not in store.outcomes]
     progress(len(plan.cases) - len(left))
@@ -189,7 +191,7 @@ def run_matrix(
 
 
 def _tasks(cases: Sequence[tuple[Breakage, Instant]]) -> Iterator[tuple[Instant, list[Breakage]]]:
-    """Yield the cases instant by instant, a few at a time: a process keeps the undisturbed bench of each."""
+    """Yield the cases by instant, a few at a time: a process keeps the undisturbed bench of each."""
     for instant in dict.fromkeys(instant for _, instant in cases):
         breakages = [breakage for breakage, at in cases if at == instant]
         for begin in range(0, len(breakages), _AT_ONCE):
@@ -197,19 +199,19 @@ def _tasks(cases: Sequence[tuple[Breakage, Instant]]) -> Iterator[tuple[Instant,
 
 
 _bench: Workbench | None = None
-"""Of a worker process."""
+"""Bench of a worker process."""
 
 
 def _begin(parent: int, configuration: Configuration, profile: Profile, model_check: bool) -> None:
-    # A pool's workers wait for work for ever when their parent is ended by a signal.
+    # Without it a pool's workers wait for ever after a signal has ended their parent.
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
-    global _bench  # noqa: PLW0603 - the one place where a pool's worker can keep what it was started with
+    global _bench  # noqa: PLW0603 - the only place where a pool's worker can keep its bench
     _bench = Workbench(configuration, profile, model_check=model_check)
 
 
 def _run(instant: Instant, breakages: list[Breakage]) -> list[CaseOutcome]:
     if _bench is None:
-        raise RuntimeError("a worker that was not begun")
+        raise RuntimeError("worker not initialised")
     return [_bench.run(breakage, instant) for breakage in breakages]

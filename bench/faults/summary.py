@@ -1,18 +1,19 @@
-"""What the cases of a matrix come to: by breakage and phase, and the times of the reactions."""
+"""Summary of a matrix: verdicts by breakage and phase, and the times of the reactions."""
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from bench.faults.case import CaseOutcome
 from bench.faults.matrix import Skipped
+from bench.faults.verdict import CaseOutcome
 from sim.faults import MEANINGS, sort_of
 
 SCHEMA_VERSION = 1
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
-"""In rising order of badness."""
+"""From best to worst."""
 PHASES = (
     "standing",
     "homing",
@@ -27,7 +28,7 @@ PHASES = (
 )
 
 PROMISED_TICKS = {"encoder off": 5, "switch off": 1, "link off": 5, "loop stall": 1}
-"""Ticks to the reaction that are promised."""
+"""Promised ticks to the reaction."""
 
 
 def summarise(
@@ -38,7 +39,7 @@ def summarise(
     profile: str,
     seconds: float,
 ) -> dict[str, Any]:
-    """Return the matrix in brief, as JSON has it."""
+    """Return the summary of a matrix as a JSON-ready record."""
     rows = []
     for name in dict.fromkeys([*(o.breakage for o in outcomes), *(s.breakage for s in skipped)]):
         own, left_out = (
@@ -92,13 +93,13 @@ def _phase(phase: str, own: Sequence[CaseOutcome], skipped: Sequence[Skipped]) -
 
 
 def _reasons(own: Sequence[CaseOutcome]) -> list[str]:
-    """Return each sort of bad end once, the worst first."""
+    """Return each reason once, the worst first."""
     bad = sorted((o for o in own if o.reasons), key=lambda o: -VERDICTS.index(o.verdict))
     return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}" for o in bad))
 
 
 def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float]]:
-    """Return least, median and greatest ticks to the reaction by sort of fault, where it is detected."""
+    """Return min, median and max ticks to the reaction by sort of fault, of detected faults."""
     groups: dict[str, list[int]] = {}
     for outcome in outcomes:
         ticks = outcome.detection_ticks if outcome.reaction_ticks < 0 else outcome.reaction_ticks
@@ -116,7 +117,7 @@ def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float
 
 
 def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -> list[dict[str, Any]]:
-    """Return what the model-based check makes of the cases that were run with it and without."""
+    """Return the effect of the model-based check on the cases run with and without it."""
     before = {(o.breakage, o.instant): o for o in without}
     pairs = [(o, before[o.breakage, o.instant]) for o in with_check if (o.breakage, o.instant) in before]
     rows = []
@@ -137,6 +138,22 @@ def compare(with_check: Sequence[CaseOutcome], without: Sequence[CaseOutcome]) -
             }
         )
     return rows
+
+
+def summary_text(summary: dict[str, Any]) -> str:
+    """Return `summary` as JSON with one compact line a breakage."""
+    parts = []
+    for key, value in summary.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            lines = ",\n".join(_compact(row) for row in value)
+            parts.append(f"{_compact(key)}:[\n{lines}\n]")
+        else:
+            parts.append(f"{_compact(key)}:{_compact(value)}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _compact(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
 
 
 def _median(ticks: list[int]) -> int | None:

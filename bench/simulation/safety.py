@@ -62,9 +62,9 @@ def dangers(end: RunEnd, limits: SafetyLimits) -> list[str]:
     if end.head_share is not None and not end.head_share <= limits.head_share:
         found.append(f"the head reached {100 * end.head_share:.0f} % of the profile's speed")
     if end.creep is not None and not end.creep <= limits.creep:
-        found.append(f"moved by {end.creep:.2f} rad after the chambers were called empty")
+        found.append(f"moved by {end.creep:.2f} rad after the chambers were reported empty")
     if end.rested is False:
-        found.append("it did not come to rest")
+        found.append("did not come to rest")
     if end.access_pressure is not None and not end.access_pressure <= limits.access_pressure:
         found.append(f"the guard was released at {1e-5 * end.access_pressure:.1f} bar in a chamber")
     if end.armed_again:

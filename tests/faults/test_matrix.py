@@ -21,11 +21,13 @@ from bench.commands.faults import app
 from bench.commands.faults_page import matrix_page, matrix_table
 from bench.commands.session import Session
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.case import CaseOutcome, Instant, Workbench, instants_of
+from bench.faults.case import Workbench
 from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
 from bench.faults.hazards import hazard_table
+from bench.faults.instants import Instant, instants_of
 from bench.faults.matrix import CaseStore, MatrixPlan, digest_of, plan_matrix, run_matrix
-from bench.faults.summary import PHASES, compare, summarise
+from bench.faults.summary import PHASES, compare, summarise, summary_text
+from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 from sim.faults import KINDS, SIGNALS, sort_of
 
@@ -264,6 +266,9 @@ def test_rules_say_why() -> None:
 
 
 def test_the_hazard_table_is_that_of_its_matrix() -> None:
-    summary = json.loads((ROOT / "sim" / "FAULTS.json").read_text())
+    text = (ROOT / "sim" / "FAULTS.json").read_text()
+    summary = json.loads(text)
+    assert text == summary_text(summary)
+    assert len(text.splitlines()) < len(CATALOGUE) + 100  # one line a breakage
     assert (ROOT / "sim" / "FAULTS.md").read_text() == hazard_table(summary)
     assert {row["breakage"] for row in summary["rows"]} == set(BREAKAGE)

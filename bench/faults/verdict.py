@@ -1,0 +1,198 @@
+"""The verdict on one case of the matrix: safe, harmless, undetected or unsafe.
+
+Judged by the plant's truth, not by the bench's belief; the bench's detection and message stand beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from math import hypot
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.faults.catalogue import Breakage
+from bench.faults.instants import Instant
+from bench.faults.watch import WatchedRun
+from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Reaction, State
+from bench.loop import Cycles
+from bench.simulation.safety import SafetyLimits, dangers
+from sim.plant import Plant
+
+_MATTERS = {"speed": 0.01, "strike": 0.005, "pose": 0.02}
+"""Share of the head's speed, m at the ball, rad at the end: differences that do not matter yet."""
+
+
+@dataclass(frozen=True)
+class CaseOutcome:
+    """End of one case. Shares are of a rating or limit: 1 is the limit. Times are ticks from the fault."""
+
+    breakage: str
+    signal: str
+    kind: str
+    phase: str
+    instant: str
+    verdict: str
+    """safe, harmless, undetected or unsafe."""
+    reasons: tuple[str, ...]
+    detected_by: str
+    detection_ticks: int
+    """-1: never."""
+    reaction: str
+    reaction_ticks: int
+    """Until the first command at the valve that carries the reaction; -1: no reaction."""
+    stop_share: float
+    stop: str
+    pressure_share: float
+    overtravel: float
+    """Share of a cushion's travel that was pressed in."""
+    stop_head_speed: float
+    """Fastest head while a cushion was pressed, m/s."""
+    clearance: float
+    """Lowest of the head over the ground, m."""
+    head_share: float
+    """Fastest head, share of the profile's."""
+    rest_ticks: int
+    """Until all joints rested for good; -1: they did not."""
+    operator: str
+    record: str
+    change: str
+    """Difference to the undisturbed run at the ball or at rest; empty if it does not matter."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the outcome as a JSON-ready record."""
+        return asdict(self) | {"reasons": list(self.reasons)}
+
+
+class CaseLimits(NamedTuple):
+    """Plant and limits that a case is judged by."""
+
+    plant: Plant
+    safety: SafetyLimits
+    head_speed: float
+    """Fastest head of the undisturbed swing, m/s."""
+
+
+def judge_case(
+    limits: CaseLimits, breakage: Breakage, instant: Instant, run: WatchedRun, healthy: WatchedRun
+) -> CaseOutcome:
+    """Return the outcome of `run` with `breakage` at `instant`; `healthy` is the undisturbed run."""
+    cycles, loads = run.cycles, run.loads
+    detected_by, detected, reaction, reacted = _detection(run, healthy)
+    change = _change(run, healthy) if not detected_by else ""
+    head_share = loads.peak_head_speed / limits.head_speed
+    reasons = dangers(run.end(head_share), limits.safety)
+    if reasons and not detected_by:
+        reasons.append("the record says healthy")
+    if reasons:
+        verdict = "unsafe"
+    elif detected_by:
+        verdict = "safe"
+    else:
+        verdict = "undetected" if change else "harmless"
+    if verdict == "undetected":
+        reasons.append(change)
+    cause, final = Cause(int(run.control[0]["cause"])), State(int(run.control[0]["state"]))
+    fastest_at_stop = float(cycles["plant_head_speed"][_pressed(limits.plant, cycles)].max(initial=0.0))
+    return CaseOutcome(
+        breakage=breakage.name,
+        signal=breakage.fault.signal,
+        kind=breakage.fault.kind,
+        phase=instant.phase,
+        instant=instant.name,
+        verdict=verdict,
+        reasons=tuple(reasons),
+        detected_by=detected_by,
+        detection_ticks=detected,
+        reaction=reaction,
+        reaction_ticks=reacted,
+        stop_share=round(loads.stop_share, 4),
+        stop=loads.stop,
+        pressure_share=round(loads.pressure_share, 4),
+        overtravel=round(loads.depth_share, 4),
+        stop_head_speed=round(fastest_at_stop, 2),
+        clearance=round(loads.lowest_clearance, 4),
+        head_share=round(head_share, 4),
+        rest_ticks=run.rest_tick if run.rest_tick < len(cycles) - 1 else -1,
+        operator=CAUSE_TEXT[cause] if cause else "; ".join(run.refusals) or "nothing",
+        record=f"{final.name}, trip {cause.name}" + (f", reaction {reaction}" if reaction else ""),
+        change=change,
+    )
+
+
+def _detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int, str, int]:
+    """Return what detected the fault and at which tick, and the reaction and its tick; "" and -1: none."""
+    cycles = run.cycles
+    ran = cycles["tick"] > 0
+    tripped = _first(ran & (cycles["trip"] != 0))
+    if tripped >= 0:
+        detected_by = Cause(int(cycles["trip"][tripped])).name
+    else:
+        detected_by, tripped = _other_detection(run, healthy)
+    reacted = _first(ran & (cycles["reaction"] >= Reaction.COMPLETE)) if detected_by else -1
+    reaction = Reaction(int(cycles["reaction"][reacted])).name if reacted >= 0 else ""
+    if run.device_passive >= 0 and reacted < 0:
+        reaction, reacted = "PASSIVE (valve node)", run.device_passive
+    return detected_by, tripped, reaction, reacted
+
+
+def _first(mask: NDArray[np.bool_]) -> int:
+    found = np.flatnonzero(mask)
+    return int(found[0]) if len(found) else -1
+
+
+def _pressed(plant: Plant, cycles: Cycles) -> NDArray[np.bool_]:
+    """Return in which ticks a cushion was pressed, (n,)."""
+    r, angle, actuators = plant.robot[0], cycles["plant_angle"], plant.parameters.actuators
+    length = np.hypot(r["l62"] + r["l23"] * np.cos(angle[:, 1]), r["l23"] * np.sin(angle[:, 1]))
+    position = np.column_stack([angle[:, 0], length - r["l56"], angle[:, 2]])
+    lower, upper = [a.lower for a in actuators], [a.upper for a in actuators]
+    return np.asarray(((position < lower) | (position > upper)).any(axis=1))
+
+
+def _other_detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int]:
+    """Return what detected the fault though no cause was latched, and at which tick."""
+    if run.device_passive >= 0:
+        return "watchdog of the valve node", run.device_passive
+    news = [refusal for refusal in run.refusals if refusal not in healthy.refusals]
+    if news:
+        at = _first((run.cycles["answer"] == Answer.REFUSED) & (run.cycles["request"] != 0))
+        return news[0].partition(":")[0], at
+    for name, text in (("lease_held", "disarmed: no lease"), ("support_ready", "disarmed: nothing records")):
+        gone = _first((run.cycles["tick"] > 0) & ~run.cycles[name])
+        if gone >= 0:
+            return text, gone
+    left, struck = _ball_left(run.cycles), not _ball_left(healthy.cycles)
+    if left and struck:
+        return "no ball struck, reported with the shot", len(run.cycles) - 1
+    ran = np.flatnonzero(run.cycles["tick"] > 0)
+    late = run.cycles["measured_step"][ran] > 1.5 * np.median(run.cycles["measured_step"][ran])
+    if late.any():
+        return "missed ticks, counted with the swing", int(ran[np.flatnonzero(late)[0]])
+    return "", -1
+
+
+def _ball_left(cycles: Cycles) -> bool:
+    """Return whether the ball sensor sees the ball after the impact; False without a swing."""
+    seen = cycles["ball_present"][cycles["phase"] == Phase.FOLLOW_THROUGH]
+    return bool(len(seen) and seen[-1])
+
+
+def _change(run: WatchedRun, healthy: WatchedRun) -> str:
+    """Return the difference to the undisturbed run at the ball or at rest; empty if it does not matter."""
+    if (run.contact is None) != (healthy.contact is None):
+        return "the ball was missed" if run.contact is None else "a ball was struck"
+    if run.contact is not None and healthy.contact is not None:
+        a, b = run.contact, healthy.contact
+        speed, wanted = hypot(a[3], a[4]), hypot(b[3], b[4])
+        if abs(speed - wanted) > _MATTERS["speed"] * wanted:
+            return f"club speed at the ball {speed:.1f} instead of {wanted:.1f} m/s"
+        # Across the club's way: along it the contact is found anyhow.
+        off = abs((a[0] - b[0]) * -b[4] + (a[1] - b[1]) * b[3]) / wanted
+        if off > _MATTERS["strike"]:
+            return f"struck {1e3 * off:.0f} mm off"
+    apart = np.abs(run.angle - healthy.angle).max()
+    if apart > _MATTERS["pose"] and not np.isnan(apart):
+        return f"rests {apart:.2f} rad from where it should"
+    return ""
