@@ -131,17 +131,17 @@ class CampaignCorrections:
         before = learned_swings(self._database, self._entry.bench, profile.name)
         found = next((one for one in before if mark.items() <= dict(one.content).items()), None)
         if found is None:
-            lecture = self._lecture(arm)
+            problem = self._lecture(arm)
             weights = self.weights(arm)
-            with robot(lecture) as swinger:
-                lesson = learn(
-                    lecture,
+            with robot(problem) as swinger:
+                result = learn(
+                    problem,
                     swinger,
                     LearningSettings(swings=self._plan.learning.swings),
                     start=np.array(weights) if weights else None,
                 )
             found = stored(
-                lesson,
+                result,
                 self._entry.bench,
                 profile.name,
                 self._conditions(arm, truth),

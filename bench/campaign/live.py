@@ -338,8 +338,8 @@ class LiveShots:
         with _suspending():
             return self._swings.refresh(drift, number, self._learner)
 
-    def _learner(self, lecture: LearningProblem) -> LiveSwinger:
-        return LiveSwinger(self._client, lecture, "encoders+model", lambda text: None, with_ball=False)
+    def _learner(self, problem: LearningProblem) -> LiveSwinger:
+        return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
 
     @property
     def _must_practise(self) -> bool:

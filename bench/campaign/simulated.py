@@ -117,8 +117,8 @@ class SimulatedShots:
         """Relearn a swing on the robot as it is at shot `number`."""
         truth = self._worn(drift.arm[1], number)
 
-        def robot(lecture: LearningProblem) -> AbstractContextManager[Swinger]:
-            return nullcontext(on_series(lecture, Series(lecture.bench, truth)))
+        def robot(problem: LearningProblem) -> AbstractContextManager[Swinger]:
+            return nullcontext(on_series(problem, Series(problem.bench, truth)))
 
         text = self._swings.refresh(drift, number, robot, truth)
         self._armed.pop(drift.arm, None)

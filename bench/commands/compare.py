@@ -55,7 +55,7 @@ def compare(
     from bench.commands.progress import progress_bar
     from bench.design.validate import require_possible
     from bench.learning.compare import compare as compared
-    from bench.learning.compare import controllers, lecture_of, planned_figures
+    from bench.learning.compare import controllers, planned_figures, problem_of
     from bench.simulation.series import Bench
     from bench.simulation.variation import WORN, drawn
     from bench.swing.library import find_profile
@@ -74,10 +74,10 @@ def compare(
         robots = {robot: robots[robot]}
     rows: dict[str, list[Compared]] = {}
     with progress_bar() as bar:
-        lecture = None
+        problem = None
         if learning:
             task = bar.add_task("the model's response", total=1.0)
-            lecture = lecture_of(bench, lambda part: bar.update(task, completed=part))
+            problem = problem_of(bench, lambda part: bar.update(task, completed=part))
         each = len(controllers(bench)) + bool(learning)
         for name, truth in robots.items():
             task = bar.add_task(name, total=each + 1)
@@ -85,7 +85,7 @@ def compare(
             def show(controller: str, task: Any = task, name: str = name) -> None:
                 bar.update(task, advance=1, description=f"{name}: {controller}")
 
-            rows[name] = compared(bench, truth, swings, lecture, show)
+            rows[name] = compared(bench, truth, swings, problem, show)
             bar.update(task, completed=each + 1)
     if json_:
         told = {name: [compared_record(row) for row in found] for name, found in rows.items()}

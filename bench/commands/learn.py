@@ -135,41 +135,41 @@ def learn(
         if client is not None:
             require_bench(client.status(), swing, measured)
         task = bar.add_task("the model's response", total=1.0)
-        lecture = prepare(bench, lambda part: bar.update(task, completed=part))
+        problem = prepare(bench, lambda part: bar.update(task, completed=part))
         bar.update(task, completed=1.0)
         if identified is not None:
             task = bar.add_task("the identified robot learns", total=None)
-            lecture = begun_on(lecture, load_configuration(identified).plant, recorded)
+            problem = begun_on(problem, load_configuration(identified).plant, recorded)
             bar.update(task, total=1.0, completed=1.0)
         task = bar.add_task("learning swings", total=swings + 1)
         live = None
         if client is not None:
-            live = stack.enter_context(LiveSwinger(client, lecture, measured, say, ask_mark))
-        swinger = live or on_series(lecture, Series(bench, truth))
-        lesson = learned(
-            lecture,
+            live = stack.enter_context(LiveSwinger(client, problem, measured, say, ask_mark))
+        swinger = live or on_series(problem, Series(bench, truth))
+        result = learned(
+            problem,
             swinger,
             LearningSettings(swings=swings),
-            told=lambda attempt: bar.update(task, advance=1),
+            on_attempt=lambda attempt: bar.update(task, advance=1),
         )
         if live is not None:
-            live.correct(lesson.weights)
+            live.correct(result.weights)
     settings, now = configuration.bench, datetime.now(UTC)
     simulated = live is None or live.simulated
     temperature = configuration.air.temperature
     conditions = Conditions.of(swing, plant, temperature, truth if simulated else None)
-    entry = stored(lesson, settings.id, swing.name, conditions, measured, now, simulated=simulated)
+    entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
     with open_database(database_url(settings.database, settings.data_dir), now) as database:
         version = keep(database, entry)
     if output is not None:
-        save_profile(output, lesson.correction.applied_to(swing))
+        save_profile(output, result.correction.applied_to(swing))
     if json_:
         typer.echo(json.dumps(entry.record | {"version": version}, indent=2))
     else:
         console = Console()
-        console.print(_table(lesson, swing.name))
-        console.print(_verdict(lesson, entry, version), highlight=False)
-    if not lesson.within:
+        console.print(_table(result, swing.name))
+        console.print(_verdict(result, entry, version), highlight=False)
+    if not result.within:
         raise typer.Exit(ExitCode.REFUSED)
 
 
@@ -190,7 +190,7 @@ def _mark_from_person() -> tuple[float, float] | None:
         typer.echo(f"{text!r}: two numbers are wanted, each within {_FACE:g} mm, such as: 3.5 -2", err=True)
 
 
-def _table(lesson: LearningResult, name: str) -> Table:
+def _table(result: LearningResult, name: str) -> Table:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -209,19 +209,19 @@ def _table(lesson: LearningResult, name: str) -> Table:
         ]
         table.add_row(first, *values, *rest)
 
-    row("target", lesson.target.shown, "", "", "")
-    for number, attempt in enumerate(lesson.attempts):
-        note = CAUSE_TEXT[attempt.cause] if attempt.cause else "kept" if number == lesson.chosen else ""
+    row("target", result.target.shown, "", "", "")
+    for number, attempt in enumerate(result.attempts):
+        note = CAUSE_TEXT[attempt.cause] if attempt.cause else "kept" if number == result.chosen else ""
         path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f}"
         row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f}", note)
     return table
 
 
-def _verdict(lesson: LearningResult, entry: Learned, version: int) -> str:
+def _verdict(result: LearningResult, entry: Learned, version: int) -> str:
     kept = f"Kept as version {version} of {entry.profile} for {entry.conditions.text}."
-    if lesson.within:
-        return f"Within the tolerances after {lesson.chosen} learning swings. {kept}"
+    if result.within:
+        return f"Within the tolerances after {result.chosen} learning swings. {kept}"
     return (
-        f"Not within the tolerances after {lesson.used} learning swings: the nearest is kept. {kept}\n"
+        f"Not within the tolerances after {result.used} learning swings: the nearest is kept. {kept}\n"
         "A share of saturation that stays high says that the robot has not enough air for this swing."
     )

@@ -1,1 +1,1 @@
-"""Iterative learning control: what a swing did not do, the next one is told beforehand."""
+"""Iterative learning control: the errors of a swing correct the next one beforehand."""

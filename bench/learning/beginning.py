@@ -1,9 +1,9 @@
-"""Where learning begins on an identified robot: what that one learns in simulation, and what it still missed.
+"""Start of learning on an identified robot: its simulated correction, and the error that is left.
 
-An identified robot swings nearly as the recorded one did. What was delivered beyond that, by the same
-measuring chain, is known from the swings that it was identified from. It changes little from one correction
-to the next, so the identified robot learns a target that is as much lower, and the first swing of the robot
-itself has neither the model's error nor the identification's.
+An identified robot swings nearly as the recorded one did. The remaining difference in delivery, by the same
+measuring chain, is known from the recorded swings. It changes little from one correction to the next, so the
+identified robot learns a target that is lower by it, and the first swing of the robot itself has neither the
+model's error nor the identification's.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
 
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
-"""How far robots delivered off what was expected of them at first, tolerances and rad, and the share by which
-their response differed from the identified one: drawn ones and a worn one, see the benchmark `identified`."""
+"""Difference of the first delivery from the expected one, tolerances and rad, share by which the response
+differed from the identified one, and radius: of drawn robots and a worn one (benchmark `identified`)."""
 _MOST_LEFT_OVER = 10.0
-"""Tolerances that identification may leave over: it was one at the most where it had found the robot."""
+"""Max error after identification, tolerances: at most one where the robot had been found."""
 _ANYTHING = (1e4,) * 4
-"""Instead of the first where no recorded swing tells."""
+"""Replaces the first of them without recorded swings."""
 _SWINGS = 3
-"""Simulated ones that are averaged, as one may be lucky; one before them begins with the air of arming."""
+"""Simulated swings that are averaged; one before them begins with the air of arming."""
 
 
 def begun_on(
-    lecture: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
+    problem: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
 ) -> LearningProblem:
-    """Return `lecture` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
+    """Return `problem` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
 
     Without them what the identification left over is not known: the first swing only begins nearer.
 
@@ -52,13 +52,13 @@ def begun_on(
             it is not the robot that made them.
         Refused: it does not reach its address.
     """
-    bench = lecture.bench
+    bench = problem.bench
     beyond = left_over(bench, plant, recorded) if recorded else np.zeros(4)
-    require_identified(beyond / Tolerance().scale(lecture.target))
-    swing = on_series(lecture, Series(bench, quiet(plant)))
-    aim = lecture._replace(target=Figures(*map(float, lecture.target.array - beyond)))
+    require_identified(beyond / Tolerance().scale(problem.target))
+    swing = on_series(problem, Series(bench, quiet(plant)))
+    aim = problem._replace(target=Figures(*map(float, problem.target.array - beyond)))
     weights = learn(aim, swing).weights
-    response = Model(bench, lecture.basis, plant).response(weights)
+    response = Model(bench, problem.basis, plant).response(weights)
     swings = [swing(weights) for _ in range(_SWINGS)]
     figures = np.mean([swung.figures.array for swung in swings], axis=0) + beyond
     path = np.mean([swung.cycles["angle"][response.rows] for swung in swings], axis=0)
@@ -68,11 +68,11 @@ def begun_on(
     else:
         s = LearningSettings()
         known = Beginning(weights, about, _ANYTHING, max(_ANYTHING), s.doubt, s.radius)
-    return lecture._replace(beginning=known)
+    return problem._replace(beginning=known)
 
 
 def require_identified(beyond: Array) -> None:
-    """Refuse a robot that delivers otherwise than recorded by (4,) too many tolerances.
+    """Refuse a robot whose delivery is (4,) too many tolerances off the records.
 
     Raises:
         BenchError: it does.
@@ -87,7 +87,7 @@ def require_identified(beyond: Array) -> None:
 
 
 def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:
-    """Return what the swings `recorded` delivered (4,) beyond what `plant` does with their profile.
+    """Return the delivery (4,) of the swings `recorded` less that of `plant` with their profile.
 
     Raises:
         BenchError: one was stopped or missed the ball, on the robot or on `plant`.
@@ -96,7 +96,7 @@ def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]
     free = Model(bench, basis_of(bench.profile)).free()
 
     def figures(cycles: Cycles, encoders: Encoders) -> Array:
-        # Seen as the learner sees it, by the same model on both sides of the difference.
+        # Measured as in learning, by the same model on both sides of the difference.
         seen = delivery_from_encoders(cycles, replace(bench.model, encoders=encoders), free)
         if seen is None:
             raise BenchError(

@@ -1,9 +1,9 @@
-"""Controllers compared on one swing and one robot: what each adds to tracking and delivery, and its cost.
+"""Controllers compared on one swing and one robot: tracking, delivery and cost of each.
 
-All begin alike: armed, held and brought back by the bench's own controller, so that the robot, its air and
+All start alike: armed, held and brought back by the bench's own controller, so that the robot, its air and
 its random numbers are the same; only the swing itself is the compared controller's. Following errors do not
-stop it, or most rows would be empty; where the envelope would have stopped it is told. All else that the
-envelope watches still stops.
+stop it, or most rows would be empty; the row says where the envelope would have stopped it. All other checks
+of the envelope still stop.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FOLLOWED = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED)
 
 
 class Controller(NamedTuple):
-    """One of those that are compared."""
+    """One of the compared controllers."""
 
     name: str
     control: ControlSettings
@@ -53,28 +53,28 @@ class Compared(NamedTuple):
 
     controller: str
     figures: Figures
-    """Unknown when no swing struck the ball unstopped."""
+    """Unknown if no swing struck the ball without a stop."""
     error: Figures
-    """Less what the profile plans; of the speed a share of it."""
+    """Figures less the planned ones; that of the speed as a share."""
     tracking: Array
     """Root mean square of reference less true angle in the downswing, up to a stop, (3,) rad."""
     path: float
-    """The same of the head's way from its reference, m."""
+    """Root mean square of the head's distance from its reference, m."""
     saturated: float
     """Share of the downswing's ticks in which a valve stood at its limit."""
     air: float
-    """kg a swing."""
+    """Air used per swing, kg."""
     cause: Cause
-    """Of the last stop; ADDRESS_TIMEOUT when the robot does not come to rest at the address; else NONE."""
+    """Cause of the last stop; ADDRESS_TIMEOUT if the robot does not rest at its address; else NONE."""
     strayed: tuple[int, Phase] | None
-    """Joint and phase in which the envelope's following error is first exceeded; None when it is not."""
+    """Joint and phase in which the envelope's following error is first exceeded; None if it is not."""
 
 
 def planned_figures(bench: Bench) -> Figures:
-    """Return what the profile plans to deliver.
+    """Return the delivery that the profile plans.
 
     Raises:
-        BenchError: its file does not say.
+        BenchError: its file lacks it.
     """
     delivery, lie = bench.profile.delivery, bench.model.robot.lie
     wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
@@ -123,8 +123,8 @@ def controllers(bench: Bench) -> list[Controller]:
     ]
 
 
-def lecture_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
-    """Return what is to be learned: the profile's plan, by the model's response.
+def problem_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
+    """Return the learning problem: the profile's plan, by the model's response.
 
     Raises:
         BenchError: the modelled swing is stopped or misses the ball.
@@ -138,12 +138,12 @@ def compare(
     bench: Bench,
     plant: PlantParameters,
     swings: int = 3,
-    lecture: LearningProblem | None = None,
-    told: Callable[[str], None] = lambda name: None,
+    problem: LearningProblem | None = None,
+    on_start: Callable[[str], None] = lambda name: None,
 ) -> list[Compared]:
-    """Return a row for each of `controllers`, and with a `lecture` one for learning, on the robot `plant`.
+    """Return a row for each of `controllers`, and with a `problem` one for learning, on the robot `plant`.
 
-    Each arms anew and swings once before its swings count. `told` gets the name of what swings next.
+    Each arms and swings once before its swings count. `on_start` gets the name of the next one.
 
     Raises:
         BenchError: the profile does not say what it plans to deliver.
@@ -151,17 +151,17 @@ def compare(
     planned, rows = planned_figures(bench), []
     loose = bench._replace(envelope=replace(bench.envelope, following={}))
     for controller in controllers(bench):
-        told(controller.name)
+        on_start(controller.name)
         truth = replace(plant, pressure_sensors=controller.sensors)
         try:
             rows.append(_compared(controller, loose, truth, bench.envelope, planned, swings))
         except Refused:
             rows.append(_no_address(controller.name))
-    if lecture is not None:
+    if problem is not None:
         name = "+ learning"
-        told(name)
+        on_start(name)
         try:
-            rows.append(_learned(name, lecture, replace(plant, pressure_sensors=False), planned, swings))
+            rows.append(_learned(name, problem, replace(plant, pressure_sensors=False), planned, swings))
         except Refused:
             rows.append(_no_address(name))
     return rows
@@ -182,7 +182,7 @@ def _compared(
     planned: Figures,
     swings: int,
 ) -> Compared:
-    # Held by the bench's own gains; the observer of the pressures has to know what was before the swing.
+    # Held by the bench's own gains; the observer of the pressures needs the time before the swing.
     holding = replace(bench.control, feed_forward=controller.control.feed_forward)
     series = Series(bench._replace(control=holding), plant)
     swung = _parameters(bench, controller)
@@ -192,15 +192,15 @@ def _compared(
 
 
 def _learned(
-    name: str, lecture: LearningProblem, plant: PlantParameters, planned: Figures, swings: int
+    name: str, problem: LearningProblem, plant: PlantParameters, planned: Figures, swings: int
 ) -> Compared:
-    bench = lecture.bench
+    bench = problem.bench
     series = Series(bench, plant)
-    lesson = learn(lecture, on_series(lecture, series))
-    learned = lesson.correction.applied_to(bench.profile)
+    result = learn(problem, on_series(problem, series))
+    learned = result.correction.applied_to(bench.profile)
     series.swing(learned)
     made = [series.swing(learned) for _ in range(swings)]
-    return _row(f"{name}, {lesson.chosen}", made, bench, bench.envelope, planned)
+    return _row(f"{name}, {result.chosen}", made, bench, bench.envelope, planned)
 
 
 def _parameters(bench: Bench, controller: Controller) -> ControlParameters:
@@ -242,7 +242,7 @@ def _row(
 
 
 def _delivered(swing: SeriesSwing, profile: Profile) -> bool:
-    """Tell whether the contact is the swing's: in its downswing or later, and before any stop."""
+    """Return whether the contact is the swing's: in its downswing or later, and before any stop."""
     stops = np.flatnonzero(swing.cycles["trip"] != 0)
     end = stops[0] if len(stops) else len(swing.cycles)
     return profile.begins[3] <= swing.contact_time / profile.period <= end
@@ -253,7 +253,7 @@ def _figures(values: Array) -> Figures:
 
 
 def _root_mean_square(values: Array) -> Array:
-    """Return the root mean square of each column of `values` (n, k); NaN of none."""
+    """Return the root mean square of each column of `values` (n, k); NaN without rows."""
     return (
         np.asarray(np.sqrt(np.mean(values**2, axis=0))) if len(values) else np.full(values.shape[1], np.nan)
     )

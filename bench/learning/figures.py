@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 
 class Figures(NamedTuple):
-    """A delivery in figures of the swing plane, SI and rad; NaN where the source does not tell."""
+    """A delivery in figures of the swing plane, SI and rad; NaN where the source has no value."""
 
     strike: float
-    """Where on the face the ball is met, along the line in which the swing plane cuts it, m, up the plane."""
+    """Strike point on the face, along its cut with the swing plane, m, up the plane."""
     speed: float
-    """Of the head, m/s."""
+    """Head speed, m/s."""
     lean: float
-    """Of the shaft, rad."""
+    """Shaft lean, rad."""
     attack: float
     """rad"""
 
@@ -32,7 +32,7 @@ class Figures(NamedTuple):
 
     @property
     def shown(self) -> dict[str, float | None]:
-        """The figures with their units in the names; None where nothing is known."""
+        """The figures with their units in the names; None where unknown."""
         values = (1e3 * self.strike, self.speed, np.degrees(self.lean), np.degrees(self.attack))
         names = ("strike_mm", "head_speed_mps", "shaft_lean_deg", "attack_angle_deg")
         return {
@@ -44,7 +44,7 @@ UNKNOWN = Figures(*[float("nan")] * 4)
 
 
 class Tolerance(NamedTuple):
-    """What counts as learned."""
+    """Errors within which a figure counts as learned."""
 
     strike: float = 0.002
     """m"""
@@ -59,7 +59,7 @@ class Tolerance(NamedTuple):
 
 
 def figures_of(delivery: Delivery | None) -> Figures:
-    """Return the figures of `delivery`; without one all are unknown."""
+    """Return the figures of `delivery`; all unknown without one."""
     if delivery is None:
         return UNKNOWN
     return Figures(delivery.in_plane_error, delivery.speed, delivery.shaft_lean, delivery.attack_angle)

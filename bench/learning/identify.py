@@ -41,7 +41,7 @@ NAMES = (
     "club inertia",
     "encoder latency",
 )
-"""What is asked for: factors on the nominal values, the last one ms beside the nominal latency."""
+"""Identified parameters: factors on the nominal values; the last one is ms added to the nominal latency."""
 SURE = 0.05
 """Standard error up to which a parameter counts as identified."""
 _SPACING = 5
@@ -49,7 +49,7 @@ _SPACING = 5
 _SMOOTHED = 41
 """Samples over which openings are averaged."""
 _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
-"""Size of an error that weighs as much as another: rad, opening, Pa; what swings alike differ by."""
+"""Errors of equal weight: rad, opening, Pa; the scatter of swings alike."""
 _PRIOR = 0.4
 """Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
 _BOUND, _MOST = 0.5, 1.0
@@ -58,7 +58,7 @@ _LATENCY = 5.0
 """ms that count as much as a factor of two."""
 _ITERATIONS = 40
 _POOR = 10.0
-"""Errors that are left, against what swings alike differ by, with which a search counts as lost."""
+"""Remaining errors, over the scatter of swings alike, from which on a search has failed."""
 _ALIKE = 100
 """Neighbouring samples that err alike and count as one."""
 _SWINGS = 3
@@ -66,7 +66,7 @@ _SWINGS = 3
 
 
 class Identified(NamedTuple):
-    """What the records say of the robot."""
+    """Robot identified from records."""
 
     values: Array
     """In the order of NAMES."""
@@ -78,7 +78,7 @@ class Identified(NamedTuple):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which parameters the records tell."""
+        """Which parameters the records determine."""
         return np.asarray(self.error <= SURE)
 
     def variation(self, bench: Bench) -> Variation:
@@ -122,7 +122,7 @@ def identify(
     """Return the parameters with which the model swings as in `observed`: CYCLE records from the first tick.
 
     All swings are of the bench's profile and not the first after arming. What is not `asked` stays nominal,
-    its error unknown. `progress` is told which part of the greatest number of trials is done.
+    its error unknown. `progress` gets the share of the max number of trials that is done.
 
     Raises:
         BenchError: nothing was observed.
@@ -137,7 +137,7 @@ def identify(
     def values(factors: Array) -> Array:
         every = np.ones(len(NAMES))
         every[free] = factors
-        # What is added to the latency has no scale of its own.
+        # The added latency has no scale of its own.
         every[-1] = max(_LATENCY * (every[-1] - 1.0), -1e3 * bench.model.encoders.latency)
         return every
 
@@ -166,12 +166,12 @@ def identify(
 
     found = searched(start)
     if np.linalg.norm(found.fun[: -len(free)]) > _POOR:
-        # It may have been led to a supply that is too weak to swing, and have ended there: that is measured.
+        # The search may have ended at a supply too weak to swing: start from the measured one.
         supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.model.supply.pressure
         start[free == NAMES.index("supply pressure")] = np.clip(supply, 1 - 0.9 * _BOUND, 1 + 0.9 * _MOST)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
-    # Scaled by what is left, never below what was declared: a good fit makes nothing more certain.
+    # Scaled by the remaining error, at least the declared one: a good fit makes nothing more certain.
     samples = 1.0 / weight**2
     left = max(after**2 * samples / max(samples - len(free), 1.0) / _ALIKE, 1.0) / samples
     jacobian: Array = np.asarray(found.jac)
@@ -181,7 +181,7 @@ def identify(
 
 
 def _seen(profile: Profile, cycles: Cycles) -> Array:
-    """Return what is compared (k, 13), weighted; NaN from a stop on and where no sensor is fitted."""
+    """Return the compared values (k, 13), weighted; NaN from a stop on and without a sensor."""
     swing = cycles[: profile.begins[5]]
     openings = uniform_filter1d(swing["applied_valve"], _SMOOTHED, axis=0)
     values = np.hstack(
@@ -197,7 +197,7 @@ def _seen(profile: Profile, cycles: Cycles) -> Array:
 
 
 def _errors(bench: Bench, values: Array, seen: Array) -> Array:
-    """Return how far the simulated swings are off `seen`; bounded, and NaN when the plant does not swing."""
+    """Return the error of the simulated swings against `seen`; bounded, large without a swing."""
     plant = quiet(variation_of(values, bench).applied_to(bench.model))
     known = np.isfinite(seen)
     try:

@@ -1,4 +1,4 @@
-"""Learn a swing: swing, look at the delivery, correct, swing again; the best correction is kept."""
+"""Learn a swing: swing, evaluate the delivery, correct, swing again; the best correction is kept."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ObservedSwing(NamedTuple):
     cycles: np.ndarray[Any, Any]
     """CYCLE records of the profile's duration, from the swing's first tick."""
     figures: Figures
-    """What it delivered, by the declared source; unknown when it was stopped or missed the ball."""
+    """Delivery by the declared source; unknown if the swing was stopped or missed the ball."""
     cause: Cause
     settled: bool = True
     """Whether it began with the air that a swing had left, not with that of arming."""
@@ -39,7 +39,7 @@ class Attempt(NamedTuple):
     """One learning swing."""
 
     figures: Figures
-    """As measured; unknown when the swing was stopped or missed the ball."""
+    """Measured figures; unknown if the swing was stopped or missed the ball."""
     error: Array
     """(4,) in tolerances."""
     path_error: float
@@ -52,7 +52,7 @@ class Attempt(NamedTuple):
 
 
 class LearningResult(NamedTuple):
-    """What was learned."""
+    """Result of learning."""
 
     target: Figures
     tolerance: Tolerance
@@ -64,7 +64,7 @@ class LearningResult(NamedTuple):
     """(m,) of the basis."""
     correction: Correction
     scatter: Array
-    """(4,) between swings alike, tolerances; as declared when none were alike."""
+    """(4,) between swings alike, tolerances; the declared scatter if no swings were alike."""
 
     @property
     def within(self) -> bool:
@@ -79,18 +79,18 @@ class LearningResult(NamedTuple):
 
 
 class LearningProblem(NamedTuple):
-    """What is to be learned: the model's response, its path as the plan, its delivery as the target."""
+    """Problem of learning: the model's response, its path as the plan, its delivery as the target."""
 
     bench: Bench
     basis: Basis
     response: Response
     target: Figures
     beginning: Beginning | None = None
-    """Where an identified robot lets learning begin; None: without correction."""
+    """Where learning begins on an identified robot; None: without correction."""
 
 
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
-    """Return the response of `bench`'s model; the target is what the profile delivers on that model.
+    """Return the response of `bench`'s model; the target is the profile's delivery on that model.
 
     Raises:
         BenchError: the modelled swing is stopped or misses the ball.
@@ -101,12 +101,12 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
     return LearningProblem(bench, basis, response, Figures(*map(float, response.figures)))
 
 
-def on_series(lecture: LearningProblem, series: Series) -> Swinger:
-    """Return the swinger that a simulated bench is; the source of the delivery is encoders and model."""
-    bench, free = lecture.bench, lecture.response.free
+def on_series(problem: LearningProblem, series: Series) -> Swinger:
+    """Return a simulated bench as a swinger; the source of the delivery is encoders and model."""
+    bench, free = problem.bench, problem.response.free
 
     def swing(weights: Array) -> ObservedSwing:
-        made = series.swing(lecture.basis.correction(weights).applied_to(bench.profile))
+        made = series.swing(problem.basis.correction(weights).applied_to(bench.profile))
         delivery = None if made.cause else delivery_from_encoders(made.cycles, bench.model, free)
         return ObservedSwing(made.cycles, figures_of(delivery), made.cause, made.settled)
 
@@ -114,49 +114,49 @@ def on_series(lecture: LearningProblem, series: Series) -> Swinger:
 
 
 def learn(
-    lecture: LearningProblem,
+    problem: LearningProblem,
     swing: Swinger,
     settings: LearningSettings | None = None,
     tolerance: Tolerance | None = None,
-    told: Callable[[Attempt], None] = lambda attempt: None,
+    on_attempt: Callable[[Attempt], None] = lambda attempt: None,
     start: Array | None = None,
 ) -> LearningResult:
     """Swing until the target is reached and confirmed, or the swings are used up.
 
-    It is reached when swings with the same correction lie well within every tolerance in the mean, two at the
-    least, and so does the last of them. The first swing is made with the weights `start` (m,), if they are
-    given; else where the lecture begins.
+    It is reached when the mean of at least two swings with the same correction lies well within every
+    tolerance, and so does the last of them. The first swing has the weights `start` (m,), by default those
+    where the problem begins. `on_attempt` is called after each swing.
 
     Raises:
         Refused: the robot does not come back to its address.
     """
     settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
-    learner = Learner(lecture.response, lecture.target, tolerance, settings, lecture.beginning)
+    learner = Learner(problem.response, problem.target, tolerance, settings, problem.beginning)
     if start is not None:
         learner.point = start
     attempts: list[Attempt] = []
     for _ in range(settings.swings + 1):
-        trial, attempt = _attempt(lecture, swing, learner)
+        trial, attempt = _attempt(problem, swing, learner)
         attempts.append(attempt)
-        told(attempt)
+        on_attempt(attempt)
         learner.note(trial)
         if learner.confirmed:
             break
     chosen = learner.chosen
     weights = learner.trials[chosen].point
     return LearningResult(
-        lecture.target,
+        problem.target,
         tolerance,
         tuple(attempts),
         chosen,
         weights,
-        lecture.basis.correction(weights),
+        problem.basis.correction(weights),
         learner.scatter,
     )
 
 
-def _attempt(lecture: LearningProblem, swing: Swinger, learner: Learner) -> tuple[LearnerTrial, Attempt]:
-    bench, response, point = lecture.bench, lecture.response, learner.point
+def _attempt(problem: LearningProblem, swing: Swinger, learner: Learner) -> tuple[LearnerTrial, Attempt]:
+    bench, response, point = problem.bench, problem.response, learner.point
     cycles, figures, cause, settled = swing(point)
     path = cycles["angle"][response.rows].copy()
     path[cycles["trip"][response.rows] != 0] = np.nan

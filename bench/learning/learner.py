@@ -1,4 +1,4 @@
-"""The learner: which correction to swing next, from what the swings before delivered.
+"""The learner: chooses the next correction from the deliveries of the swings before.
 
 Norm-optimal iterative learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step
 minimises
@@ -7,15 +7,15 @@ minimises
     + effort^2 |weights|^2
 
 as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
-linear: the model's response is the prior mean, every swing that was made is an observation of it, with the
-scatter between swings as noise and less weight the farther its weights are from the best one's (Bayesian
-linear regression). So the response becomes the robot's own, and one lucky swing is not taken for a good one.
-A swing that was stopped counts as failed: its record up to the stop still tells of the path, and the radius
-is halved. The first swing after arming begins with other air than those that follow: it says where to step,
-with so much more noise, and nothing is confirmed by it.
+linear: the model's response is the prior mean, every swing is an observation of it, with the scatter between
+swings as noise and less weight the farther its weights are from the best one's (Bayesian linear regression).
+So the response becomes the robot's own, and one lucky swing is not taken for a good one. A stopped swing
+counts as failed: its record up to the stop still counts for the path, and the radius is halved. The first
+swing after arming begins with other air than those that follow: it counts with more noise for the next step,
+and confirms nothing.
 
-An identified robot says more before the first swing is made: where to begin, what is delivered there, and a
-response that is known better.
+For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
+a better response.
 """
 
 from __future__ import annotations
@@ -37,29 +37,29 @@ Array = NDArray[np.float64]
 _STOPPED = 1e6
 """Added to the cost of a swing without a delivery: any swing that strikes the ball is better."""
 _OFFSET = 1e4
-"""Prior standard deviation of a figure at no correction, tolerances: nothing is known of it."""
+"""Prior standard deviation of a figure without correction, tolerances: unknown."""
 
 Four = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class LearningSettings:
-    """Of the learner."""
+    """Settings of the learner."""
 
     swings: Annotated[int, Ge(1)] = 12
-    """At most."""
+    """Max number of learning swings."""
     path_weight: Annotated[float, Ge(0)] = 1.0
-    """Of a path that is `path_scale` off on average, against one tolerance of one figure."""
+    """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
     path_scale: Annotated[float, Gt(0)] = 0.01
     """rad"""
     effort: Annotated[float, Ge(0)] = 0.2
-    """Of one weight."""
+    """Cost of one weight."""
     radius: Annotated[float, Gt(0)] = 1.5
     """Longest first step, norm of the weights."""
     greatest_radius: Annotated[float, Gt(0)] = 3.0
     least_radius: Annotated[float, Gt(0)] = 0.1
     bound: Annotated[float, Gt(0)] = GREATEST_WEIGHT
-    """Of each weight."""
+    """Max size of each weight."""
     scatter: Four = (0.3, 0.4, 0.2, 0.2)
     """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""
     path_scatter: Annotated[float, Gt(0)] = 0.003
@@ -73,19 +73,19 @@ class LearningSettings:
     bend: Annotated[float, Ge(0)] = 0.1
     """Share of the response by which a step of one weight bends it."""
     enough: Annotated[float, Gt(0)] = 0.5
-    """Share of the tolerances within which every figure is to be, as far as all swings tell, for the best
-    swing to be repeated, and the mean of it and its repetition to be confirmed."""
+    """Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
+    and the mean of it and its repetition for confirmation."""
     confirm: Annotated[float, Gt(0)] = 1.0
     """Share within which the repetition must lie."""
 
 
 class LearnerTrial(NamedTuple):
-    """What one swing told."""
+    """Observation of one swing."""
 
     point: Array
-    """Weights it was swung with."""
+    """Weights of its correction."""
     figures: Array
-    """(4,), NaN where they are not known or the swing was stopped."""
+    """(4,), NaN where unknown or if the swing was stopped."""
     path: Array
     """(r, 3) rad at the response's rows; NaN from a stop on."""
     settled: bool = True
@@ -93,24 +93,24 @@ class LearnerTrial(NamedTuple):
 
 
 class Beginning(NamedTuple):
-    """What is known of the robot before it swings."""
+    """Knowledge of the robot before its first swing."""
 
     point: Array
-    """Weights (m,) about which it is known."""
+    """Weights (m,) around which the response is known."""
     response: Response
-    """What is expected there."""
+    """Expected response there."""
     offset: Four
     """Standard deviation of the figures expected, in tolerances."""
     path_offset: float
-    """The same of the path, rad."""
+    """Standard deviation of the expected path, rad."""
     doubt: float
     """As in `LearningSettings`."""
     radius: float
-    """The same."""
+    """As in `LearningSettings`."""
 
 
 class Learner:
-    """Asked for a point, told of the swing made with it, and so on; the best point is kept."""
+    """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
 
     def __init__(
         self,
@@ -120,7 +120,7 @@ class Learner:
         settings: LearningSettings,
         beginning: Beginning | None = None,
     ):
-        """`response` is the model's without correction, its path the plan; `beginning` may know better."""
+        """`response` is the model's without correction, its path the plan; `beginning` overrides it."""
         s, self._settings = settings, settings
         self._target, self._scale = target.array, tolerance.scale(target)
         self._plan = response.path
@@ -141,7 +141,7 @@ class Learner:
         self._errors: list[Array] = []
         self._best = 0
         self.point = self._origin
-        """The weights to swing next."""
+        """Weights of the next swing."""
         if beginning is not None:
             self._doubt, self._radius = beginning.doubt, beginning.radius
             self._offset = self._rows(beginning.offset, beginning.path_offset)
@@ -150,16 +150,16 @@ class Learner:
             self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
 
     def _rows(self, figures: Four, path: float) -> Array:
-        """Return what holds of each figure and of each value of the path, one under the other."""
+        """Return the vector with `figures` for the figures and `path` for each value of the path."""
         return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
 
     def _error(self, figures: Array, path: Array) -> Array:
-        """Return figures and path off what is wanted, in the units of the cost."""
+        """Return the errors of figures and path, in the units of the cost."""
         return np.concatenate([self.error(figures), self._path_factor * (path - self._plan).ravel()])
 
     @property
     def best(self) -> LearnerTrial:
-        """The swing that came nearest, all in all."""
+        """Swing with the least cost."""
         return self.trials[self._best]
 
     def error(self, figures: Array) -> Array:
@@ -167,13 +167,13 @@ class Learner:
         return np.asarray((figures - self._target) / self._scale)
 
     def _reached(self, number: int, share: float) -> bool:
-        """Whether a swing is within `share` of every tolerance; a figure not measured is not asked."""
+        """Return whether a swing is within `share` of every tolerance; unknown figures do not count."""
         figures = self.trials[number].figures
         known = self.error(figures)[~np.isnan(figures)]
         return bool(known.size and np.max(np.abs(known)) <= share)
 
     def _alike(self, number: int) -> list[int]:
-        """Return the swings made with the correction of swing `number`, begun alike."""
+        """Return the swings with the correction of swing `number` and the same start."""
         one = self.trials[number]
         return [
             k
@@ -183,7 +183,7 @@ class Learner:
 
     @property
     def confirmed(self) -> bool:
-        """Whether a swing that was well within the tolerances was repeated, and so was the repetition."""
+        """Whether a swing and its repetition were well within the tolerances."""
         last = len(self.trials) - 1
         alike = self._alike(last)
         if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, self._settings.confirm):
@@ -192,7 +192,7 @@ class Learner:
 
     @property
     def chosen(self) -> int:
-        """The swing whose correction is to be kept: least mean error, repeated ones preferred."""
+        """Swing whose correction is kept: the least mean error, repeated ones preferred."""
         costs = {}
         for k in range(len(self.trials)):
             alike = self._alike(k)
@@ -208,7 +208,7 @@ class Learner:
 
     @property
     def scatter(self) -> Array:
-        """Standard deviation (4,) between swings alike, tolerances; the declared one without two alike."""
+        """Standard deviation (4,) between swings alike, tolerances; the declared one without such swings."""
         squares, count = np.zeros(4), 0
         for first in range(len(self.trials)):
             alike = self._alike(first)
@@ -222,12 +222,12 @@ class Learner:
         return np.sqrt(squares / count) if count else np.array(self._settings.scatter)
 
     def note(self, trial: LearnerTrial) -> None:
-        """Take note of the swing made with `trial.point` and set the next `point`."""
+        """Note the swing made with `trial.point` and set the next `point`."""
         self.trials.append(trial)
         self._errors.append(self._error(trial.figures, trial.path))
         last, s = len(self.trials) - 1, self._settings
         if last and self._cost(last) >= self._cost(self._best):
-            # One that only began otherwise tells nothing of the step.
+            # An unsettled one does not judge the step.
             if trial.settled or np.isnan(trial.figures).all():
                 self._radius = max(0.5 * self._radius, s.least_radius)
         else:
@@ -238,7 +238,7 @@ class Learner:
         self.point = self.best.point if near else self._next(at, matrix)
 
     def _near(self, figures: Array) -> bool:
-        """Whether errors (4,) are well within the tolerances; one that is not known is not asked."""
+        """Return whether errors (4,) are well within the tolerances; unknown ones do not count."""
         known = figures[np.isfinite(figures)]
         return bool(known.size and np.abs(known).max() <= self._settings.enough)
 
@@ -248,7 +248,7 @@ class Learner:
         return np.asarray(np.mean(errors, axis=0))
 
     def _begun(self, number: int) -> Array:
-        """Return the standard deviation (4,) of a swing's figures that comes from how it began."""
+        """Return the standard deviation (4,) of a swing's figures due to its start."""
         return np.zeros(4) if self.trials[number].settled else self._unsettled[:4]
 
     def _cost(self, number: int) -> float:
@@ -261,11 +261,11 @@ class Learner:
         )
 
     def _start(self) -> Array:
-        """Return the weights that the next step is made from."""
+        """Return the weights from which the next step starts."""
         return self.best.point if self.trials else self._origin
 
     def _prediction(self) -> tuple[Array, Array]:
-        """Return errors at the best point and their derivatives, NaN where nothing is known yet."""
+        """Return errors at the best point and their derivatives, NaN where still unknown."""
         s, origin, start = self._settings, self._origin, self._start() - self._origin
         at, matrix = self._expected + self._prior @ start, self._prior.copy()
         if not self._known:

@@ -1,8 +1,8 @@
-"""A running bench as its learner: correct, swing, read the record, ask what was delivered.
+"""Learning on a running bench: correct, swing, read the record, get the delivery.
 
-Nothing is done that a person at the bench could not do by its commands: the lease is held, the correction is
-ordered at the address, a ball raised, a swing asked for. After a stop only a person's reset goes on; the
-learner gives the lease back and waits. A simulated bench resets, homes and arms itself.
+The learner uses the commands that a person at the bench has: it holds the lease, sends the correction at the
+address, raises a ball, requests a swing. After a stop a person has to reset the bench; the learner releases
+the lease and waits. A simulated bench resets, homes and arms itself.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from bench.swing.profile import Profile
 Array = NDArray[np.float64]
 
 _LEASE = 15.0
-"""s; a learner that died holds the bench no longer."""
+"""Expiry of the lease, s: after it a dead learner no longer holds the bench."""
 _READY = 60.0
-"""s that a simulated bench, or one that is armed, may take to rest at its address."""
+"""Time-out for a simulated or armed bench to rest at its address, s."""
 _SWING = 60.0
-"""s that a swing may take, until the robot is back or stands."""
+"""Time-out of a swing until the robot is back or stands, s."""
 _AGAIN = 3
-"""Times in a row that a swing is made again whose record has gaps before the ball."""
+"""Max attempts at a swing whose record has gaps before the ball."""
 
 
 class MonitorFigures(NamedTuple):
-    """What a launch monitor saw of the club; None for what it did not."""
+    """Club data of a launch monitor; None if not measured."""
 
     club_speed: float | None = None
     """m/s"""
@@ -51,31 +51,31 @@ class MonitorFigures(NamedTuple):
 
 
 class LiveSwinger:
-    """The swinger that a running bench is; use it as a context, at whose end the lease is given back."""
+    """A running bench as a swinger; a context manager that releases the lease at its end."""
 
     def __init__(
         self,
         client: BenchClient,
-        lecture: LearningProblem,
+        problem: LearningProblem,
         source: Source,
         say: Callable[[str], None],
         ask_mark: Callable[[], tuple[float, float] | None] = lambda: None,
         *,
         with_ball: bool = True,
     ) -> None:
-        """`say` tells a person what is waited for; `ask_mark` asks for the mark on the face, mm.
+        """`say` shows a message to a person; `ask_mark` asks for the mark on the face, mm.
 
         Raises:
-            Refused: the bench swings something else, or has no launch monitor where that is the source.
+            Refused: the bench has another profile, or no launch monitor if that is the source.
         """
-        self._client, self._lecture, self._source = client, lecture, source
+        self._client, self._lecture, self._source = client, problem, source
         self._say, self._ask_mark, self._with_ball = say, ask_mark, with_ball
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held = self._settled = False
-        self._digest = digest_of(lecture.bench.profile)
+        self._digest = digest_of(problem.bench.profile)
         status = client.status()
         self.simulated = status["driver"] == "sim"
-        require_bench(status, lecture.bench.profile, source)
+        require_bench(status, problem.bench.profile, source)
 
     def __enter__(self) -> Self:
         self._news = ShotNews(self._stack.enter_context(self._client.shots()))
@@ -99,12 +99,12 @@ class LiveSwinger:
             settled, self._settled = self._settled, not swung.cause
             if whole:
                 return swung._replace(settled=settled)
-            self._say("the record has gaps before the ball: the swing is made again")
+            self._say("the record has gaps before the ball: the swing is repeated")
         found = f"{_AGAIN} records with gaps before the ball"
-        raise self._refused(found, "whole ones", "Look at the loop's timing: golfbench status.")
+        raise self._refused(found, "complete records", "Check the loop timing: golfbench status.")
 
     def correct(self, weights: Array) -> None:
-        """Let the swings to come be made with `weights`, once the robot rests at its address."""
+        """Send the correction `weights` for the next swings, once the robot rests at its address."""
         self._take_address()
         self._client.correct(self._digest, weights.tolist() if np.any(weights) else [])
 
@@ -118,15 +118,17 @@ class LiveSwinger:
         deadline = time.monotonic() + _SWING
         while self._client.status()["state"] in {"SWINGING", "RECOVERING"}:
             if time.monotonic() > deadline:
-                raise self._refused(f"a swing under way after {_SWING:g} s", "its end", "Look at the robot.")
+                raise self._refused(f"swing still running after {_SWING:g} s", "its end", "Check the robot.")
             _pause()
         record = self._news.record_since(tick)
         if record is None:
-            raise self._refused("no record of the swing", "its Parquet file", "Look at golfbench status.")
+            raise self._refused(
+                "no record of the swing", "its Parquet file", "Check the recorder: golfbench status."
+            )
         return record
 
     def _seen(self, record: SwingRecord) -> tuple[ObservedSwing, bool]:
-        """Return what `record` tells of its swing, and whether it has no gap before the ball."""
+        """Return the swing in `record`, and whether the record is complete up to the ball."""
         profile, metadata = self._lecture.bench.profile, record.metadata
         cycles, missing = swung_cycles(record.cycles, len(profile.angle))
         cause = Cause[metadata["outcome"]["cause"]]
@@ -134,12 +136,12 @@ class LiveSwinger:
             return ObservedSwing(cycles, UNKNOWN, cause), True
         if missing[profile.begins[3] : profile.begins[6] + 1].any():
             return ObservedSwing(cycles, UNKNOWN, cause), False
-        # Its calibration, at the model's masses and friction.
+        # The record's calibration, with the model's masses and friction.
         encoders = plant_of(metadata, str(record.path))[0].encoders
         plant = replace(self._lecture.bench.model, encoders=encoders)
         monitor, mark = MonitorFigures(), None
         if self._source == "launch-monitor":
-            monitor = self._told(record)
+            monitor = self._monitored(record)
         elif self._source == "impact-marks":
             mark = self._ask_mark()
         figures = figures_from(
@@ -147,24 +149,24 @@ class LiveSwinger:
         )
         return ObservedSwing(cycles, figures, cause), True
 
-    def _told(self, record: SwingRecord) -> MonitorFigures:
-        told = self._news.message_about(record, self._client.status())
-        if told is None or told.launch is None:
-            self._say("the launch monitor saw nothing of this swing: the encoders tell of it")
+    def _monitored(self, record: SwingRecord) -> MonitorFigures:
+        shot = self._news.message_about(record, self._client.status())
+        if shot is None or shot.launch is None:
+            self._say("no launch monitor data for this swing: encoder data are used")
             return MonitorFigures()
-        club = told.launch.club
+        club = shot.launch.club
         attack = None if club.attack_angle is None else float(np.degrees(club.attack_angle))
         silent = [
             name for name, value in (("speed", club.speed), ("angle of attack", attack)) if value is None
         ]
         if silent:
-            self._say(f"the launch monitor tells no {' and no '.join(silent)} of the club: the encoders do")
+            self._say(f"no club {' and no '.join(silent)} from the launch monitor: encoder data are used")
         return MonitorFigures(club.speed, attack)
 
     # The way to the address ------------------------------------------------------------------------
 
     def _take_address(self) -> None:
-        """Wait until the robot has rested at its address, as far as may be asked for by itself."""
+        """Wait until the robot rests at its address; on a simulated bench, take it there."""
         deadline, held_since, waits = time.monotonic() + _READY, np.inf, False
         while True:
             status = self._client.status()
@@ -176,29 +178,31 @@ class LiveSwinger:
                 held_since = np.inf
             if not self.simulated and status["state"] in {*LATCHED, "SAFE", "HOMING", "ACCESS"}:
                 if not waits:
-                    self._give_back()
+                    self._release()
                     self._say(
                         f"{in_words(status)}: reset and home the bench (golfbench reset, golfbench home), "
-                        "learning goes on then; Ctrl-C ends it"
+                        "then learning continues; Ctrl-C ends it"
                     )
                 waits, deadline = True, time.monotonic() + _READY
             else:
                 waits = False
                 try:
                     self._bring_nearer(status)
-                except CommandRefused:  # not at rest, not vented, somebody else's: the time decides
+                except (
+                    CommandRefused
+                ):  # not at rest, not vented, or the lease is held by others: retry until the time-out
                     if time.monotonic() > deadline:
                         raise
             if time.monotonic() > deadline:
                 raise self._refused(
                     f"{status['state']} in phase {status['phase']} after {_READY:g} s",
                     "rest at its address",
-                    "Look at golfbench status.",
+                    "Check golfbench status.",
                 )
             _pause()
 
     def _bring_nearer(self, status: BenchStatus) -> None:
-        """Take the lease, or ask for the next step to the address."""
+        """Take the lease, or request the next step to the address."""
         if not self._held:
             self._lease.enter_context(self._client.lease("learn", _LEASE))
             self._held = True
@@ -214,7 +218,7 @@ class LiveSwinger:
             case "ACCESS":
                 self._client.secure()
 
-    def _give_back(self) -> None:
+    def _release(self) -> None:
         self._lease.close()
         self._held = False
 
@@ -227,7 +231,7 @@ def _pause() -> None:
 
 
 def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None:
-    """Refuse a bench that swings something else, or has no launch monitor where that is the `source`.
+    """Refuse a bench with another profile, or without a launch monitor if that is the `source`.
 
     Raises:
         Refused: the text says which.
@@ -237,22 +241,22 @@ def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None
             f"bench {status['bench']}",
             f"it swings {status['profile']}",
             profile.name,
-            f"Start it with golfbench run --profile {profile.name}, or learn what it swings.",
+            f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs.",
         )
     link = status["launch_monitor"]
     if source == "launch-monitor" and (link is None or not link["present"]):
         raise Refused(
             f"bench {status['bench']}: launch monitor",
-            "none" if link is None else "none is connected",
-            "one that tells of the club",
+            "disabled" if link is None else "not connected",
+            "a launch monitor with club data",
             "Enable and connect it ([launch_monitor] enabled = true), or choose another --source.",
         )
 
 
 def swung_cycles(cycles: np.ndarray[Any, Any], length: int) -> tuple[np.ndarray[Any, Any], NDArray[np.bool_]]:
-    """Return `length` cycles, one a tick from that of the accepted swing on, and which are missing.
+    """Return `length` cycles, one a tick from the accepted swing on, and which of them are missing.
 
-    What is missing repeats the cycle before it, with an angle that is no number.
+    A missing cycle repeats the one before it, with NaN as its angle.
 
     Raises:
         ValueError: no swing begins in `cycles`.

@@ -1,4 +1,4 @@
-"""What a swing delivered, by its declared source: encoders and model, launch monitor, marks on the face."""
+"""Delivery of a swing by its declared source: encoders and model, launch monitor, marks on the face."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ strike may begin so far before the face's centre is there."""
 _LOW = 0.1
 """m above the ball below which the head is at the bottom of the swing."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 12
-"""Before the contact, through which a parabola goes: of the angles themselves, or of what they are off the
-modelled swing, which changes more slowly."""
+"""Number of readings before the contact that the parabola is fitted to: of the angles, or of their difference
+to the modelled swing, which changes more slowly."""
 _LATE = 60
 """Ticks by which a robot may come later or earlier than the modelled one."""
 _SEARCHED = (-0.0015, 0.0035)
@@ -141,7 +141,7 @@ def figures_from(
     club_speed: float | None = None,
     attack_deg: float | None = None,
 ) -> Figures:
-    """Return the figures of the swing in `cycles` by `source`; what it does not tell is the encoders'.
+    """Return the figures of the swing in `cycles` by `source`; missing ones come from the encoders.
 
     `mark`: mm towards the toe and up. `club_speed` (m/s) and `attack_deg` are a launch monitor's.
     """

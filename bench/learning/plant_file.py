@@ -13,7 +13,7 @@ _ACTUATORS = ("shoulder", "right_arm", "wrist")
 
 
 def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
-    """Return TOML with what was identified of `plant`, laid over the file that `configuration` comes from.
+    """Return TOML with the identified parameters of `plant`, on top of the file of `configuration`.
 
     Each parameter's standard error stands above; what is not sure is named as such.
     """
@@ -51,6 +51,6 @@ def plant_file(plant: PlantParameters, found: Identified, configuration: Configu
 
 
 def write_plant_file(path: Path, text: str) -> None:
-    """Write `text` at `path`; OSError when it cannot be written."""
+    """Write `text` to `path`; OSError if it cannot be written."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")

@@ -28,7 +28,7 @@ class Recorded(NamedTuple):
     cycles: Cycles
     """CYCLE records from its first tick."""
     encoders: Encoders
-    """With the calibration that held."""
+    """With the calibration of that time."""
 
 
 def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
@@ -57,16 +57,18 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     first = int(begun[0]) - profile.begins[1] if begun.size else -1
     swing = cycles[max(first, 0) :]
     if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
-        raise BenchError(place, "no whole swing", "one from the address to the ball", "Record another one.")
+        raise BenchError(
+            place, "no complete swing", "a swing from the address to the ball", "Record another one."
+        )
     return swing
 
 
 def require_alike(one: Profile, other: Profile, place: str) -> None:
-    """Refuse swings that were not planned alike, a correction included; `place` names the other's record.
+    """Refuse swings with different plans or corrections; `place` names the other's record.
 
     Raises:
         BenchError: they were not.
     """
     if digest_of(one) != digest_of(other):
-        found = f"a swing of {other.name}" + (", corrected otherwise" if one.name == other.name else "")
+        found = f"a swing of {other.name}" + (", with another correction" if one.name == other.name else "")
         raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")

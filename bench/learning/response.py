@@ -1,4 +1,4 @@
-"""How the modelled swing answers to corrections: finite differences on the plant, the controller included."""
+"""Response of the modelled swing to corrections: finite differences on plant and controller."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 PATH_SPACING = 0.005
-"""s between the instants of the downswing at which the path is compared."""
+"""Time between the instants of the downswing at which the path is compared, s."""
 _STEP = 0.1
-"""Of a weight."""
+"""Step of a weight."""
 _AFTER = 0.03
-"""s after the planned contact that a swing is followed."""
+"""Time after the planned contact for which a swing is followed, s."""
 
 
 class Response(NamedTuple):
@@ -49,10 +49,10 @@ def path_rows(bench: Bench) -> NDArray[np.int64]:
 
 
 class Model:
-    """The plant as the bench believes it to be, ready to swing with any correction from the same instant."""
+    """The bench's model, ready to swing with any correction from the same instant."""
 
     def __init__(self, bench: Bench, basis: Basis, plant: PlantParameters | None = None) -> None:
-        """Arm the model, or another `plant`; Refused when it does not reach its address."""
+        """Arm the model, or another `plant`; Refused if it does not reach its address."""
         self._bench, self._basis = bench, basis
         self._series, self._mark = settled(bench, quiet(plant or bench.model))
         profile = bench.profile
@@ -83,7 +83,7 @@ class Model:
         if swing.cause or swing.delivery is None:
             found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
             place, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
-            raise BenchError(place, found, wanted, "Identify the plant, or design the swing anew.")
+            raise BenchError(place, found, wanted, "Identify the plant, or design a new swing.")
         figures, path = self._seen(swing)
         free = self.free()
         by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
@@ -97,7 +97,7 @@ class Model:
                     sides.append((step, *self._seen(varied)))
             if len(sides) < 2:
                 sides.append((0.0, figures, path))
-            if len(sides) == 2:  # else: a weight that only breaks the swing stays unused
+            if len(sides) == 2:  # else: the weight only fails the swing and stays unused
                 width = sides[0][0] - sides[1][0]
                 by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
                 by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()

@@ -1,4 +1,4 @@
-"""What tells of a delivery; a module of its own, as the command line names it before anything is loaded."""
+"""Sources of a delivery; a module of its own, as the command line needs it before anything is loaded."""
 
 from __future__ import annotations
 

@@ -19,22 +19,22 @@ from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
 PRESSURE_TOLERANCE = 0.02
-"""Share by which the supply may differ from the one that was learned with."""
+"""Max difference of the supply from that of learning, as a share."""
 TEMPERATURE_TOLERANCE = 8.0
-"""K; friction and air change with it."""
+"""Max difference in temperature, K; friction and air change with it."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a correction holds for."""
+    """Conditions that a correction is valid for."""
 
     digest: str
-    """Of the profile's tables, in simulation also of the robot: another one has other faults."""
+    """Digest of the profile's tables, in simulation also of the robot: another one has other errors."""
     club: str
     supply_pressure: float
-    """Pa absolute, regulated."""
+    """Regulated pressure, Pa absolute."""
     temperature: float
-    """K, of the air."""
+    """Air temperature, K."""
 
     @staticmethod
     def of(
@@ -52,7 +52,7 @@ class Conditions:
         return Conditions(digest, plant.robot.club.name, plant.supply.pressure, temperature)
 
     def hold_for(self, other: Conditions) -> bool:
-        """Tell whether what was learned under these may be used under `other`."""
+        """Return whether a correction learned under these conditions is valid under `other`."""
         return (
             self.digest == other.digest
             and self.club == other.club
@@ -70,7 +70,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Learned:
-    """A correction as it is stored."""
+    """A stored correction."""
 
     bench: str
     profile: str
@@ -91,12 +91,12 @@ class Learned:
 
     @property
     def record(self) -> dict[str, Any]:
-        """The entry as JSON has it."""
+        """The entry as a JSON-ready record."""
         return asdict(self) | {"date": self.date.isoformat(timespec="seconds")}
 
 
 def stored(
-    lesson: LearningResult,
+    result: LearningResult,
     bench: str,
     profile: str,
     conditions: Conditions,
@@ -106,16 +106,16 @@ def stored(
     simulated: bool,
     beside: Mapping[str, Any] | None = None,
 ) -> Learned:
-    """Return `lesson` as it is kept, with `beside` in its content."""
+    """Return `result` as an entry of the store, with `beside` in its content."""
     content = {
         **(beside or {}),
-        "target": lesson.target.shown,
-        "chosen": lesson.chosen,
-        "swings": [attempt.figures.shown | {"cause": attempt.cause.name} for attempt in lesson.attempts],
-        "scatter_in_tolerances": [float(value) for value in lesson.scatter],
+        "target": result.target.shown,
+        "chosen": result.chosen,
+        "swings": [attempt.figures.shown | {"cause": attempt.cause.name} for attempt in result.attempts],
+        "scatter_in_tolerances": [float(value) for value in result.scatter],
     }
-    weights = tuple(map(float, lesson.weights))
-    return Learned(bench, profile, date, simulated, source, conditions, lesson.within, weights, content)
+    weights = tuple(map(float, result.weights))
+    return Learned(bench, profile, date, simulated, source, conditions, result.within, weights, content)
 
 
 def keep(database: Engine, entry: Learned) -> int:
@@ -144,7 +144,7 @@ def keep(database: Engine, entry: Learned) -> int:
 
 
 def learned_swings(database: Engine, bench: str, profile: str) -> list[Learned]:
-    """Return what was learned of `profile` on `bench`, oldest first.
+    """Return the corrections of `profile` learned on `bench`, oldest first.
 
     Raises:
         BenchError: an entry was not written by golfbench.
@@ -189,7 +189,7 @@ def newest_that_holds(
     simulated: bool,
     until: datetime | None = None,
 ) -> Learned | None:
-    """Return the newest correction of `profile` that holds for `conditions`; None: none does.
+    """Return the newest correction of `profile` that holds for `conditions`; None without one.
 
     What was learned in simulation is not used on a machine, nor what was learned after `until`: a campaign
     goes on with what it began with.
@@ -203,7 +203,7 @@ def newest_that_holds(
 
 
 def drifted(scatter: Sequence[float], errors: Sequence[Sequence[float]]) -> bool:
-    """Tell whether a block's shots have left what was learned, so that it is to be refreshed.
+    """Return whether a block's shots have drifted from the learned delivery, so that it must be refreshed.
 
     `errors` (n, k) are the shots' figures off the target, `scatter` (k,) their standard deviation when it was
     learned, both in tolerances. It has when the mean of a figure is off by more than one tolerance and by

@@ -1,4 +1,4 @@
-"""Gains by margins: of each joint the greatest proportional gain whose loop keeps the margins asked for.
+"""Gains by margins: for each joint the max proportional gain whose loop keeps the required margins.
 
 Too small a gain leaves the spool in its dead band, and the robot short of its address: what `reaches_address`
 rules out is not tried.
@@ -28,7 +28,7 @@ _DAMPING = (0.0, 0.25, 0.5, 1.0, 1.5)
 
 
 class Wanted(NamedTuple):
-    """Margins that are asked for at every instant up to the top."""
+    """Required margins at every instant up to the top."""
 
     gain: float = 2.0
     phase: float = radians(30.0)
@@ -37,11 +37,11 @@ class Wanted(NamedTuple):
 
 
 class Tuned(NamedTuple):
-    """What was found."""
+    """Gains that were found."""
 
     gains: Gains
     met: tuple[float, float, float]
-    """By joint: the worst share of what was asked for that is reached, at most 1."""
+    """By joint: the worst share of a required margin that is reached, at most 1."""
 
 
 def met_share(
@@ -63,7 +63,7 @@ def met_share(
 
 
 def reaches_address(gains: Gains, joint: int, plant: PlantParameters, control: ControlSettings) -> bool:
-    """Tell whether an error as great as the address allows opens the valve within half the time-out."""
+    """Return whether the max error at the address opens the valve within half the time-out."""
     opened = gains.proportional[joint] + gains.integral[joint] * control.move_timeout / 2
     return opened * control.address_tolerance[joint] >= _OPENED * plant.actuators[joint].valve.dead_band
 
@@ -76,7 +76,7 @@ def tune_by_margins(
     wanted: Wanted | None = None,
     progress: Callable[[float], None] = lambda part: None,
 ) -> Tuned:
-    """Return gains of all joints; where what is `wanted` cannot be had, those that come nearest to it.
+    """Return gains of all joints; where `wanted` cannot be reached, those that come nearest to it.
 
     Deterministic: a search over fixed factors on the gains of `control`, joint by joint, twice round.
     """

@@ -4,7 +4,7 @@ At each instant the motion is frozen: angles, speeds, pressures and openings are
 Joints slide (dry friction has no slope), spools are beyond their dead band (where the dither carries them),
 end stops are not touched. Modes slower than `_SLOWEST` are not judged: within a swing they do not come to
 show. Up to the top this tells how the loop behaves. At the top dry friction holds the joints, and the
-downswing is over before most of what grows at a frozen instant has grown: told, but not judged.
+downswing ends before most of the growing modes of a frozen instant matter: reported, but not judged.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Judged(NamedTuple):
 
     loops: tuple[JointLoop, ...]
     damping_ratio: dict[str, float]
-    """Least of the closed loop's modes, by instant; negative where one grows."""
+    """Min damping ratio of the closed loop's modes, by instant; negative where one grows."""
 
 
 def operating_points(bench: Bench) -> list[Point]:
@@ -247,28 +247,28 @@ def loop_response(frozen: Frozen, estimator: Estimator, gains: Gains, joint: int
 
 
 def least_damping(frozen: Frozen, estimator: Estimator, gains: Gains, period: float) -> float:
-    """Return the least damping ratio of the closed loop's modes; negative when one grows."""
+    """Return the min damping ratio of the closed loop's modes; negative if one grows."""
     n = len(frozen.transition)
     size = n + 9 + 3
-    told = np.zeros((9, size))
+    estimated = np.zeros((9, size))
     for i in range(3):
         rows = slice(3 * i, 3 * i + 3)
-        told[rows, n + 3 * i : n + 3 * i + 3] = estimator.transition[i]
-        told[rows, :n] = np.outer(estimator.gain[i], frozen.output[i])
+        estimated[rows, n + 3 * i : n + 3 * i + 3] = estimator.transition[i]
+        estimated[rows, :n] = np.outer(estimator.gain[i], frozen.output[i])
     summed = np.zeros((3, size))
     summed[:, n + 9 :] = np.eye(3)
-    summed += period * told[0::3]
+    summed += period * estimated[0::3]
     opened = np.zeros((3, size))
     for i in range(3):
         opened[i] = -(
-            gains.proportional[i] * told[3 * i]
-            + gains.derivative[i] * told[3 * i + 1]
-            + frozen.point.damping * gains.damping[i] * told[3 * i + 2]
+            gains.proportional[i] * estimated[3 * i]
+            + gains.derivative[i] * estimated[3 * i + 1]
+            + frozen.point.damping * gains.damping[i] * estimated[3 * i + 2]
             + gains.integral[i] * summed[i]
         )
     moved = np.zeros((n, size))
     moved[:, :n] = frozen.transition
-    poles = np.linalg.eigvals(np.vstack([moved + frozen.input @ opened, told, summed]))
+    poles = np.linalg.eigvals(np.vstack([moved + frozen.input @ opened, estimated, summed]))
     rates = np.log(poles[np.abs(poles) > 1e-9]) / period
     rates = rates[np.abs(rates) > _SLOWEST]
     return float((-rates.real / np.abs(rates)).min())

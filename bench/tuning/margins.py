@@ -1,4 +1,4 @@
-"""How far a loop is from swinging by itself: margins of gain, phase and delay from its frequency response."""
+"""Stability margins of a loop: gain, phase and delay, from its frequency response."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ Array = NDArray[np.float64]
 
 
 class Margins(NamedTuple):
-    """Of one loop, the others closed. Infinite where the response never comes near."""
+    """Margins of one loop with the others closed; infinite where the response never comes near."""
 
     gain: float
     """Factor by which the gain may rise."""
     lowest_gain: float
-    """Factor to which it may fall; 0 where it may be switched off."""
+    """Factor to which the gain may fall; 0 where it may be switched off."""
     phase: float
     """rad"""
     delay: float
-    """s that may be added."""
+    """Delay that may be added, s."""
     modulus: float
-    """Least distance of the response to -1."""
+    """Min distance of the response from -1."""
     crossover: float
     """Highest frequency at which the response is 1, rad/s; 0 where it never is."""
 

@@ -1,4 +1,4 @@
-"""Gains tried on whole simulated swings: what margins at frozen instants cannot promise."""
+"""Proof of gains on whole simulated swings, as margins at frozen instants are not enough."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Proof(NamedTuple):
     backswing: Array
     """Root mean square of the following error up to the top, (3,) rad."""
     downswing: Array
-    """The same up to the impact window."""
+    """Root mean square of the following error in the downswing, up to the impact window, (3,) rad."""
     failure: str
-    """Why there was no whole swing; empty when there was."""
+    """Why the swing failed; empty if it did not."""
 
 
 def proof(bench: Bench, plant: PlantParameters, gains: Gains) -> Proof:

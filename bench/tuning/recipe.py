@@ -44,30 +44,30 @@ class StepTrial(NamedTuple):
     """1 to 3, of the recipe."""
     gains: Gains
     overshoot: float
-    """Share of the step; infinite when the trial was stopped."""
+    """Share of the step; infinite if the trial was stopped."""
     static_error: float
     """rad"""
 
 
 class Recipe(NamedTuple):
-    """What was found."""
+    """Gains that the recipe found."""
 
     gains: Gains
     trials: tuple[StepTrial, ...]
     missed: tuple[tuple[int, int], ...]
-    """Joint and rule where what the rule asks for was not reached."""
+    """Joint and rule whose goal was not reached."""
 
 
 class Steps:
     """The bench's model, ready to step any joint from one and the same instant."""
 
     def __init__(self, bench: Bench) -> None:
-        """Arm the model and let it settle at the address; Refused when it does not reach it."""
+        """Arm the model and let it settle at the address; Refused if it does not reach it."""
         self._bench = bench
         self._series, self._mark = _at_address(bench)
 
     def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
-        """Return what a step of `joint` with `gains` gives; nothing else opens the valves."""
+        """Return the trial of a step of `joint` with `gains`; nothing else opens the valves."""
         bench, profile = self._bench, step_profile(self._bench.profile, joint)
         control = gains.put_into(_bare(bench.control))
         envelope = replace(bench.envelope, following={}, model=replace(bench.envelope.model, check="off"))
@@ -106,11 +106,11 @@ def step_profile(profile: Profile, joint: int) -> Profile:
 
 
 def tune_by_recipe(
-    bench: Bench, told: Callable[[StepTrial], None] = lambda trial: None, steps: Steps | None = None
+    bench: Bench, on_trial: Callable[[StepTrial], None] = lambda trial: None, steps: Steps | None = None
 ) -> Recipe:
     """Return the gains that the recipe finds on the bench's own model; the acceleration's damping stays.
 
-    Deterministic. `told` gets each trial.
+    Deterministic. `on_trial` gets each trial.
 
     Raises:
         Refused: the model does not reach its address.
@@ -120,7 +120,7 @@ def tune_by_recipe(
 
     def note(trial: StepTrial) -> StepTrial:
         trials.append(trial)
-        told(trial)
+        on_trial(trial)
         return trial
 
     for joint in range(3):
@@ -134,7 +134,7 @@ def tune_by_recipe(
                 break
         else:
             missed.append((joint, 1))
-        # 2. until it is gone; the least of it counts where it does not go
+        # 2. until it is gone; otherwise the trial with the least of it counts
         most = gains.proportional[joint]
         best = trials[-1]
         for derivative in _rising(0.005 * most):

@@ -60,14 +60,14 @@ def run(arguments: list[str]) -> list[Row]:
     options = parser.parse_args(arguments)
     configuration = load_configuration(Path("steady"))
     profile = load_profile(find_profile(configuration.swing.profile))
-    lecture = prepare(_bench(configuration, profile))
+    problem = prepare(_bench(configuration, profile))
     plant = configuration.plant
     robots = {"worn": WORN} | {f"draw-{n}": drawn(n, plant) for n in range(1, options.draws + 1)}
     outcomes: dict[str, dict[str, Outcome]] = {way: {} for way in _WAYS}
     with TemporaryDirectory() as passing:
         folder = options.folder or Path(passing)
         for name, variation in robots.items():
-            for way, outcome in _in_all_ways(name, variation, lecture, configuration, folder):
+            for way, outcome in _in_all_ways(name, variation, problem, configuration, folder):
                 outcomes[way][name] = outcome
                 print(
                     f"{name}, {way}: first swing {outcome.first:.1f}, second {outcome.settled:.1f}, "
@@ -83,27 +83,27 @@ def _bench(configuration: Configuration, profile: Profile) -> Bench:
 
 
 def _in_all_ways(
-    name: str, variation: Variation, lecture: LearningProblem, configuration: Configuration, folder: Path
+    name: str, variation: Variation, problem: LearningProblem, configuration: Configuration, folder: Path
 ) -> list[tuple[str, Outcome]]:
-    truth, profile = variation.applied_to(lecture.bench.model), lecture.bench.profile
-    series = Series(lecture.bench, truth)
+    truth, profile = variation.applied_to(problem.bench.model), problem.bench.profile
+    series = Series(problem.bench, truth)
     series.swing(profile)
     swings = [series.swing(profile).cycles for _ in range(RECORDED)]
     recorded = [Recorded(profile, cycles, truth.encoders) for cycles in swings]
     file = folder / f"{name}.toml"
     if not file.exists():
-        found = identify(lecture.bench, swings)
-        robot = found.variation(lecture.bench).applied_to(lecture.bench.model)
+        found = identify(problem.bench, swings)
+        robot = found.variation(problem.bench).applied_to(problem.bench.model)
         write_plant_file(file, plant_file(robot, found, configuration))
         print(f"{name}: swings as recorded within {found.after:.1f}, before {found.before:.1f}", flush=True)
     identified = load_configuration(file)
-    outcomes = [("without", _taught(lecture, truth))]
+    outcomes = [("without", _taught(problem, truth))]
     for way in _WAYS[1:]:
         try:
             if way == "identified":
-                begun = begun_on(lecture, identified.plant, recorded)
+                begun = begun_on(problem, identified.plant, recorded)
             else:
-                anew = _designed_anew(lecture, identified, folder / f"{name}-anew.toml")
+                anew = _designed_anew(problem, identified, folder / f"{name}-anew.toml")
                 begun = begun_on(prepare(_bench(identified, anew)), identified.plant, recorded)
             outcomes.append((way, _taught(begun, truth)))
         except (BenchError, DesignFailed, Refused) as failure:
@@ -111,10 +111,10 @@ def _in_all_ways(
     return outcomes
 
 
-def _designed_anew(lecture: LearningProblem, robot: Configuration, file: Path) -> Profile:
+def _designed_anew(problem: LearningProblem, robot: Configuration, file: Path) -> Profile:
     """Return a swing for `robot` with the speed and attack angle that are the target."""
     if not file.exists():
-        demand = SwingDemand(head_speed=lecture.target.speed, attack=lecture.target.attack)
+        demand = SwingDemand(head_speed=problem.target.speed, attack=problem.target.attack)
         made = design_swing(
             robot.plant,
             demand,
@@ -122,20 +122,20 @@ def _designed_anew(lecture: LearningProblem, robot: Configuration, file: Path) -
             control=robot.control,
             envelope=robot.envelope,
             estimator=robot.estimator,
-            start=lecture.bench.profile,
+            start=problem.bench.profile,
         )
         save_profile(file, made.profile)
     return load_profile(file)
 
 
-def _taught(lecture: LearningProblem, truth: PlantParameters) -> Outcome:
-    series = Series(lecture.bench, truth)
-    lesson = learn(lecture, on_series(lecture, series))
-    swing, scale = lesson.correction.applied_to(lecture.bench.profile), Tolerance().scale(lecture.target)
+def _taught(problem: LearningProblem, truth: PlantParameters) -> Outcome:
+    series = Series(problem.bench, truth)
+    result = learn(problem, on_series(problem, series))
+    swing, scale = result.correction.applied_to(problem.bench.profile), Tolerance().scale(problem.target)
     figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
-    after = (np.mean(figures, axis=0) - lecture.target.array) / scale
-    first, settled = (_worst(attempt.error) for attempt in lesson.attempts[:2])
-    return Outcome(first, settled, lesson.used, _worst(after))
+    after = (np.mean(figures, axis=0) - problem.target.array) / scale
+    first, settled = (_worst(attempt.error) for attempt in result.attempts[:2])
+    return Outcome(first, settled, result.used, _worst(after))
 
 
 def _worst(error: Array) -> float:

@@ -75,12 +75,12 @@ def run(arguments: list[str]) -> list[Row]:
     options = parser.parse_args(arguments)
     configuration = load_configuration(Path("steady"))
     plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
-    lecture = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
-    worn, lesson, series = _taught(lecture, "worn", WORN)
+    problem = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
+    worn, result, series = _taught(problem, "worn", WORN)
     outcomes = []
     for n in range(1, options.draws + 1):
         try:
-            outcomes.append(_taught(lecture, f"seed {n}", drawn(n, plant))[0])
+            outcomes.append(_taught(problem, f"seed {n}", drawn(n, plant))[0])
         except Refused as refusal:  # after a stop it did not come back: this robot learned nothing
             print(f"seed {n}: NOT learned: {refusal}", flush=True)
     good = sum(outcome.learned for outcome in outcomes)
@@ -95,7 +95,7 @@ def run(arguments: list[str]) -> list[Row]:
     rows.append(Row(NAME, "drawn robots that learned", good, "", at_least=round(0.9 * options.draws)))
     rows.append(Row(NAME, "learning swings, mean", float(np.mean([o.used for o in outcomes])), ""))
     rows.append(Row(NAME, "stops in all learning swings", sum(o.stops for o in outcomes), ""))
-    off = _repeated(lecture, lesson, series.plant.parameters)
+    off = _repeated(problem, result, series.plant.parameters)
     for name, mean, spread, unit in zip(_NAMES, off.mean(axis=0), off.std(axis=0), _UNITS, strict=True):
         rows.append(Row(NAME, f"{REPEATED} swings with noise: {name} off, mean", float(mean), f"x {unit}"))
         rows.append(Row(NAME, f"{REPEATED} swings with noise: {name}, SD", float(spread), f"x {unit}"))
@@ -107,38 +107,38 @@ _UNITS = ("2 mm", "0.3 %", "0.3°", "0.3°")
 
 
 def _taught(
-    lecture: LearningProblem, robot: str, variation: Variation
+    problem: LearningProblem, robot: str, variation: Variation
 ) -> tuple[Outcome, LearningResult, Series]:
-    plant = variation.applied_to(lecture.bench.model)
-    series = Series(lecture.bench, plant)
-    lesson = learn(lecture, on_series(lecture, series))
-    swing, scale = lesson.correction.applied_to(lecture.bench.profile), Tolerance().scale(lecture.target)
+    plant = variation.applied_to(problem.bench.model)
+    series = Series(problem.bench, plant)
+    result = learn(problem, on_series(problem, series))
+    swing, scale = result.correction.applied_to(problem.bench.profile), Tolerance().scale(problem.target)
     figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
     outcome = Outcome(
         robot,
-        lesson.attempts[0].error,
-        (np.mean(figures, axis=0) - lecture.target.array) / scale,
-        lesson.used,
-        sum(bool(attempt.cause) for attempt in lesson.attempts),
-        lesson.attempts[lesson.chosen].saturated,
+        result.attempts[0].error,
+        (np.mean(figures, axis=0) - problem.target.array) / scale,
+        result.used,
+        sum(bool(attempt.cause) for attempt in result.attempts),
+        result.attempts[result.chosen].saturated,
         variation.supply,
     )
     before, after = (np.array2string(v, precision=2) for v in (outcome.before, outcome.after))
     told = "learned" if outcome.learned else f"NOT learned: {outcome.why}"
     print(f"{robot}: {before} -> {after} in {outcome.used} swings, {told}", flush=True)
-    return outcome, lesson, series
+    return outcome, result, series
 
 
-def _repeated(lecture: LearningProblem, lesson: LearningResult, plant: PlantParameters) -> Array:
+def _repeated(problem: LearningProblem, result: LearningResult, plant: PlantParameters) -> Array:
     """Return how far many swings with noise are off the target (n, 4), in tolerances."""
     noisy = replace(plant, encoders=replace(plant.encoders, noise=ENCODER_NOISE))
-    estimator = replace(lecture.bench.estimator, noise=(ENCODER_NOISE,) * 3)
-    series = Series(lecture.bench._replace(estimator=estimator), noisy)
-    swing, random = lesson.correction.applied_to(lecture.bench.profile), np.random.default_rng(1)
+    estimator = replace(problem.bench.estimator, noise=(ENCODER_NOISE,) * 3)
+    series = Series(problem.bench._replace(estimator=estimator), noisy)
+    swing, random = result.correction.applied_to(problem.bench.profile), np.random.default_rng(1)
     series.swing(swing)
     figures = []
     for _ in range(REPEATED):
         pressure = plant.supply.pressure * (1 + SUPPLY_SCATTER * float(random.standard_normal()))
         series.vary(replace(noisy, supply=replace(plant.supply, pressure=pressure)))
         figures.append(figures_of(series.swing(swing).delivery).array)
-    return np.asarray((figures - lecture.target.array) / Tolerance().scale(lecture.target))
+    return np.asarray((figures - problem.target.array) / Tolerance().scale(problem.target))

@@ -86,16 +86,16 @@ class School:
         monkeypatch.setattr(corrections, "learn", self._learn)
         monkeypatch.setattr(corrections, "stored", self._stored)
 
-    def robot(self, lecture: LearningProblem) -> AbstractContextManager[Swinger]:
+    def robot(self, problem: LearningProblem) -> AbstractContextManager[Swinger]:
         return nullcontext(lambda weights: pytest.fail("nobody learns here"))
 
-    def _learn(self, lecture: Any, swinger: Swinger, settings: Any, start: Any) -> Any:
+    def _learn(self, problem: Any, swinger: Swinger, settings: Any, start: Any) -> Any:
         self.lessons.append((settings.swings, start))
         return len(self.lessons)
 
-    def _stored(self, lesson: Any, *args: Any, beside: dict[str, Any], **_: Any) -> Learned:
+    def _stored(self, result: Any, *args: Any, beside: dict[str, Any], **_: Any) -> Learned:
         content = {"swings": [{}] * 4, **beside}
-        return stored(0.1 * lesson, NOW + timedelta(hours=2), within=self.within, content=content)
+        return stored(0.1 * result, NOW + timedelta(hours=2), within=self.within, content=content)
 
 
 @pytest.fixture

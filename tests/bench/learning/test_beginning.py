@@ -34,7 +34,7 @@ IDENTIFIED = replace(ROBOT, flow=(0.96, 1.02, 0.98), supply=0.985).applied_to(PL
 
 
 @pytest.fixture(scope="module")
-def lecture() -> LearningProblem:
+def problem() -> LearningProblem:
     return prepare(BENCH)
 
 
@@ -46,38 +46,38 @@ def recorded() -> list[Recorded]:
     return [Recorded(BENCH.profile, cycles, PLANT.encoders) for cycles in swings]
 
 
-def first_settled(lecture: LearningProblem) -> float:
+def first_settled(problem: LearningProblem) -> float:
     """Return how far the second swing is off, worst figure in tolerances: the first begins with other air."""
-    assert lecture.beginning is not None
-    swing = on_series(lecture, Series(BENCH, TRUTH))
-    assert not swing(lecture.beginning.point).settled
-    swung = swing(lecture.beginning.point)
+    assert problem.beginning is not None
+    swing = on_series(problem, Series(BENCH, TRUTH))
+    assert not swing(problem.beginning.point).settled
+    swung = swing(problem.beginning.point)
     assert swung.settled
-    off = (swung.figures.array - lecture.target.array) / Tolerance().scale(lecture.target)
+    off = (swung.figures.array - problem.target.array) / Tolerance().scale(problem.target)
     return float(np.abs(off).max())
 
 
 def test_the_first_swings_are_near_with_what_identification_left_over(
-    lecture: LearningProblem, recorded: list[Recorded]
+    problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
-    scale = Tolerance().scale(lecture.target)
+    scale = Tolerance().scale(problem.target)
     assert 0.7 < np.abs(left_over(BENCH, IDENTIFIED, recorded) / scale).max() < 2.0
-    known, unknown = begun_on(lecture, IDENTIFIED, recorded), begun_on(lecture, IDENTIFIED)
+    known, unknown = begun_on(problem, IDENTIFIED, recorded), begun_on(problem, IDENTIFIED)
     assert first_settled(known) < 1.0
     assert first_settled(known) < 0.7 * first_settled(unknown)
     assert known.beginning is not None
-    expected = (known.beginning.response.figures - lecture.target.array) / scale
+    expected = (known.beginning.response.figures - problem.target.array) / scale
     assert np.abs(expected).max() < 1.0
 
 
-def test_nothing_is_left_over_of_the_robot_itself(lecture: LearningProblem, recorded: list[Recorded]) -> None:
-    off = left_over(BENCH, TRUTH, recorded) / Tolerance().scale(lecture.target)
+def test_nothing_is_left_over_of_the_robot_itself(problem: LearningProblem, recorded: list[Recorded]) -> None:
+    off = left_over(BENCH, TRUTH, recorded) / Tolerance().scale(problem.target)
     assert np.abs(off).max() < 0.7
 
 
 def test_another_robot_than_the_recorded_one_is_refused(
-    lecture: LearningProblem, recorded: list[Recorded]
+    problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
     other = Variation(supply=0.93).applied_to(PLANT)
     with pytest.raises(BenchError, match="beside the records"):
-        begun_on(lecture, other, recorded)
+        begun_on(problem, other, recorded)

@@ -14,8 +14,8 @@ from bench.errors import BenchError
 from bench.learning.compare import (
     compare,
     controllers,
-    lecture_of,
     planned_figures,
+    problem_of,
     strayed,
     thesis_gains,
 )
@@ -79,7 +79,7 @@ def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
 @compiled_only
 def test_the_model_tracks_where_pids_alone_do_not(bench: Bench) -> None:
     told: list[str] = []
-    rows = compare(bench, bench.model, swings=1, lecture=lecture_of(bench), told=told.append)
+    rows = compare(bench, bench.model, swings=1, problem=problem_of(bench), on_start=told.append)
     thesis, alone, kane, inverted, fitted, planned, learned = rows
     assert [row.controller.split(",")[0] for row in rows] == [name.split(",")[0] for name in told]
     assert thesis.cause is not Cause.NONE

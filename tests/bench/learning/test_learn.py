@@ -31,60 +31,60 @@ WORN = variation.WORN.applied_to(PLANT)
 
 
 @pytest.fixture(scope="module")
-def lecture() -> LearningProblem:
+def problem() -> LearningProblem:
     return prepare(BENCH)
 
 
 @pytest.fixture(scope="module")
-def lesson(lecture: LearningProblem) -> LearningResult:
-    return learn(lecture, on_series(lecture, Series(BENCH, WORN)))
+def result(problem: LearningProblem) -> LearningResult:
+    return learn(problem, on_series(problem, Series(BENCH, WORN)))
 
 
-def test_the_robot_learns_what_the_model_delivers(lecture: LearningProblem, lesson: LearningResult) -> None:
-    before, kept = (np.abs(lesson.attempts[k].error).max() for k in (0, lesson.chosen))
+def test_the_robot_learns_what_the_model_delivers(problem: LearningProblem, result: LearningResult) -> None:
+    before, kept = (np.abs(result.attempts[k].error).max() for k in (0, result.chosen))
     assert before > 5.0
     assert kept <= 0.5
-    assert lesson.within
-    assert lesson.used < LearningSettings().swings
+    assert result.within
+    assert result.used < LearningSettings().swings
     series = Series(BENCH, WORN)
-    swing = lesson.correction.applied_to(BENCH.profile)
+    swing = result.correction.applied_to(BENCH.profile)
     series.swing(swing)
     truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
-    off = (truth - lecture.target.array) / Tolerance().scale(lecture.target)
+    off = (truth - problem.target.array) / Tolerance().scale(problem.target)
     assert np.abs(off).max() <= 1.0
 
 
 def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
-    lecture: LearningProblem,
+    problem: LearningProblem,
 ) -> None:
     """The worn robot's first swing comes when the modelled one has run into the wrist's cushion."""
-    series, scale = Series(BENCH, WORN), Tolerance().scale(lecture.target)
+    series, scale = Series(BENCH, WORN), Tolerance().scale(problem.target)
     series.swing(BENCH.profile)
     swing = series.swing(BENCH.profile)
     truth = figures_of(swing.delivery).array
-    seen = figures_of(delivery_from_encoders(swing.cycles, PLANT, lecture.response.free)).array
-    assert np.abs((truth - lecture.target.array) / scale).max() > 5.0
+    seen = figures_of(delivery_from_encoders(swing.cycles, PLANT, problem.response.free)).array
+    assert np.abs((truth - problem.target.array) / scale).max() > 5.0
     assert np.abs((seen - truth) / scale).max() < 3.0
 
 
-def test_encoders_tell_the_delivery_that_the_plant_knows(lecture: LearningProblem) -> None:
+def test_encoders_tell_the_delivery_that_the_plant_knows(problem: LearningProblem) -> None:
     """Also with a latency that the bench does not know."""
     swing = Series(BENCH, Variation(latency=0.001).applied_to(PLANT)).swing(BENCH.profile)
     truth = figures_of(swing.delivery)
-    scale = Tolerance().scale(lecture.target)
-    for plan, allowed in ((lecture.response.free, 0.6), (None, 1.5)):
+    scale = Tolerance().scale(problem.target)
+    for plan, allowed in ((problem.response.free, 0.6), (None, 1.5)):
         seen = figures_of(delivery_from_encoders(swing.cycles, PLANT, plan))
         assert np.abs((seen.array - truth.array) / scale).max() < allowed
 
 
-def test_other_sources_replace_what_they_tell(lecture: LearningProblem) -> None:
+def test_other_sources_replace_what_they_tell(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
-    encoders = figures_from("encoders+model", swing.cycles, PLANT, lecture.response.free)
-    marked = figures_from("impact-marks", swing.cycles, PLANT, lecture.response.free, mark=(6.0, 4.5))
+    encoders = figures_from("encoders+model", swing.cycles, PLANT, problem.response.free)
+    marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(6.0, 4.5))
     assert marked.strike == pytest.approx(strike_from_mark(6.0, 4.5, PLANT))
     assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
     assert marked[1:] == encoders[1:]
-    monitor = figures_from("launch-monitor", swing.cycles, PLANT, lecture.response.free, club_speed=42.0)
+    monitor = figures_from("launch-monitor", swing.cycles, PLANT, problem.response.free, club_speed=42.0)
     assert monitor.speed == 42.0
     assert (monitor.strike, monitor.lean, monitor.attack) == (
         encoders.strike,
@@ -93,7 +93,7 @@ def test_other_sources_replace_what_they_tell(lecture: LearningProblem) -> None:
     )
 
 
-def test_a_mark_is_projected_on_the_line_of_the_swing_plane(lecture: LearningProblem) -> None:
+def test_a_mark_is_projected_on_the_line_of_the_swing_plane(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     assert swing.delivery is not None
     toe, high = 1e3 * swing.delivery.strike_x, 1e3 * swing.delivery.strike_y

@@ -45,19 +45,19 @@ def test_swings_are_read_from_their_first_tick_with_their_profile_and_calibratio
 def test_a_swing_corrected_otherwise_is_refused_by_the_name_of_its_file(tmp_path: Path) -> None:
     other = replace(PROFILE, valve=PROFILE.valve + 1e-3)
     paths = [written(tmp_path / "one.parquet", PROFILE), written(tmp_path / "two.parquet", other)]
-    with pytest.raises(BenchError, match=r"two\.parquet.*corrected otherwise"):
+    with pytest.raises(BenchError, match=r"two\.parquet.*with another correction"):
         read_recorded(paths)
 
 
 def test_a_record_without_a_whole_swing_is_refused() -> None:
-    with pytest.raises(BenchError, match="no whole swing"):
+    with pytest.raises(BenchError, match="no complete swing"):
         from_first_tick(new_record(CYCLE, 100), PROFILE, "record")
 
 
 def test_swings_with_another_correction_are_not_alike() -> None:
     require_alike(PROFILE, replace(PROFILE, text="the same"), "b")
     other = replace(PROFILE, valve=PROFILE.valve + 1e-3)
-    with pytest.raises(BenchError, match="corrected otherwise"):
+    with pytest.raises(BenchError, match="with another correction"):
         require_alike(PROFILE, other, "b")
     with pytest.raises(BenchError, match="a swing of steady"):
         require_alike(PROFILE, load_profile(find_profile("steady")), "b")
