@@ -1,9 +1,9 @@
-"""What the air can do along a given motion, before anything moves (golf.md 8; ISO 6358).
+"""Limits of the air along a given motion, before anything moves (golf.md 8; ISO 6358).
 
-A bound, not a rule of thumb: with the motion given, a chamber that takes all the air its fully open valve
-passes, and loses none, has the highest pressure any command could give; one that only loses air has the
-lowest. A motion that needs more force than these pressures give is beyond valves and supply. One that
-passes may still be hard to follow.
+A strict bound: with the motion given, a chamber that takes all the air of its fully open valve and loses none
+has the max pressure that any command could give; one that only loses air has the min pressure. A motion that
+needs more force than these pressures give is beyond valves and supply. One that passes may still be hard to
+follow.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def stop_forces(actuator: Actuator, position: Array, speed: Array) -> Array:
 
 
 def force_bounds(motion: Motion) -> Array:
-    """Return the least and greatest force (n, 3, 2) any command can give along the motion: N m, N, N."""
+    """Return the min and max force (n, 3, 2) that any command can give along the motion: N m, N, N."""
     plant = motion.plant
     atmosphere = plant.supply.atmosphere
     bounds = np.empty((len(motion.position), 3, 2))

@@ -1,8 +1,8 @@
-"""Blind brakes: how to stop, from each instant of a swing, when the encoders tell nothing any more.
+"""Blind brakes: patterns that stop the robot from each instant of a swing without encoders.
 
-From the nominal states at each row a pattern of openings and durations is looked for, by a compass search
-(Kolda, Lewis and Torczon 2003) from a few candidates: spools centred, the row's pattern of the starting
-swing, that of the row before. A candidate that is good enough is taken as it is. Nothing is drawn.
+From the nominal states at each row a compass search (Kolda, Lewis and Torczon 2003) looks for a pattern of
+openings and durations, starting from centred spools and from the row's pattern of the starting swing. A
+candidate that is good enough is taken as it is. The search is deterministic.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from sim.plant import Plant, advance, build_plant
 Array = NDArray[np.float64]
 
 SPACING = 20
-_WATCHED = 0.9  # s
-_LONGEST = 0.4  # s
+_WATCHED = 0.9
+"""Time for which a pattern is followed, s."""
+_LONGEST = 0.4
+"""Longest duration of an opening, s."""
 _GOOD = 0.35
-"""Cost with which a candidate is taken: nothing is loaded above half, and it comes to rest."""
+"""Cost below which a candidate is taken: no load above half its rating, and it comes to rest."""
 _STEPS = (0.3, 0.12)
 _ROUNDS = 6
 
@@ -72,7 +74,7 @@ def _cost(plant: Plant, states: list[tuple[NDArray[Any], NDArray[Any]]], pattern
 def design_blind_brake(
     bench: SimulatedBench, start: Array | None, progress: Callable[[float], None]
 ) -> Array:
-    """Return a pattern (6,) for each row of the bench's profile; `start` (m, 6): to begin with, or None.
+    """Return a pattern (6,) for each row of the bench's profile; `start` (m, 6): first patterns, or None.
 
     Raises:
         LoopFailed: the undisturbed swing does not run.

@@ -1,9 +1,9 @@
-"""A downswing put into a profile so that the closed loop on the nominal plant does exactly that downswing.
+"""Puts a downswing into a profile so that the closed loop on the nominal plant does exactly that downswing.
 
-Openings found in the open loop are played on the plant with the whole control step listening. What its
-estimator then tells is the profile's reference, so that position and speed have no error to act on, and the
-feed-forward is the opening less what integral and damping add. On the nominal plant the feedback has nothing
-left to do, whatever its gains; its whole share of the valves is there for what differs.
+Openings found in the open loop are played on the plant while the whole control step listens. The estimates
+become the profile's reference, so that position and speed errors are zero, and the feed-forward is the
+opening less the output of integral and damping. On the nominal plant the feedback then has nothing to
+correct, whatever its gains; its whole share of the valves is left for deviations.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sim.truth import note_truth
 Array = NDArray[np.float64]
 
 _AWAY = 0.4
-"""Most that the reference's speed may differ from its slope, rad/s; feed-forward makes up for the rest."""
+"""Max difference of the reference's speed from its slope, rad/s; feed-forward compensates the rest."""
 
 
 class LoopFailed(RuntimeError):
@@ -51,9 +51,9 @@ def run_with_openings(
     acceleration: Any,
     cycles: Any,
 ) -> None:
-    """Let the control step listen while `valve` (n, 3) is applied; write CYCLE records (n,).
+    """Apply `valve` (n, 3) while the control step listens; write CYCLE records (n,).
 
-    `acceleration` (n, 3) gets the estimator's, rad/s2.
+    `acceleration` (n, 3) gets the estimated accelerations, rad/s2.
     """
     period = plant[0].tick
     for k in range(len(valve)):
@@ -76,7 +76,7 @@ class Rehearsal:
         Raises:
             LoopFailed: the robot does not come to rest at address.
         """
-        # References past the ball are what is being found: no following error to judge yet.
+        # References past the ball are still being found: do not check following errors.
         free = replace(bench, envelope=replace(bench.envelope, following={}))
         try:
             self.bench, self._first = begin_swing(free, bench.plant.ball if ball else None)
@@ -87,7 +87,7 @@ class Rehearsal:
         """Return the CYCLE records of the next `ticks` ticks of the swing, its first one included.
 
         Raises:
-            LoopFailed: the envelope stopped it.
+            LoopFailed: the envelope stopped the swing.
         """
         first, self._first = self._first[:ticks], self._first[ticks:]
         cycles = self.bench.advance(ticks - len(first))
@@ -95,7 +95,7 @@ class Rehearsal:
         return np.concatenate([first, cycles]) if len(first) else cycles
 
     def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
-        """Apply openings `valve` (n, 3), the loop listening; return records and estimated accelerations."""
+        """Apply openings `valve` (n, 3) while the loop listens; return records and estimated acceleration."""
         bench, cycles = self.bench, new_record(CYCLE, len(valve))
         acceleration = np.zeros((len(valve), 3))
         run_with_openings(
@@ -137,7 +137,9 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     rows = slice(top, top + len(opening))
     angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
     angle[rows] = cycles["angle"]
-    window = profile.begins[5] - top  # from here on the loop does not damp: the impact's jump is no motion
+    window = (
+        profile.begins[5] - top
+    )  # from here on the loop does not damp: the jump at impact is not a motion
     away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, control)
     velocity[rows] = cycles["velocity"] + away
     derivative = np.array(control.pid.derivative) * away
@@ -155,7 +157,7 @@ def _downswing_damping(control: ControlSettings) -> Array:
 def _silent_velocity(
     velocity: Array, acceleration: Array, window: int, period: float, control: ControlSettings
 ) -> Array:
-    """Return what to add to the estimated `velocity` (n, 3) so that derivative and damping cancel out.
+    """Return the offset on the estimated `velocity` (n, 3) with which derivative and damping cancel out.
 
     The first row's reference is at rest, as the top before it: the tick before looks at it, too, and would
     otherwise begin the downswing with a kick. The estimated acceleration lags; damping against the

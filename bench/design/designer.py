@@ -2,13 +2,12 @@
 
 1. The controller takes the nominal plant to the top, so that the downswing begins where it truly will.
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
-3. `refine` corrects its openings on the plant until the head passes the ball as planned. What the cushions
-   then take, ball struck, missed, or bench silent, corrects what the plan may bring them, and 2 goes on.
-4. `closed_loop` makes references and feed-forward with which the loop does just that, and lets the braking
-   law find the follow-through; `blind_brake` finds how to stop it blind.
+3. `refine` corrects its openings on the plant until the head passes the ball as planned. The cushions' loads
+   (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
+4. `closed_loop` makes references and feed-forward for the same downswing in closed loop, and the braking law
+   finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
 
-The same input gives the same profile. A demand that cannot be met is refused with the highest speed that
-can, and with what limits it.
+The same input gives the same profile. A demand that cannot be met is refused with the reason.
 """
 
 from __future__ import annotations
@@ -49,49 +48,51 @@ Progress = Callable[[str, float], None]
 BEFORE_CONTACT = 3
 """Ticks of the impact window before the planned contact."""
 _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
-"""s before the ball at which the bench may fall silent."""
+"""Times before the ball at which the bench may fall silent, s."""
 _INTERVALS = 40
+"""Collocation intervals of the downswing."""
 _CORRECTED = 0.02, 0.06
 """Share of the stroke left to the correction on the plant; the second when a motion is followed."""
 _MORE, _NEAREST = 2.0, 0.5
-"""m/s: by how much more speed is asked for, and how near what does not go must be to what does."""
+"""Step of the demanded speed, and max gap between the fastest found and the slowest failed one, m/s."""
 _GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
-"""Of the longest downswing, rad of attack angle, m/s: the most that a nearest swing gives way."""
+"""Max concessions of a nearest swing: share of the longest downswing, rad of attack angle, m/s."""
 _SHORT = 0.2
-"""m/s that a nearest swing may be slower than demanded, or gain in a round, without looking on."""
+"""Shortfall or gain in speed below which the search for a nearest swing ends, m/s."""
 _SAG, _TURN_BACK = 0.05, 1.0
-"""rad and rad/s that a golfer's shoulder may turn back from the top, pulled while the air builds up."""
+"""Max turn back of a golfer's shoulder from the top while the air builds up, rad and rad/s."""
 _ROUNDS = 7
+"""Max plans of a downswing."""
 _AIMED = 5
-"""Times the loop is aimed off at most."""
+"""Max corrections of the aim in closed loop."""
 _BROUGHT = (1.2, 0.65)
-"""Shares of their cushions' rated energies that right arm and wrist may bring, to begin with: the wrist's
-cushion also takes what the arm's hands on."""
+"""Initial shares of their cushions' rated energies that right arm and wrist may bring: the wrist's cushion
+also takes the energy that the arm's passes on."""
 
 
 class DesignFailed(RuntimeError):
-    """No swing was found that meets the demand; the text says why, and what would be possible."""
+    """No swing meets the demand; the text gives the reason."""
 
 
 @dataclass(frozen=True)
 class SwingDemand:
-    """What the swing is to do at the ball, and how gently."""
+    """Demand on a swing: the delivery, the loads and the times."""
 
     head_speed: float | None = 45.0
     """m/s; None: as fast as the robot can."""
     attack: float = 0.0
     """Angle of the head's path to the ground at the ball, rad, positive rising."""
     lean: float | None = None
-    """Shaft lean at the ball, rad, in the swing plane; None: what is easiest within `lean_freedom`."""
+    """Shaft lean at the ball, rad, in the swing plane; None: the easiest within `lean_freedom`."""
     lean_freedom: tuple[float, float] = (-0.026, 0.026)
     strike: float = 0.0
     """Ball off the face's centre along the cut of swing plane and face, m."""
     margin: float = 0.15
     """Share of each valve that is left to feedback."""
     struck_share: float = 0.8
-    """Of the cushions' rated energy, when the ball is struck."""
+    """Max share of the cushions' rated energy when the ball is struck."""
     missed_share: float = 0.97
-    """The same when it is missed or the bench falls silent."""
+    """Max share when it is missed or the bench falls silent."""
     backswing_time: float = 0.85
     top_time: float = 0.25
     downswing_time: tuple[float, float] = (0.15, 0.25)
@@ -106,29 +107,29 @@ class SwingDemand:
     follow_time: float = 0.7
     """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
     no_return_time: float = 0.06
-    """Before the impact window: later than this the ball is struck whatever is done, s."""
+    """Time before the impact window from which on the ball is struck in any case, s."""
     least_lever: float = 0.25
-    """|sin beta| the plan keeps to; the envelope trips at 0.15."""
+    """Min |sin beta| of the plan; the envelope trips at 0.15."""
     pressure: float = 1.0e6
-    """Highest in a chamber, Pa absolute."""
+    """Max chamber pressure, Pa absolute."""
     shoulder_speed: float = 16.0
-    """rad/s that may be left at the ball, to be braked in the follow-through."""
+    """Max shoulder speed at the ball, to be braked in the follow-through, rad/s."""
     follow: Array | None = None
     """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad."""
     ranges: Array | None = None
-    """(3,) what deviations from them are counted in, rad."""
+    """(3,) units of the deviations from them, rad."""
     nearest: bool = False
-    """Where it is out of reach, may give way: the downswing's time, the path's rise, the head speed."""
+    """Whether a demand out of reach gives way: in the downswing's time, the path's rise, the head speed."""
 
 
 @dataclass(frozen=True)
 class DesignedSwing:
-    """A swing, and how it came about."""
+    """A designed swing, with its plan and trial."""
 
     profile: Profile
     plan: DownswingPlan
     trial: ShootingTrial
-    """Of the refined openings on the plant."""
+    """Trial of the refined openings on the plant."""
     rounds: int
 
 
@@ -139,7 +140,7 @@ class _Start:
     plant_state: NDArray[Any]
     command: NDArray[Any]
     opening: Array
-    """Openings applied last."""
+    """Last applied openings."""
     angle: Array
     velocity: Array
     valve: Array
@@ -147,7 +148,7 @@ class _Start:
 
 
 class Downswing(NamedTuple):
-    """Openings found on the plant, and what they are to do there."""
+    """Openings found on the plant, and their wanted arrival."""
 
     opening: Array
     """(n, 3), one row a tick."""
@@ -224,7 +225,7 @@ def _sketch(demand: SwingDemand, period: float, address: Array, top: Array, gain
 
 
 def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
-    """Let the controller itself take the plant to the top; what it did is the nominal motion."""
+    """Let the controller take the plant to the top; the result is the nominal motion."""
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
     sketch = _sketch(demand, period, address, top, np.array(bench.control.move_gain))
@@ -300,7 +301,7 @@ def _problem(
 
 
 def _furthest_back(parameters: PlantParameters, demand: SwingDemand) -> float:
-    """Return the least theta1 of the downswing, rad: a golfer does not swing back again from the top."""
+    """Return the min theta1 of the downswing, rad: a golfer does not swing back again from the top."""
     if demand.follow is None:
         return parameters.shoulder.lower
     return demand.top_shoulder - _SAG
@@ -330,20 +331,20 @@ def _openings(plan: DownswingPlan, shooter: Shooter, control: ControlSettings, h
 
 
 def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return what `refine` is to reach: the plan's arrival, at the demanded strike point."""
+    """Return the arrival that `refine` must reach: the plan's, at the demanded strike point."""
     head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
     return np.array([demand.strike, *head[2:6]])
 
 
 def _delivered(state: NDArray[Any], parameters: PlantParameters) -> Array:
-    """Return how the head of a struck ball's plant `state` arrived, as in `_wanted`."""
+    """Return the arrival of the head in the plant `state` after a struck ball, as in `_wanted`."""
     head, site, impact = state["impact_head"][0], parameters.site, build_plant(parameters).impact
     error = in_plane_error(head[0], head[1], head[2], site.ball_x, site.ball_y, impact)
     return np.array([error, *head[2:6]])
 
 
 def _loads(trial: ShootingTrial, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return the upper cushions' energies of right arm and wrist over what they may take, J."""
+    """Return the energies of the upper cushions of right arm and wrist above their limits, J."""
     ratings = np.array([a.stop.energy for a in parameters.actuators])
     worst = np.maximum(trial.missed_energy, trial.silent_energy.max(axis=0))[:, 1]
     struck = trial.struck_energy[:, 1] - demand.struck_share * ratings
@@ -354,27 +355,37 @@ def _shooter(bench: SimulatedBench, begun: _Start) -> Shooter:
     return Shooter(build_plant(bench.plant), begun.plant_state, begun.command, bench.control, _SILENCES)
 
 
+def _initial_guess(
+    parameters: PlantParameters,
+    problem: DownswingProblem,
+    demand: SwingDemand,
+    start: Profile | None,
+    progress: Progress,
+) -> tuple[float, Array]:
+    """Return time and states of a downswing to start from: that of `start`, or the fastest one."""
+    if start is not None:
+        return _guess_from(start, problem.start)
+    time, guess = _first_guess(parameters, problem.start, demand)
+    # The fastest swing is found most reliably; a demanded speed is then found from it.
+    progress("a first swing", 0.0)
+    plan = solve_downswing(parameters, replace(problem, speed=None, follow=None), time, guess, _INTERVALS)
+    progress("a first swing", 1.0)
+    return float(plan.time[-1]), plan.state
+
+
 def design_downswing(
     bench: SimulatedBench, demand: SwingDemand, start: Profile | None, begun: _Start, progress: Progress
 ) -> tuple[Downswing, int]:
-    """Return a downswing whose openings meet `demand` on the plant, and in how many rounds it came.
+    """Return a downswing whose openings meet `demand` on the plant, and the number of rounds.
 
     Raises:
-        DesignFailed: no plan, or none that the plant can follow within its cushions.
+        DesignFailed: no plan that the plant can follow within its cushions.
     """
     parameters = bench.plant
     state = _model_state(begun)
     problem = _problem(parameters, demand, bench.envelope, state)
     shooter = _shooter(bench, begun)
-    if start is None:
-        time, guess = _first_guess(parameters, state, demand)
-        # The fastest swing is found most surely; a demanded speed is then found from it.
-        progress("a first swing", 0.0)
-        plan = solve_downswing(parameters, replace(problem, speed=None, follow=None), time, guess, _INTERVALS)
-        time, guess = float(plan.time[-1]), plan.state
-        progress("a first swing", 1.0)
-    else:
-        time, guess = _guess_from(start, state)
+    time, guess = _initial_guess(parameters, problem, demand, start, progress)
     best: tuple[tuple[float, float], Downswing] | None = None
     tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
     brought: Array | None = None
@@ -386,7 +397,7 @@ def design_downswing(
             reason = reason or f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
             if brought is None:
                 break
-            # Asked for too little: half way back to what was possible.
+            # The limits were too tight: half way back to the last possible ones.
             problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
             continue
         time, guess = float(plan.time[-1]), plan.state
@@ -407,8 +418,8 @@ def design_downswing(
         if over.max() <= 0.0 and min(short, gained) < _SHORT:
             break
         reason = (
-            f"the cushions of right arm and wrist would take {over[0]:+.1f} and {over[1]:+.1f} J "
-            "beside what they may when the ball is missed"
+            f"the cushions of right arm and wrist would be {over[0]:+.1f} and {over[1]:+.1f} J "
+            "above their limits when the ball is missed"
         )
         brought = np.minimum(problem.cushions, plan.carried)
         tried = tried.learned(brought, over)
@@ -423,19 +434,19 @@ def design_downswing(
 
 
 class _Cushions(NamedTuple):
-    """What plans brought the two cushions, and what these then took too much of: (2, 2), cushion and pair."""
+    """Pairs (energy brought by the plan, excess on the plant) that held and that broke, each (2, 2), J."""
 
     held: Array
     broke: Array
 
     def learned(self, brought: Array, over: Array) -> _Cushions:
-        """Return this with what a plan `brought` (2,), J, and what was `over` (2,), J, on the plant."""
+        """Return this with energies `brought` (2,) by a plan and their excess `over` (2,) on the plant, J."""
         pair, broke = np.column_stack([brought, over]), (over > 0.0)[:, None]
         return _Cushions(np.where(broke, self.held, pair), np.where(broke, pair, self.broke))
 
     def next(self, brought: Array, over: Array) -> Array:
-        """Return what the next plan may bring (2,), J."""
-        # What one cushion has too much of, the other one or the shoulder has to give.
+        """Return the energies that the next plan may bring, (2,) J."""
+        # The excess of one cushion must come from the other one or the shoulder.
         step = brought - np.where(over > 0, over + 0.3, np.maximum(over, -6.0) / 2)
         low, high = self.held[:, 0], self.broke[:, 0]
         known = (self.held.any(axis=1)) & (self.broke.any(axis=1)) & (low < high)
@@ -452,7 +463,7 @@ class Highest(NamedTuple):
 
     plan: DownswingPlan
     limit: str
-    """Why a little more was not."""
+    """Why a higher speed failed."""
 
 
 def highest_speed(
@@ -467,13 +478,12 @@ def highest_speed(
 ) -> Highest:
     """Return the fastest downswing within `demand` that the plant follows within its cushions.
 
-    The fastest plan is a beginning only: with cushions that must hold when the ball is missed, faster ones
-    are found by asking for them. So speeds above it are, until half a m/s more fails. Begins with
-    `start`, or with nothing.
+    The fastest plan is only a start: with cushions that must hold when the ball is missed, faster ones are
+    found by demanding them, until half a m/s more fails. Begins with `start`, or from scratch.
 
     Raises:
         BenchError: the package casadi is not installed.
-        DesignFailed: none was found.
+        DesignFailed: no downswing was found.
     """
     load_casadi()
     bench = _bench(parameters, control, envelope, estimator)
@@ -481,10 +491,10 @@ def highest_speed(
     begun = _swing_up(bench, free)
 
     def fastest(speed: float | None, what: str) -> DownswingPlan:
-        def told(_: str, part: float) -> None:
+        def report(_: str, part: float) -> None:
             progress(what, part)
 
-        return design_downswing(bench, replace(free, head_speed=speed), start, begun, told)[0].plan
+        return design_downswing(bench, replace(free, head_speed=speed), start, begun, report)[0].plan
 
     plan, failed, limit = fastest(None, "as fast as it goes"), inf, ""
     while failed - plan.speed > _NEAREST:
@@ -533,7 +543,7 @@ def _assemble(
             top + contact + AFTER_CONTACT,
         ),
         angle=angle,
-        # At rest in the first row: what the tick before the downswing does must not depend on it.
+        # At rest in the first row: the tick before the downswing must not depend on it.
         velocity=np.vstack([begun.velocity, np.zeros(3), trial.speed[1:contact], np.zeros((past, 3))]),
         valve=np.vstack([begun.valve, opening[:contact], np.zeros((past, 3))]),
         blind_spacing=SPACING,
@@ -543,7 +553,7 @@ def _assemble(
     )
 
 
-def _told(
+def _with_figures(
     profile: Profile,
     parameters: PlantParameters,
     state: NDArray[Any],
@@ -587,13 +597,13 @@ def design_swing(
     start: Profile | None = None,
     progress: Progress = lambda what, part: None,
 ) -> DesignedSwing:
-    """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or with nothing.
+    """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or from scratch.
 
     Raises:
         BenchError: the package casadi is not installed.
-        DesignFailed: none was found; the text says why.
+        DesignFailed: no swing was found; the text gives the reason.
     """
-    load_casadi()  # a missing package is told before anything takes time
+    load_casadi()  # a missing package must fail before the long part
     bench = _bench(parameters, control, envelope, estimator)
     begun = _swing_up(bench, demand)
     downswing, rounds = design_downswing(bench, demand, start, begun, progress)
@@ -618,9 +628,9 @@ def _into_the_loop(
     golfer: str,
     progress: Progress,
 ) -> tuple[Profile, Downswing]:
-    """Return the profile whose swing in closed loop delivers what `downswing` was to, and its downswing.
+    """Return the profile whose swing in closed loop delivers as `downswing` should, and its downswing.
 
-    What the loop adds to the openings is aimed off, until the head passes the ball as wanted.
+    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.
@@ -637,7 +647,7 @@ def _into_the_loop(
         delivered = _delivered(state, bench.plant)
         off = float(np.abs((delivered - downswing.wanted) / UNITS)[:4].max())
         if best is None or off < best[0]:
-            best = off, _told(profile, bench.plant, state, demand, downswing.trial), downswing
+            best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial), downswing
         if off < 1.0:
             break
         aim = aim - (delivered - downswing.wanted)
@@ -658,7 +668,7 @@ def _bench(
     envelope: EnvelopeSettings | None,
     estimator: EstimatorSettings | None,
 ) -> SimulatedBench:
-    """Return the bench that the design is rehearsed on, still with an empty profile."""
+    """Return the bench for the rehearsals, still with an empty profile."""
     nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
     return SimulatedBench(
         nothing,

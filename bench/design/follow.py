@@ -2,9 +2,9 @@
 
 The robot starts from the human's top as far as its ranges go, takes his or her time for the backswing and
 about as long for the downswing, and keeps close to the human's joint angles by least squares, each counted in
-its range. What is out of reach stays out of reach: nothing is scaled, and the deviation tells it. Where the
-demand itself is, a nearest swing gives way, in the downswing's time and the path's rise first, in head speed
-last; `gave_way` says where and by how much.
+its range. A motion out of reach is not scaled; the deviation shows it. If the demand itself is out of reach,
+a nearest swing gives way, in the downswing's time and the path's rise first, in head speed last; `gave_way`
+says where and by how much.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from sim.kinematics import right_arm_length, theta2_from_right_arm
 from sim.plant import PlantParameters
 
 _TIME = 0.9, 1.2
-"""Shortest and longest downswing over the human's."""
+"""Shortest and longest downswing, as shares of the human's."""
 _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
 
-_TOLD = 0.003, 0.1, 0.1
-"""s, degrees, m/s off the demand that are told: less is the plant's answer to the plan."""
+_REPORTED = 0.003, 0.1, 0.1
+"""Deviations from the demand that are reported, s, degrees, m/s: smaller ones come from the plant."""
 
 
 def demand_like(
@@ -63,17 +63,17 @@ def demand_like(
 
 
 def gave_way(demand: SwingDemand, profile: Profile) -> list[str]:
-    """Return where `profile` does another thing than `demand`, with both figures; empty when it does not."""
-    told = []
+    """Return the deviations of `profile` from `demand`, with both figures; empty without one."""
+    found = []
     longest = demand.downswing_time[1]
     attack, asked = profile.delivery["attack_angle_deg"], degrees(demand.attack)
     reached, wanted = profile.delivery["head_speed_mps"], demand.head_speed
-    if profile.downswing_time > longest + _TOLD[0]:
-        told.append(f"a downswing of {profile.downswing_time:.3f} s, {longest:.3f} s at most demanded")
-    if abs(attack - asked) > _TOLD[1]:
-        told.append(f"attack {attack:+.1f} deg, {asked:+.1f} deg demanded")
-    if wanted is not None and reached < wanted - _TOLD[2]:
-        told.append(
+    if profile.downswing_time > longest + _REPORTED[0]:
+        found.append(f"a downswing of {profile.downswing_time:.3f} s, {longest:.3f} s at most demanded")
+    if abs(attack - asked) > _REPORTED[1]:
+        found.append(f"attack {attack:+.1f} deg, {asked:+.1f} deg demanded")
+    if wanted is not None and reached < wanted - _REPORTED[2]:
+        found.append(
             f"demanded {wanted:.1f} m/s, reached {reached:.1f} m/s, short by {wanted - reached:.1f} m/s"
         )
-    return told
+    return found

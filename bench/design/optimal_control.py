@@ -5,10 +5,10 @@ the rates of the openings. Radau collocation turns the differential equations in
 sparse nonlinear program that IPOPT solves with exact derivatives from CasADi. Why collocation: the motion
 along the way is unknown of its own, so that a poor guess of the openings does not send the club somewhere
 else, as it does in shooting, and limits along the way (stops, lever, openings) are plain bounds. The same
-input gives the same answer, bit for bit: nothing is drawn.
+input gives the same answer, bit for bit.
 
-The model is that of the plant without what has no derivative: dry friction, flow and metering edges are
-rounded off, spools follow at once, stops are bounds. `bench.design.refine` then works on the plant itself.
+The model is that of the plant with derivatives everywhere: dry friction, flow and metering edges are rounded
+off, spools follow at once, stops are bounds. `bench.design.refine` then works on the plant itself.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _KINDS = (
     + ("shoulder valve", "right arm's valve", "wrist's valve")
 )
 _FREE = 1e-6
-"""Price of a m/s below which nothing holds the speed back."""
+"""Price of a m/s below which no limit holds the speed back."""
 _LIMITS = ("rod speed", "rod range", "cushion of the right arm", "cushion of the wrist", "shoulder braking")
 _PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
-"""Of giving way, beside deviations that cost about one: a downswing twice as long, a rad, a m/s. They are
-linear, so that nothing gives way that need not, and the speed is the last to: a degree is worth some m/s."""
+"""Prices of concessions, where deviations cost about one: a downswing twice as long, a rad, a m/s. They are
+linear, so that only necessary concessions are made, the speed last: a degree is worth some m/s."""
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
-"""Speed over which dry friction turns round, m/s or rad/s times ten: the plant's is a step."""
+"""Speed over which dry friction changes its sign, m/s or rad/s times ten: a step in the plant."""
 _EDGE_WIDTH = 0.01
 _FLOW_WIDTH = 1e-3
 _FEED_RATIO = 0.3
@@ -61,7 +61,7 @@ class Equations(NamedTuple):
     extension: Any
     """q -> rod extension, m."""
     carried: Any
-    """state -> J that right arm and wrist bring their upper stops: the joint's motion, its air's push."""
+    """state -> energy of right arm and wrist at their upper stops, J: joint motion and work of its air."""
 
 
 def _positive(value: Expression, width: float) -> Expression:
@@ -130,7 +130,7 @@ def _air(
     position: Expression,
     speed: Expression,
 ) -> tuple[Expression, Expression, Expression]:
-    """Return actuator i's force, its pressure rates (bar/s) and what it takes from the supply (W / 1e5)."""
+    """Return actuator i's force, its pressure rates (bar/s) and its demand on the supply (W / 1e5)."""
     ca = load_casadi()
     actuator, atmosphere = plant.actuators[i], plant.supply.atmosphere / BAR
     valve, exponent = actuator.valve, plant.supply.polytropic_exponent
@@ -227,7 +227,7 @@ def _solved(m: Expression, f: Expression) -> Expression:
 
 
 class Concessions(NamedTuple):
-    """How far a demand may give way where it is out of reach."""
+    """Max concessions of a demand that is out of reach."""
 
     time: float = 0.0
     """Longer downswing, s."""
@@ -242,14 +242,14 @@ NO_CONCESSIONS = Concessions()
 
 @dataclass(frozen=True)
 class DownswingProblem:
-    """What a downswing is to do, and within what."""
+    """Demand on a downswing, and its limits."""
 
     start: Array
     """(16,) state at the top; its angles are free within `top_freedom`."""
     top_freedom: Array
     """(3, 2) lowest and highest angles at the top, rad."""
     speed: float | None
-    """Demanded at the ball, m/s; None: as high as it goes."""
+    """Demanded head speed at the ball, m/s; None: as high as possible."""
     slope: float
     """In-plane angle of the head's path, rad, positive rising."""
     theta_t: tuple[float, float]
@@ -257,36 +257,36 @@ class DownswingProblem:
     time: tuple[float, float]
     """Shortest and longest downswing, s."""
     opening: float
-    """Greatest valve opening."""
+    """Max valve opening."""
     slew: float
-    """Greatest change of an opening, 1/s."""
+    """Max change of an opening, 1/s."""
     shoulder: tuple[float, float]
     wrist: tuple[float, float]
     """Ranges of theta1 and theta3 before the ball, rad."""
     speed_limits: tuple[float, float, float]
     """Shoulder rad/s, rod m/s, wrist rad/s."""
     shoulder_back: float
-    """Fastest that the shoulder may turn back, rad/s."""
+    """Max speed of the shoulder backwards, rad/s."""
     stop_speed: tuple[float, float, float]
     stop_deceleration: tuple[float, float, float]
-    """How joints must be able to stop before their end stops, until `committed` (rad, m, rad)."""
+    """Ability of the joints to stop before their end stops, required until `committed` (rad, m, rad)."""
     committed: float
-    """s before the ball from which on that is not asked."""
+    """Time before the ball from which on it is not required, s."""
     cushions: tuple[float, float]
-    """J that the upper cushions of right arm and wrist may take when the ball is missed."""
+    """Max energy of the upper cushions of right arm and wrist when the ball is missed, J."""
     shoulder_speed: float
-    """rad/s that may be left at the ball to be braked."""
+    """Max shoulder speed at the ball, rad/s."""
     pressure: float
-    """Highest chamber pressure, Pa absolute."""
+    """Max chamber pressure, Pa absolute."""
     follow: Array | None = None
     """(n, 3) motion to keep close to, evenly spaced over the downswing, rad."""
     ranges: Array | None = None
-    """(3,) what deviations from it are counted in, rad."""
+    """(3,) units of the deviations from it, rad."""
     concessions: Concessions = NO_CONCESSIONS
 
 
 class DownswingPlan(NamedTuple):
-    """A downswing as the collocation found it."""
+    """A downswing found by collocation."""
 
     time: Array
     """(n,) s from the top, ends of the intervals."""
@@ -299,7 +299,7 @@ class DownswingPlan(NamedTuple):
     binding: dict[str, float]
     """m/s of head speed gained for one per cent more of each limit; at a demanded speed at equal effort."""
     carried: Array
-    """J that the model brings the upper cushions of right arm and wrist, (2,)."""
+    """Energies that the model brings to the upper cushions of right arm and wrist, (2,) J."""
 
 
 def solve_downswing(
@@ -409,7 +409,7 @@ def solve_downswing(
         for k in range(n + 1):
             row = p.follow[round(k * (len(p.follow) - 1) / n)]
             cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
-        # Openings that jump are planned well and followed badly.
+        # Openings that jump are easy to plan and hard to follow.
         cost += (
             sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n
         )
@@ -463,9 +463,9 @@ def solve_downswing(
 def _stop_distance(
     plant: PlantParameters, p: DownswingProblem, place: Expression, speed: Expression
 ) -> Expression:
-    """Return how much of its speed squared each joint has to spare to stop before its upper and lower end.
+    """Return the margin of each joint, in speed squared, to stop before its upper and lower end.
 
-    As the envelope asks it (`bench.control.envelope`), a tenth less.
+    As in the envelope (`bench.control.envelope`), a tenth less.
     """
     ca = load_casadi()
     towards = speed * ca.sqrt(speed**2 + 0.01)
@@ -481,7 +481,7 @@ def _gains(found: Any, kinds: list[str], names: list[str], lower: Array, upper: 
     """Return the head speed (m/s) that one per cent more of each limit would give, from its multipliers."""
     gains: dict[str, float] = {}
     by_row = np.array(found["lam_g"]).ravel()
-    # In effort for a m/s, where the speed is demanded; else the cost is the speed itself.
+    # The effort of a m/s if the speed is demanded; else the cost is the speed itself.
     price = abs(float(by_row[names.index("speed")])) if "speed" in names else 1.0
     if price < _FREE:
         return {}

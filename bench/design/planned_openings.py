@@ -1,4 +1,4 @@
-"""Designing and learning change a profile's planned openings: the controller has to take them."""
+"""Guard of designing and learning, which change planned openings: the controller must use them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ def require_planned_openings(control: ControlSettings) -> None:
         raise BenchError(
             "control.feed_forward",
             repr(control.feed_forward),
-            '"planned": what is designed or learned are the profile\'s openings',
+            '"planned": designing and learning change the planned openings',
             'Set feed_forward = "planned" for it; `golfbench swing compare` compares with the others.',
         )

@@ -27,13 +27,13 @@ _THREADS = 2
 UNITS = np.array([1e-4, 5e-4, 0.01, 0.01, 0.3])
 """Errors of strike (m), shaft (rad), head velocity (m/s) and turning (rad/s) that count as one."""
 _MET = 4
-"""How many of them must be below one: how fast the shaft turns is a wish, the cushions are tried anyway."""
+"""How many of them must be below one: the shaft's turning is not required, the cushions are checked later."""
 NEAR = 10.0
-"""Below it what is left is taken all the same: the loop is aimed off anyway."""
+"""Remaining error that is still accepted: the closed loop corrects the aim later."""
 _STAY = 0.3
 """Weight of the correction's size (of the stroke) beside those errors."""
 _PASSES = 3
-"""The next one goes on from the openings of the one before, and may go as far again."""
+"""Number of passes; each starts from the openings of the one before and may go as far again."""
 
 
 class NotReached(RuntimeError):
@@ -48,7 +48,7 @@ def correction(knots: Array, ticks: int, period: float) -> Array:
 
 
 def arrival_errors(arrival: Arrival, wanted: Array) -> Array:
-    """Return how far `arrival` is from `wanted`: strike m, theta_t rad, vx, vy m/s, omega rad/s."""
+    """Return the difference of `arrival` from `wanted`: strike m, theta_t rad, vx, vy m/s, omega rad/s."""
     return np.asarray(np.concatenate([[arrival.error], arrival.head[2:6]]) - wanted)
 
 
@@ -63,10 +63,10 @@ def refine(
 ) -> Array:
     """Return openings (n, 3), one row a tick, with which the plant arrives as `wanted` (`arrival_errors`).
 
-    `plan` (n, 3) are the planned openings, `opening` the greatest one.
+    `plan` (n, 3) are the planned openings, `opening` the max one.
 
     Raises:
-        NotReached: there are none near the plan.
+        NotReached: no such openings near the plan.
     """
     left = np.full(len(wanted), np.inf)
     for _ in range(_PASSES):
@@ -89,7 +89,7 @@ def _corrected(
     rounds: int,
     watch: Callable[[int, float], None],
 ) -> tuple[Array, Array]:
-    """Return openings, by least squares around `plan`, and what is left of the errors in UNITS."""
+    """Return openings, by least squares around `plan`, and the remaining errors in UNITS."""
     period, ticks = shooter.plant.parameters.tick, len(plan)
     shape = (int(np.ceil(ticks * period / KNOT)), 3)
 

@@ -1,9 +1,8 @@
 """One trial of a downswing: valve openings played on the plant, to the ball and past it.
 
-Every trial is feasible for the air by construction, stops, valves, friction and impact included, so that no
-second model of the robot has to be kept equal to the plant. A trial tells how the head arrives at the ball,
-and what the cushions take when the ball is struck, when it is missed, and when the bench falls silent on
-the way.
+Every trial runs on the plant itself with its air, stops, valves, friction and impact, so that no second model
+of the robot has to be kept equal to it. A trial gives the arrival of the head at the ball, and the cushions'
+loads when the ball is struck, when it is missed, and when the bench falls silent on the way.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ AFTER_CONTACT = 5
 """Ticks for which the openings go on past the ball before the braking law takes over."""
 _FOLLOWED = 0.25
 _SILENT_FOR = 0.12
-"""How long a trial looks at braking and at silence, s: the cushions have met their load by then."""
+"""Time for which a trial follows braking and silence, s: by then the cushions have taken their load."""
 _BELOW = -0.9
 """Height of the head (m) below which passing the ball's place counts."""
 
@@ -41,7 +40,7 @@ class Arrival(NamedTuple):
     """The robot as the head passes the ball's place, with no ball there."""
 
     contact: int
-    """Tick in which it does; the number of openings less one when it does not."""
+    """Tick in which it does; the number of openings less one if it does not."""
     passed: bool
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s)."""
@@ -50,37 +49,37 @@ class Arrival(NamedTuple):
 
 
 class ShootingTrial(NamedTuple):
-    """What came of one trial."""
+    """Outcome of one trial."""
 
     contact: int
-    """Tick in which the head passes the ball; the number of openings when it does not."""
+    """Tick in which the head passes the ball; the number of openings if it does not."""
     struck: bool
     head: Array
     """x, y (m), theta_t (rad), vx, vy (m/s), omega (rad/s) there."""
     error: float
     """Ball off the face's centre along the cut of swing plane and face, m."""
     angle: Array
-    """(contact, 3) rad at the begin of each tick."""
+    """(contact, 3) rad at the start of each tick."""
     speed: Array
     """(contact, 3) rad/s."""
     clearance: float
     """Sole over ground until the end, m."""
     pressure: float
-    """Highest, Pa absolute."""
+    """Max chamber pressure, Pa absolute."""
     struck_energy: Array
     """(3, 2) J, lower and upper cushions."""
     missed_energy: Array
     silent_energy: Array
     """(m, 3, 2) J."""
     furthest: float
-    """Theta1 after the ball, missed, rad."""
+    """Max theta1 after a missed ball, rad."""
 
 
 @compiled
 def swing_down(robot: Any, plant: Any, impact: Any, states: Any, command: Any, valve: Any) -> int:
     """Play openings `valve` (n, 3) from `states[0]`; return the tick in which the head passes the ball, or n.
 
-    `states` (n + 1,) gets the plant's state at the begin of each tick.
+    `states` (n + 1,) gets the plant's state at the start of each tick.
     """
     for k in range(len(valve)):
         states[k + 1] = states[k]
@@ -109,7 +108,7 @@ def follow_plan(
 ) -> None:
     """Play openings `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
 
-    `valve` is changed to what was played, at most `highest`.
+    `valve` is overwritten with the openings played, at most `highest`.
     """
     s = state[0]
     for k in range(len(valve)):
@@ -127,7 +126,7 @@ def brake(
 ) -> float:
     """Play openings `valve` (m, 3), then the braking `law` (BRAKE_LAW) for `ticks` ticks.
 
-    Returns the greatest theta1 (rad).
+    Returns the max theta1 (rad).
     """
     s, b, period = state[0], law[0], plant[0].tick
     before, furthest = np.zeros(3), s.angle[0]
@@ -195,7 +194,7 @@ class Shooter:
         """Play openings `valve` (n, 3), one row a tick, to the ball's place."""
         states, command, contact = self._down(valve)
         last = min(contact, len(valve) - 1)
-        # Where the face meets the ball the plant finds itself, to the last bit; beside the ball we do.
+        # The plant itself finds where the face meets the ball; where the head misses it, `_passing` does.
         hit = states[last : last + 1].copy()
         hit["ball_present"] = contact < len(valve)
         hold_command(*self.plant.records, hit, command, 2)
@@ -215,7 +214,7 @@ class Shooter:
         return head, float(error)
 
     def shoot(self, valve: Array) -> ShootingTrial:
-        """Play openings `valve` (n, 3), one row a tick, and all that may follow."""
+        """Play openings `valve` (n, 3), one row a tick, and every way to go on: struck, missed, silent."""
         records, period = self.plant.records, self.plant.parameters.tick
         states, command, contact = self._down(valve)
         passed = contact < len(valve)

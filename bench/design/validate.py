@@ -1,4 +1,4 @@
-"""Is a swing possible on this machine? Everything that can be known before anything moves.
+"""Whether a swing is possible on this machine: all checks that need no motion.
 
 Each check is a pure function of the plan and tells what it looked at, so that a user sees what was
 checked and not only what failed.
@@ -36,17 +36,17 @@ CONTACT_TOLERANCE = (0.08, 0.02)
 """m along the path and in height between face and ball at the planned contact: it moves 4 cm in a tick."""
 EXCESS_SHARE = 0.05
 EXCESS_TIME = 0.005
-"""Force may exceed the air's bound by this share of the actuator's greatest, and by more for this long (s):
+"""Force may exceed the air's bound by this share of the actuator's max force, and by more for this long (s):
 the tables are rounded, and differentiated here."""
 _PARTS = 10
-"""Into which the time between two samples is cut where cushions are looked at."""
+"""Parts of the time between two samples where cushions are checked."""
 
 _KEYS = ("shoulder", "right_arm", "wrist")
 _POSITION, _SPEED, _FORCE = ("rad", "m", "rad"), ("rad/s", "m/s", "rad/s"), ("N m", "N", "N")
 
 
 class Check(NamedTuple):
-    """One thing looked at."""
+    """One check of a swing."""
 
     name: str
     found: str
@@ -82,7 +82,7 @@ def check_profile(
     """Return every check of `profile` on the machine; `place` names its file in the faults."""
     plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), place or profile.name)
     done = [check(plan) for check in _CHECKS]
-    # What the air must do follows from the tables' slopes.
+    # The force that the air must give follows from the tables' slopes.
     return done if _tables(plan).faults else [*done, _air(plan)]
 
 
@@ -96,7 +96,7 @@ def profile_faults(
 def require_possible(
     profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
 ) -> None:
-    """Refuse a swing that cannot be done.
+    """Refuse a swing that is impossible.
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each reason.
@@ -106,13 +106,13 @@ def require_possible(
 
 
 def _peak(values: Array) -> tuple[int, int]:
-    """Return sample and joint of the greatest of `values` (n, 3)."""
+    """Return sample and joint of the max of `values` (n, 3)."""
     sample, joint = np.unravel_index(int(values.argmax()), values.shape)
     return int(sample), int(joint)
 
 
 def _lasting(values: Array, time: float, period: float) -> Array:
-    """Return what `values` (n, 3) exceed without a break for longer than `time` s from each sample on."""
+    """Return the level that `values` (n, 3) exceed without a break for `time` s from each sample on."""
     samples = min(round(time / period), len(values) - 1) + 1
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, samples, axis=0).min(axis=-1))
 
@@ -123,7 +123,7 @@ def _impact(plan: MachineSwing) -> slice:
 
 
 def _machine(plan: MachineSwing) -> Check:
-    """Compare what the profile was made for with the machine: club, period, supply."""
+    """Compare the conditions that the profile was made for with the machine: club, period, supply."""
     profile, plant, faults = plan.profile, plan.plant, []
     club, supply = plant.robot.club.name, plant.supply.pressure
     designed = profile.limits.get("supply_pressure_pa", 0.0)
@@ -134,7 +134,7 @@ def _machine(plan: MachineSwing) -> Check:
         wanted, cure = f"{plant.tick:g} s, the loop's tick", "Set loop.rate_hz to its inverse."
         faults.append(plan.key("period_s", f"{profile.period:g} s", wanted, cure))
     if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
-        found = f"{designed:.4g} Pa" if designed else "nothing"
+        found = f"{designed:.4g} Pa" if designed else "not given"
         wanted = f"{supply:.4g} Pa absolute, plant.supply.pressure, within 1 %"
         cure = "Choose another profile, or design one for this supply."
         faults.append(plan.key("limits.supply_pressure_pa", found, wanted, cure))
@@ -143,7 +143,7 @@ def _machine(plan: MachineSwing) -> Check:
 
 
 def _tables(plan: MachineSwing) -> Check:
-    """Ask the tables to hold together: velocity is the angle's slope, and the swing begins at rest."""
+    """Check that the tables agree: velocity is the angle's slope, and the swing begins at rest."""
     angle, velocity, faults = plan.profile.angle, plan.profile.velocity, []
     slope = np.diff(angle, axis=0) / plan.profile.period
     # A tick in which the speed jumps may have any slope between; at the ball there is no reference at all.
@@ -155,7 +155,7 @@ def _tables(plan: MachineSwing) -> Check:
     if lasting[k, joint] > SLOPE_TOLERANCE:
         found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
         wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
-        cure = "Mend the table; angles are in rad, one row a period."
+        cure = "Correct the table; angles are in rad, one row a period."
         faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, cure))
     step, allowed = error * plan.profile.period, _allowed_steps(plan)
     j, i = _peak(step / allowed)
@@ -172,14 +172,14 @@ def _tables(plan: MachineSwing) -> Check:
 
 
 def _allowed_steps(plan: MachineSwing) -> Array:
-    """Return the greatest step of the reference (n - 1, 3) that leaves following its share, rad."""
+    """Return the max step of the reference (n - 1, 3) that leaves following its share, rad."""
     following = plan.envelope.following
     limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
     return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 
 
 def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings) -> str:
-    """Return where the swing leaves the working range of a joint; empty when nowhere."""
+    """Return where the swing leaves the working range of a joint; empty if it does not."""
     motion, share = Motion(profile, plant), envelope.minimum_stop_margin
     for i, actuator in enumerate(plant.actuators):
         beyond = _beyond(actuator, motion.position[:, i])
@@ -196,7 +196,7 @@ def _beyond(actuator: Actuator, position: Array) -> Array:
 
 
 def _range(plan: MachineSwing) -> Check:
-    """Keep the swing off the end stops: within the envelope's share of the cushion and its rated energy."""
+    """Check the end stops: within the envelope's share of the cushion and its rated energy."""
     share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
     for i, actuator in enumerate(plan.plant.actuators):
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
@@ -237,7 +237,7 @@ def _greatest_visit(work: Array) -> float:
 
 
 def _speed(plan: MachineSwing) -> Check:
-    """Compare with the envelope's limits of speed."""
+    """Compare the speeds with the envelope's limits."""
     limits, faults = plan.envelope.max_speed, []
     speed = np.abs(plan.motion.speed)
     for i, limit in enumerate(limits):
@@ -255,7 +255,7 @@ def _joined(values: Iterable[float], form: str) -> str:
 
 
 def _clearance(plan: MachineSwing) -> Check:
-    """Keep the club off ground and frame as the envelope will."""
+    """Check the club's clearance from ground and frame, as the envelope does."""
     robot, site, envelope, faults = plan.plant.robot, plan.plant.site, plan.envelope, []
     head = forward_kinematics(robot, plan.profile.angle)
     height = head[:, 1] - site.sole_depth - site.ground
@@ -279,7 +279,7 @@ def _clearance(plan: MachineSwing) -> Check:
 
 
 def _lever(plan: MachineSwing) -> Check:
-    """Keep the wrist where its cylinder has a lever (thesis figure 11)."""
+    """Check that the wrist's cylinder has a lever (thesis figure 11)."""
     authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
     k, least, faults = int(authority.argmin()), plan.envelope.min_lever, []
     if authority[k] < least:
@@ -290,17 +290,19 @@ def _lever(plan: MachineSwing) -> Check:
 
 
 def _valves(plan: MachineSwing) -> Check:
-    """Compare the feed-forward with what the envelope passes."""
+    """Compare the feed-forward with the envelope's limit."""
     opening, limit, faults = np.abs(plan.profile.valve), plan.envelope.max_opening, []
     k, joint = _peak(opening)
     if opening[k, joint] > limit:
         wanted = f"at most {limit:g}, envelope.max_opening"
-        faults.append(plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Ask for less."))
+        faults.append(
+            plan.row(("valve", k, joint), f"{opening[k, joint]:.3g}", wanted, "Reduce the opening.")
+        )
     return Check("valve openings", f"{opening.max():.2f}", f"at most {limit:g}", faults)
 
 
 def _ball(plan: MachineSwing) -> Check:
-    """Compare the place of the ball, and whether the head is there at the planned contact."""
+    """Compare the position of the ball, and check that the head is there at the planned contact."""
     profile, site, faults = plan.profile, plan.plant.site, []
     x, y = profile.ball
     off = hypot(x - site.ball_x, y - site.ball_y)
@@ -323,12 +325,12 @@ def _ball(plan: MachineSwing) -> Check:
 
 
 def _air(plan: MachineSwing) -> Check:
-    """Compare the force the motion needs with what valves and supply can give at its speed."""
+    """Compare the force that the motion needs with the force that valves and supply give at its speed."""
     plant, faults, shares = plan.plant, [], []
     need = needed_force(plan.motion)
     bounds = force_bounds(plan.motion)[:-1]
     excess = np.maximum(need - bounds[..., 1], bounds[..., 0] - need)
-    # At the ball the speeds jump; no actuator makes that.
+    # At the ball the speeds jump, which no actuator does.
     excess[_impact(plan)] = 0.0
     steady = _lasting(excess, EXCESS_TIME, plan.profile.period)
     for i, actuator in enumerate(plant.actuators):
@@ -339,8 +341,8 @@ def _air(plan: MachineSwing) -> Check:
             at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
             found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"
             wanted = (
-                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, all that the valve's "
-                f"{actuator.valve.conductance:g} m3/(s Pa) and {plant.supply.pressure:g} Pa give"
+                f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, the limit of "
+                f"{actuator.valve.conductance:g} m3/(s Pa) of the valve at {plant.supply.pressure:g} Pa"
             )
             cure = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
             faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))

@@ -1,7 +1,7 @@
 """The one engine of simulated swings: arms a bench, tees up, swings, comes to rest, keeps records and loads.
 
 `simulate`, the series that learning and tuning swing, `swing check`, the fault matrix and the designer's
-rehearsals run on it; what a run ended in is judged by `bench.simulation.safety`.
+rehearsals run on it; `bench.simulation.safety` judges the end of a run.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class SwingEngine(Generic[AnyStepper]):
     def start_swing(self, attempts: int, wait: int) -> bool:
         """Request the swing up to `attempts` times, `wait` ticks apart; return whether it began.
 
-        A swing is refused until the robot is at rest. False also if the robot leaves its hold or on a stop.
+        A swing is refused until the robot is at rest. False also if the robot leaves its hold, or on a stop.
         """
         for attempt in range(attempts):
             if attempt:

@@ -48,7 +48,7 @@ def run(
     first_tick: int,
     cycles: Any,
 ) -> None:
-    """Run len(requests) ticks; `requests` (n,) u1 are put to the step, `cycles` (n,) CYCLE are written."""
+    """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written."""
     period = plant[0].tick
     for k in range(len(requests)):
         sense(plant, plant_state, readings)
@@ -77,7 +77,7 @@ def run_faulty(
 ) -> None:
     """Run ticks as `run` does, with `faults` between plant and step; `robot` and `plant` may break, too.
 
-    A tick that the loop does not run leaves a record of zeros but for the plant's truth.
+    A tick without the loop leaves a record of zeros except for the plant's truth.
     """
     period = plant[0].tick
     for k in range(len(requests)):
@@ -99,7 +99,7 @@ def run_faulty(
 
 @compiled
 def note_processes(state: ControlState, faults: Faults) -> None:
-    """Tell the step which of the bench's processes are gone, and whether the device obeys."""
+    """Set which of the bench's processes have ended, and whether the device is operational."""
     s = state.control[0]
     supervisor, recorder = is_broken(faults, SUPERVISOR), is_broken(faults, RECORDER)
     lease = is_broken(faults, LEASE)
@@ -118,7 +118,7 @@ class Lockstep:
     def __init__(
         self, plant: Plant, parameters: ControlParameters, angle: np.ndarray, faults: tuple[Fault, ...] = ()
     ) -> None:
-        """Stand vented at joint angles `angle` (3,) rad; `faults` begin as they say."""
+        """Stand vented at joint angles `angle` (3,) rad, with `faults`."""
         self.plant, self.parameters = plant, parameters
         self.faults: Faults | None = None
         self.plant_state = initial_state(plant, angle)
@@ -130,15 +130,15 @@ class Lockstep:
             self.break_with(faults)
 
     def break_with(self, faults: tuple[Fault, ...], *, watchdog: float = 0.02, seed: int = 1) -> None:
-        """Let `faults` act from here on, their time counted from here; ValueError as `new_faults`."""
+        """Apply `faults` from now on, with time zero now; ValueError as `new_faults`."""
         self.plant = own_records(self.plant)
         self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
-        if self.tick:  # the device obeys a bench that has spoken already
+        if self.tick:  # the device has already received commands
             self.faults.device["heard"] = True
             self.faults.sent[:] = self.command
 
     def copy(self) -> Lockstep:
-        """Return a bench that goes on from here by itself; faults are not taken along."""
+        """Return an independent bench in the same state, without faults."""
         other = object.__new__(Lockstep)
         other.plant, other.parameters, other.tick, other.faults = self.plant, self.parameters, self.tick, None
         other.plant_state = self.plant_state.copy()
@@ -147,7 +147,7 @@ class Lockstep:
         return other
 
     def advance(self, ticks: int, request: int = 0) -> np.ndarray:
-        """Run `ticks` ticks, `request` put at the first; return their CYCLE records."""
+        """Run `ticks` ticks with `request` in the first; return their CYCLE records."""
         requests = np.zeros(ticks, np.uint8)
         if ticks:
             requests[0] = request

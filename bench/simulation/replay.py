@@ -1,11 +1,11 @@
-"""A record's readings, requests and permissions once more through today's cycle, and what comes out.
+"""Replay of a record: its readings, requests and permissions through today's cycle, and the differences.
 
-A replay begins with the controller's memory that stands in the record (`bench.telemetry.snapshot`) and goes
-on with the tick after it. Every field of the cycle is one of three: an input, taken from the record
-(`INPUTS`); decided by the controller, computed anew and compared (`DECIDED`); or measured around it, neither
-(`MEASURED`). What the controller commands is compared with what was truly applied; while the device had gone
-passive by itself the applied command is the device's own, and is not compared. A tick that failed in the
-driver's write leaves nothing to repeat: from there on the record of an exception may differ.
+A replay begins with the controller's memory stored in the record (`bench.telemetry.snapshot`) and continues
+with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
+decided by the controller, recomputed and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
+The command is compared with the one truly applied; while the device was passive by itself the applied command
+is the device's own, and is not compared. A tick that failed in the driver's write cannot be repeated: from
+there on the record may differ.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ INPUTS = frozenset(
         "chamber_pressure",
     }
 )
-"""What the record tells the cycle."""
+"""Fields that the cycle takes from the record."""
 
 DECIDED = frozenset(
     {
@@ -96,7 +96,7 @@ DECIDED = frozenset(
         "head_orientation",
     }
 )
-"""What the cycle is asked for."""
+"""Fields that the cycle decides."""
 
 MEASURED = frozenset(
     {
@@ -110,22 +110,22 @@ MEASURED = frozenset(
         "plant_head_speed",
     }
 )
-"""The machine's time and the plant's truth: no concern of the controller."""
+"""The machine's timing and the plant's truth, which the controller does not use."""
 
 APPLIED = frozenset({"applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"})
-"""Of DECIDED those that a device which has gone passive decides itself."""
+"""Fields of DECIDED that a passive device decides by itself."""
 
 
 class Difference(NamedTuple):
-    """How one field of DECIDED compares over a replay."""
+    """Comparison of one field of DECIDED over a replay."""
 
     field: str
     greatest: float
-    """Greatest difference over ticks and components; infinite when only one of the two is a number."""
+    """Max difference over ticks and components; infinite if only one of the two is NaN."""
     ticks: int
     """Ticks in which it is beyond the tolerance."""
     tick: int | None = None
-    """The first of them, and what stood there:"""
+    """First of these ticks; the values there follow."""
     time: float | None = None
     """s, on the record's clock."""
     component: str = ""
@@ -141,24 +141,24 @@ class Replay:
     replayed: Cycles
     """Both records of CYCLE with the record's times, from the tick after the snapshot on."""
     defaults: tuple[str, ...]
-    """Keys of the configuration that the record does not have yet: today's defaults stand in for them."""
+    """Keys of the configuration that the record lacks; today's defaults replace them."""
 
     def differences(self, tolerance: float = TOLERANCE) -> list[Difference]:
         """Return one Difference for each field of DECIDED in storage order.
 
-        Floats are equal within `tolerance`, absolute plus relative to the record; two that are no number are
-        equal. Codes and switches are equal when they are the same.
+        Floats are equal within `tolerance`, absolute plus relative to the record; two NaN are equal.
+        Codes and switches must be the same.
         """
         return [_difference(self, field, tolerance) for field in FIELDS if field.name in DECIDED]
 
 
 def replay_record(path: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Replay:
-    """Replay the record at `path`; `progress` is told of ticks done and in all.
+    """Replay the record at `path`; `progress` gets the ticks done and in all.
 
     Raises:
-        BenchError: it cannot be read, or not be replayed: it has no snapshot, lost records, or a snapshot of
+        BenchError: it cannot be read or replayed: it has no snapshot, lost records, or a snapshot of
             another controller.
-        ExceptionGroup: of BenchErrors, the values of its configuration that today's program does not take.
+        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
     """
     cycles, metadata = read_swing(path)
     return replay_cycles(cycles, metadata, str(path), progress)
@@ -176,13 +176,13 @@ def replay_cycles(
         raise BenchError(
             place,
             f"a record with {metadata.get('lost_records', 'some')} cycles lost",
-            "every cycle, as the controller remembers what it has seen",
+            "every cycle, as the controller has a memory",
             "Replay another record.",
         )
     begin = metadata.get("begin")
     if not isinstance(begin, int | float):
         raise BenchError(
-            f"{place}: begin", repr(begin), "the loop's time less the record's, s", "Restore it."
+            f"{place}: begin", repr(begin), "the loop time at the record's time zero, s", "Restore it."
         )
     first = int(np.searchsorted(cycles["tick"], snapshot["tick"][0], side="right"))
     recorded = cycles[first:]
@@ -201,18 +201,20 @@ def replay_cycles(
 
 
 def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParameters, tuple[str, ...]]:
-    """Return what today's `build_controller` makes of a record's configuration and profile.
+    """Return today's controller for a record's configuration and profile.
 
-    Also returns the keys that the record does not have: it is older than they are.
+    Also returns the keys that the record lacks, as it is older than they are.
 
     Raises:
         BenchError: configuration or profile is missing or damaged.
-        ExceptionGroup: of BenchErrors, one for each value that today's program does not take.
+        ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
     """
     profile = read_profile(metadata, place)
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
-        raise BenchError(f"{place}: configuration", "none", "the bench's settings", "Replay another record.")
+        raise BenchError(
+            f"{place}: configuration", "missing", "the bench's settings", "Replay another record."
+        )
     file, faults, built, defaults = (
         Path(f"{place}: configuration"),
         list[BenchError](),
@@ -272,16 +274,16 @@ def _missing(today: Tree, recorded: Tree, prefix: str) -> list[str]:
 
 
 class _Recorded:
-    """The driver of a replay: it reads what was read, and applies whatever is commanded."""
+    """Driver of a replay: returns the recorded readings and applies any command."""
 
     operational = True
 
     def __init__(self, cycles: Cycles) -> None:
         columns = (cycles[name].tolist() for name in Readings._fields[1:])
-        # The reading's own time is not recorded, as nothing is decided by it.
+        # The time of a reading is not recorded, as no decision depends on it.
         self._readings = [Readings(*row) for row in zip(cycles["time"].tolist(), *columns, strict=True)]
         self._operational = cycles["device_operational"].tolist()
-        # So `bench.loop.Cycle` marks readings that the driver could not give.
+        # `bench.loop.Cycle` marks missing readings like this.
         self._failed = (np.isnan(cycles["encoder_age"]) & (cycles["encoder_valid"] == 0)).all(axis=1).tolist()
         self._tick = -1
 
@@ -289,7 +291,7 @@ class _Recorded:
         """Nothing to open."""
 
     def read(self, time: float) -> Readings:
-        """Return what was read in this tick; DriverError where the driver gave none."""
+        """Return the recorded readings of this tick; DriverError if the driver gave none."""
         self._tick += 1
         self.operational = self._operational[self._tick]
         if self._failed[self._tick]:
@@ -310,16 +312,16 @@ class _Recorded:
 def _run(
     cycles: Cycles, state: ControlState, parameters: ControlParameters, progress: Callable[[int, int], None]
 ) -> Cycles:
-    """Return the cycles that `state` makes of what `cycles` (loop's times) tell it."""
+    """Return the cycles of a controller with memory `state` on the inputs in `cycles` (loop times)."""
     kept = CycleArray(len(cycles))
     cycle = Cycle(_Recorded(cycles), parameters, kept, name="replay")
     cycle.state = state
     control = state.control
-    told = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
+    permissions = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
     for k, now in enumerate(cycles):
-        for name in told:
+        for name in permissions:
             control[name] = now[name]
-        control["tick"] = now["tick"] - 1  # a tick that the loop missed is missed again
+        control["tick"] = now["tick"] - 1  # ticks that the loop missed stay missed
         if now["request"]:
             control["request"], control["request_number"] = now["request"], now["request_number"]
         cycle.run_tick(float(now["time"]))

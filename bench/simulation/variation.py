@@ -1,4 +1,4 @@
-"""Plants that differ from the nominal one as real ones do."""
+"""Plants with realistic deviations from the nominal one."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ _ONES: Three = (1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Variation:
-    """Factors on a plant's parameters and what is added to them; joints and valves in order."""
+    """Factors on a plant's parameters, and additions to them; joints and valves in order."""
 
     friction: Three = _ONES
-    """On viscous, Coulomb and static friction."""
+    """Factors on viscous, Coulomb and static friction."""
     flow: Three = _ONES
-    """On the valves' conductance."""
+    """Factors on the valves' conductance."""
     volume: Three = _ONES
-    """On the dead volumes."""
+    """Factors on the dead volumes."""
     supply: float = 1.0
-    """On the regulated pressure."""
+    """Factor on the regulated pressure."""
     vane: float = 1.0
-    """On the vane's area."""
+    """Factor on the vane's area."""
     head_mass: float = 0.0
-    """kg, added."""
+    """Added mass of the head, kg."""
     latency: float = 0.0
-    """s, added to the encoders'."""
+    """Added latency of the encoders, s."""
 
     def applied_to(self, plant: PlantParameters) -> PlantParameters:
-        """Return the plant that differs."""
+        """Return `plant` with these deviations."""
 
         def varied(actuator: Actuator, i: int, area: float = 1.0) -> Actuator:
             friction, valve = actuator.friction, actuator.valve
@@ -71,7 +71,7 @@ WORN = Variation(
     head_mass=0.010,
     latency=0.001,
 )
-"""A worn robot with other valves and another head: everything differs at once."""
+"""A worn robot with other valves and another head: all deviations at once."""
 
 
 def drawn(seed: int, plant: PlantParameters, spread: float = 0.10) -> Variation:

@@ -90,7 +90,7 @@ def _site(**changes: Any) -> Any:
     [
         (_profile(club="putter"), "club", '"putter"', '"driver"'),
         (_machine(tick=0.002), "period_s", "0.001 s", "0.002 s"),
-        (_profile(limits={}), "limits.supply_pressure_pa", "nothing", "8e+05 Pa"),
+        (_profile(limits={}), "limits.supply_pressure_pa", "not given", "8e+05 Pa"),
         (_profile(limits={"supply_pressure_pa": 7e5}), "limits.supply_pressure_pa", "7e+05 Pa", "8e+05 Pa"),
         (
             _table("velocity", slice(500, 600), 1, 3.0),
