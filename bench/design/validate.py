@@ -1,7 +1,7 @@
 """Whether a swing is possible on this machine: all checks that need no motion.
 
-Each check is a pure function of the plan and tells what it looked at, so that a user sees what was
-checked and not only what failed.
+Each check is a pure function of the plan and returns its findings and limits, so that a user sees all checks
+and not only the failed ones.
 """
 
 from __future__ import annotations
@@ -229,11 +229,11 @@ def _between_samples(position: Array, speed: Array, period: float) -> tuple[Arra
 
 def _greatest_visit(work: Array) -> float:
     """Return the largest sum of positive `work` (n,) in one visit, that is between samples without force."""
-    greatest = energy = 0.0
+    most = energy = 0.0
     for part in work:
         energy = energy + max(float(part), 0.0) if part else 0.0
-        greatest = max(greatest, energy)
-    return greatest
+        most = max(most, energy)
+    return most
 
 
 def _speed(plan: MachineSwing) -> Check:
@@ -334,9 +334,9 @@ def _air(plan: MachineSwing) -> Check:
     excess[_impact(plan)] = 0.0
     steady = _lasting(excess, EXCESS_TIME, plan.profile.period)
     for i, actuator in enumerate(plant.actuators):
-        greatest = (plant.supply.pressure - plant.supply.atmosphere) * actuator.area_a
+        max_force = (plant.supply.pressure - plant.supply.atmosphere) * actuator.area_a
         k = int(steady[:, i].argmax())
-        if steady[k, i] > EXCESS_SHARE * greatest:
+        if steady[k, i] > EXCESS_SHARE * max_force:
             side = int(need[k, i] > bounds[k, i, 1])
             at = f"{plan.motion.speed[k, i]:.2f} {_SPEED[i]}"
             found = f"{need[k, i]:.0f} {_FORCE[i]} of air needed at {at}"

@@ -45,11 +45,11 @@ def begun_on(
 ) -> LearningProblem:
     """Return `problem` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
 
-    Without them what the identification left over is not known: the first swing only begins nearer.
+    Without them the error left by identification is unknown: the first swing only starts nearer.
 
     Raises:
-        BenchError: its swing is stopped or misses the ball with what it learned, so did a recorded one, or
-            it is not the robot that made them.
+        BenchError: the learned or a recorded swing was stopped or missed the ball, or `plant` is not the
+            recorded robot.
         Refused: it does not reach its address.
     """
     bench = problem.bench

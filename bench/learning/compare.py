@@ -97,12 +97,12 @@ def thesis_gains(plant: PlantParameters) -> PidSettings:
     """
     gauge, thesis = plant.supply.pressure - plant.supply.atmosphere, ThesisParameters()
     levers = (1.0, 1.0, plant.wrist_lever)
-    greatest = [
+    max_force = [
         gauge * actuator.area_a * lever for actuator, lever in zip(plant.actuators, levers, strict=True)
     ]
 
     def openings(gains: tuple[float, float, float]) -> tuple[float, float, float]:
-        a, b, c = (gain / most for gain, most in zip(gains, greatest, strict=True))
+        a, b, c = (gain / most for gain, most in zip(gains, max_force, strict=True))
         return a, b, c
 
     return PidSettings(openings(thesis.proportional), openings(thesis.integral), openings(thesis.derivative))
@@ -146,7 +146,7 @@ def compare(
     Each arms and swings once before its swings count. `on_start` gets the name of the next one.
 
     Raises:
-        BenchError: the profile does not say what it plans to deliver.
+        BenchError: the profile lacks its planned delivery.
     """
     planned, rows = planned_figures(bench), []
     loose = bench._replace(envelope=replace(bench.envelope, following={}))

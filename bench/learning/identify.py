@@ -121,14 +121,14 @@ def identify(
 ) -> Identified:
     """Return the parameters with which the model swings as in `observed`: CYCLE records from the first tick.
 
-    All swings are of the bench's profile and not the first after arming. What is not `asked` stays nominal,
-    its error unknown. `progress` gets the share of the max number of trials that is done.
+    All swings are of the bench's profile and not the first after arming. Parameters not `asked` stay nominal,
+    with unknown errors. `progress` gets the share of the max number of trials that is done.
 
     Raises:
-        BenchError: nothing was observed.
+        BenchError: `observed` is empty.
     """
     if not observed:
-        raise BenchError("identify", "no swing", "whole swings", "Record some.")
+        raise BenchError("identify", "no swing", "complete swings", "Record some swings.")
     free = np.array([NAMES.index(name) for name in asked])
     seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
     weight = 1.0 / np.sqrt(np.isfinite(seen).sum() / _ALIKE)
@@ -171,13 +171,16 @@ def identify(
         start[free == NAMES.index("supply pressure")] = np.clip(supply, 1 - 0.9 * _BOUND, 1 + 0.9 * _MOST)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
-    # Scaled by the remaining error, at least the declared one: a good fit makes nothing more certain.
-    samples = 1.0 / weight**2
-    left = max(after**2 * samples / max(samples - len(free), 1.0) / _ALIKE, 1.0) / samples
-    jacobian: Array = np.asarray(found.jac)
     error = np.full(len(NAMES), np.nan)
-    error[free] = np.sqrt(np.diag(left * np.linalg.inv(jacobian.T @ jacobian)))
+    error[free] = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2)
     return Identified(values(found.x), error, before, after)
+
+
+def _standard_errors(jacobian: Array, left: float, samples: float) -> Array:
+    """Return the standard errors (k,) of a fit with `jacobian` (n, k) and the norm `left` of its errors."""
+    # Scaled by the remaining error, at least the declared one: a good fit makes nothing more certain.
+    variance = max(left**2 * samples / max(samples - jacobian.shape[1], 1.0) / _ALIKE, 1.0) / samples
+    return np.asarray(np.sqrt(np.diag(variance * np.linalg.inv(jacobian.T @ jacobian))))
 
 
 def _seen(profile: Profile, cycles: Cycles) -> Array:

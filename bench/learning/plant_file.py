@@ -15,7 +15,7 @@ _ACTUATORS = ("shoulder", "right_arm", "wrist")
 def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
     """Return TOML with the identified parameters of `plant`, on top of the file of `configuration`.
 
-    Each parameter's standard error stands above; what is not sure is named as such.
+    Each parameter's standard error stands above it; uncertain ones are marked.
     """
     base = str(configuration.files[-1].resolve())
     lines = ["# Identified from recorded swings: value, standard error."]

@@ -1,4 +1,4 @@
-"""Swings that a robot has made, as identification and learning take them: of one profile, each whole."""
+"""Recorded swings for identification and learning: of one profile, each complete."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def _entry(row: Any) -> Learned:
             f"learned swing {row.profile}, version {row.version}",
             "no weights",
             "a list of numbers",
-            "Learn it anew.",
+            "Learn it again.",
         )
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(
@@ -191,8 +191,8 @@ def newest_that_holds(
 ) -> Learned | None:
     """Return the newest correction of `profile` that holds for `conditions`; None without one.
 
-    What was learned in simulation is not used on a machine, nor what was learned after `until`: a campaign
-    goes on with what it began with.
+    A correction learned in simulation is not valid on a machine, nor is one learned after `until`: a campaign
+    keeps the corrections that it began with.
     """
     for entry in reversed(learned_swings(database, bench, profile)):
         if until is not None and entry.date > until:

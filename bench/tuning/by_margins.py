@@ -1,7 +1,7 @@
 """Gains by margins: for each joint the max proportional gain whose loop keeps the required margins.
 
-Too small a gain leaves the spool in its dead band, and the robot short of its address: what `reaches_address`
-rules out is not tried.
+Too small a gain leaves the spool in its dead band, and the robot short of its address: gains that
+`reaches_address` rules out are not tried.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from sim.plant import PlantParameters
 
 _ROUNDS = 2
 _OPENED = 1.2
-"""Dead bands that the spool is to be moved by."""
+"""Required movement of the spool, in dead bands."""
 _PROPORTIONAL = np.geomspace(2.5, 0.2, 24).tolist()
 _DERIVATIVE = (0.25, 0.5, 1.0, 1.4, 2.0)
 _DAMPING = (0.0, 0.25, 0.5, 1.0, 1.5)
-"""Factors on the gains to begin with; the integral gain keeps its share of the proportional one."""
+"""Factors on the initial gains; the integral gain keeps its share of the proportional one."""
 
 
 class Wanted(NamedTuple):

@@ -1,4 +1,4 @@
-"""The gains that tuning finds, of all three joints."""
+"""The gains of all three joints that tuning finds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Gains(NamedTuple):
 
     @staticmethod
     def of(control: ControlSettings) -> Gains:
-        """Return those of `control`."""
+        """Return the gains of `control`."""
         pid = control.pid
         return Gains(pid.proportional, pid.integral, pid.derivative, control.damping)
 
@@ -30,7 +30,7 @@ class Gains(NamedTuple):
         return replace(control, pid=pid, damping=self.damping)
 
     def with_joint(self, joint: int, **values: float) -> Gains:
-        """Return these gains with some of one `joint` replaced."""
+        """Return these gains with some gains of one `joint` replaced."""
 
         def put(triple: Triple, value: float) -> Triple:
             a, b, c = (value if i == joint else other for i, other in enumerate(triple))

@@ -1,4 +1,4 @@
-"""Tuned gains as a configuration file over the one they were tuned with."""
+"""Tuned gains as a configuration file on top of the one they were tuned with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bench.tuning.gains import Gains, Triple
 
 
 def gains_file(gains: Gains, base: Path, how: str) -> str:
-    """Return TOML with `gains`, laid over the file `base`; `how` says where they come from."""
+    """Return TOML with `gains`, on top of the file `base`; `how` names their origin."""
 
     def row(values: Triple) -> str:
         return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"
