@@ -26,13 +26,17 @@ unexport PYTHONDONTWRITEBYTECODE
 PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
 
 test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (five minutes)
-	@$(MAKE) --no-print-directory -j2 lint fast
+	@$(MAKE) --no-print-directory -j3 lint fast
 
 test-all: $(VENV)/.dev  ## all other tests: slow ones in parallel, then live ones alone (ARGS for pytest)
 	@failed=0; $(BIN)/python -m pytest -m 'slow and not live' $(PARALLEL) $(ARGS) || failed=$$?; \
 	$(BIN)/python -m pytest -m live $(ARGS) || failed=$$?; exit $$failed
 
-fast: $(VENV)/.dev coverage  ## the tests of `make test` alone (ARGS for pytest)
+# Compiled before, once: two workers would both compile it.
+compile: $(VENV)/.dev
+	@$(BIN)/python -m tests.vm.compile_all
+
+fast: $(VENV)/.dev coverage compile  ## the tests of `make test` alone (ARGS for pytest)
 	@$(BIN)/python -m pytest -m 'not slow and not live' $(PARALLEL) $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
@@ -108,4 +112,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test test-all fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean
+.PHONY: help demo test test-all compile fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean

@@ -104,6 +104,7 @@ def test_a_delay_beyond_memory_is_refused() -> None:
         Bed(broken("shoulder encoder", "delayed", 0.1))
 
 
+@pytest.mark.slow
 def test_nothing_is_changed_before_the_onset() -> None:
     bed = Bed(*(broken(s, "off", time=1.0) for s in SIGNALS if "off" in MEANINGS[sort_of(s)])).run(50)
     assert bed.angle == pytest.approx(bed.true_angle, abs=1e-4)

@@ -144,6 +144,7 @@ def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> Non
         find_profile("none.toml")
 
 
+@pytest.mark.slow
 def test_golfers_are_laid_beside_a_profile_and_drawn(run: Run, tmp_path: Path) -> None:
     answer = run("swing", "golfers", "slow", "--plot", "beside.png")
     assert answer.code == ExitCode.OK

@@ -104,6 +104,7 @@ def test_a_record_longer_than_memory_goes_on_in_the_next(make_day: MakeDay) -> N
     assert not cuts[-1].ended
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_it_does_not_matter_how_the_cycles_come(make_day: MakeDay, data: st.DataObject) -> None:
     states = data.draw(st.lists(st.tuples(st.sampled_from(list(S)), st.integers(1, 400)), max_size=12))

@@ -127,6 +127,7 @@ def test_what_grows_by_its_gain_grows_at_the_gain_margin(
         assert least_damping(frozen, estimator, above, period) < 0
 
 
+@pytest.mark.slow
 @compiled_only
 def test_gains_by_margins_come_nearer_to_what_is_asked_for(
     bench: Bench, plants: list[Frozen], estimator: Estimator
