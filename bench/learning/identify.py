@@ -171,16 +171,20 @@ def identify(
         start[free == NAMES.index("supply pressure")] = np.clip(supply, 1 - 0.9 * _BOUND, 1 + 0.9 * _MOST)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
-    error = np.full(len(NAMES), np.nan)
-    error[free] = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2)
+    error = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2, free)
     return Identified(values(found.x), error, before, after)
 
 
-def _standard_errors(jacobian: Array, left: float, samples: float) -> Array:
-    """Return the standard errors (k,) of a fit with `jacobian` (n, k) and the norm `left` of its errors."""
+def _standard_errors(jacobian: Array, left: float, samples: float, free: NDArray[np.intp]) -> Array:
+    """Return the standard errors of all parameters, NaN but for those `free` (k,).
+
+    The fit has `jacobian` (n, k) and the norm `left` of its errors.
+    """
     # Scaled by the remaining error, at least the declared one: a good fit makes nothing more certain.
     variance = max(left**2 * samples / max(samples - jacobian.shape[1], 1.0) / _ALIKE, 1.0) / samples
-    return np.asarray(np.sqrt(np.diag(variance * np.linalg.inv(jacobian.T @ jacobian))))
+    error = np.full(len(NAMES), np.nan)
+    error[free] = np.sqrt(np.diag(variance * np.linalg.inv(jacobian.T @ jacobian)))
+    return error
 
 
 def _seen(profile: Profile, cycles: Cycles) -> Array:

@@ -134,7 +134,7 @@ class Lockstep:
         self.plant = own_records(self.plant)
         self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
         if self.tick:  # the device has already received commands
-            self.faults.device["heard"] = True
+            self.faults.device["commanded"] = True
             self.faults.sent[:] = self.command
 
     def copy(self) -> Lockstep:
