@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from bench.control.braking import brake_opening
-from bench.lifecycle import EDGES, Cause, Phase, Reaction, Request, State
-from tests.bench.control.operating import do, on_the_way, reach
+from bench.control.records import ControlParameters, ControlState, new_control_state
+from bench.control.states import arrive, begin_reaction, disarm, latch, react, stand
+from bench.lifecycle import EDGES, LOST, TRUSTED, Cause, Phase, Reaction, Request, State
+from tests.bench.control.operating import at_power_up, do, on_the_way, reach
 from tests.bench.control.puppet import Puppet
 
 
@@ -84,6 +86,119 @@ def test_the_robot_reaches_ready_again_after_a_forbidden_way() -> None:
     puppet.run(40)
     puppet.tick(Request.RESET)
     assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
+
+
+# One function at a time -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bench() -> tuple[ControlState, ControlParameters]:
+    """Return a bench that stands in READY, and its parameters."""
+    return new_control_state(State.READY), at_power_up(series=True).parameters
+
+
+Bench = tuple[ControlState, ControlParameters]
+
+
+def test_a_less_severe_reaction_does_not_replace_one_under_way(bench: Bench) -> None:
+    state, parameters = bench
+    s = state.control[0]
+    for reaction, began in ((Reaction.BRAKE, True), (Reaction.COMPLETE, False), (Reaction.BRAKE, False)):
+        assert begin_reaction(s, parameters, reaction, 1.0) is began
+        assert s["reaction"] == Reaction.BRAKE
+    assert begin_reaction(s, parameters, Reaction.PASSIVE, 2.0)
+    assert s["reaction_start"] == s["still_since"] == 2.0
+
+
+@pytest.mark.parametrize(("swinging", "sample", "row"), [(True, 32, 1), (True, 10**6, 4), (False, 32, -1)])
+def test_a_blind_brake_begins_in_the_row_of_the_sample(
+    bench: Bench, swinging: bool, sample: int, row: int
+) -> None:
+    state, parameters = bench
+    s = state.control[0]
+    s["swinging"], s["swing_sample"] = swinging, sample
+    assert parameters.profile["blind_spacing"][0] == 20
+    begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 0.0)
+    assert s["blind_row"] == row
+
+
+@pytest.mark.parametrize(
+    ("cause", "emergency", "homed", "state"),
+    [
+        (Cause.GUARD, False, True, State.FAULT),
+        (Cause.EMERGENCY_STOP, True, True, State.ESTOP),
+        (Cause.NONE, False, True, State.READY),
+        (Cause.NONE, False, False, State.SAFE),
+    ],
+)
+def test_at_rest_a_cause_is_latched(
+    bench: Bench, cause: Cause, emergency: bool, homed: bool, state: State
+) -> None:
+    s = bench[0].control[0]
+    s["cause"], s["emergency"], s["homed"], s["phase"], s["air"] = cause, emergency, homed, Phase.HOLD, True
+    stand(s, bench[1], 3.0)
+    assert (s["state"], s["phase"], bool(s["air"]), s["vent_start"]) == (state, Phase.STANDING, False, 3.0)
+    assert s["reaction"] == (Reaction.VENT if cause else Reaction.NONE)
+
+
+def test_the_first_cause_is_kept_unless_an_emergency_follows(bench: Bench) -> None:
+    s = bench[0].control[0]
+    for cause, kept in (
+        (Cause.GUARD, Cause.GUARD),
+        (Cause.SUPERVISOR, Cause.GUARD),
+        (Cause.EMERGENCY_STOP, Cause.EMERGENCY_STOP),
+        (Cause.NETWORK_STOP, Cause.EMERGENCY_STOP),
+    ):
+        latch(s, bench[1], cause, 1.0)
+        assert (s["cause"], s["latest_cause"]) == (kept, cause)
+    assert s["state"] == State.ESTOP
+
+
+def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Bench) -> None:
+    state, parameters = bench
+    s = state.control[0]
+    react(state, parameters, int(Cause.ARM_ENCODER), LOST, 1.0)
+    assert (s["state"], s["reaction"], s["cause"]) == (State.FAULT, Reaction.VENT, Cause.ARM_ENCODER)
+    assert s["distrusted"]
+    react(state, parameters, int(Cause.GUARD), TRUSTED, 2.0)
+    assert (s["cause"], s["latest_cause"]) == (Cause.ARM_ENCODER, Cause.GUARD)
+
+
+@pytest.mark.parametrize(
+    ("phase", "before", "reaction", "after"),
+    [
+        (Phase.HOLD, State.ARMED, Reaction.NONE, State.READY),
+        (Phase.RETURN, State.ARMED, Reaction.NONE, State.RECOVERING),
+        (Phase.HOMING, State.HOMING, Reaction.NONE, State.HOMING),
+        (Phase.RETURN, State.RECOVERING, Reaction.BRAKE, State.RECOVERING),
+    ],
+)
+def test_disarming_vents_at_rest_and_brakes_otherwise(
+    bench: Bench, phase: Phase, before: State, reaction: Reaction, after: State
+) -> None:
+    s = bench[0].control[0]
+    s["phase"], s["state"], s["reaction"], s["air"], s["moving"] = phase, before, reaction, True, True
+    disarm(s, bench[1], 1.0)
+    assert s["state"] == after
+    assert s["reaction"] == (Reaction.NONE if phase is Phase.HOLD else Reaction.BRAKE)
+
+
+@pytest.mark.parametrize(
+    ("before", "held", "reaction", "after"),
+    [
+        (State.ARMED, True, Reaction.NONE, State.ARMED),
+        (State.RECOVERING, True, Reaction.NONE, State.ARMED),
+        (State.RECOVERING, False, Reaction.NONE, State.READY),
+        (State.RECOVERING, True, Reaction.COMPLETE, State.RECOVERING),
+    ],
+)
+def test_at_the_address_a_series_is_held(
+    bench: Bench, before: State, held: bool, reaction: Reaction, after: State
+) -> None:
+    s = bench[0].control[0]
+    s["phase"], s["state"], s["reaction"], s["lease_held"] = Phase.RETURN, before, reaction, held
+    arrive(s, bench[1], 1.0)
+    assert s["state"] == after
 
 
 def test_the_braking_law_opposes_motion_and_fades() -> None:
