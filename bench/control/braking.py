@@ -72,5 +72,7 @@ def brake_blind(s: Any, parameters: Any, time: float) -> None:
             longest = max(longest, duration)
             if since < duration:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
-    if since >= longest + parameters.control[0].blind_settle:
+    settle = parameters.control[0].blind_settle
+    # `still_since` is the begin of BLIND_BRAKE; the pattern may count from that of a BRAKE before.
+    if since >= longest + settle and time - s.still_since >= settle:
         stand(s, parameters, time)

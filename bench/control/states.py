@@ -18,12 +18,14 @@ def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
     """Begin `reaction` unless one as severe is under way; return whether it began."""
     if reaction <= s.reaction:
         return False
-    s.reaction = reaction
-    s.reaction_start = s.still_since = time
     if reaction == Reaction.BLIND_BRAKE:
         profile = parameters.profile[0]
         row = s.swing_sample // profile.blind_spacing
         s.blind_row = min(row, profile.blind_rows - 1) if s.swinging else -1
+    # The pattern brakes from where BRAKE began: what BRAKE has done of it is not done again.
+    if not (reaction == Reaction.BLIND_BRAKE and s.reaction == Reaction.BRAKE):
+        s.reaction_start = time
+    s.reaction, s.still_since = reaction, time
     return True
 
 

@@ -1,4 +1,4 @@
-"""What is watched while the robot moves or holds, and what stops it."""
+"""Monitoring of the moving or holding robot, and the reactions that stop it."""
 
 from __future__ import annotations
 
@@ -49,20 +49,38 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
         s.reaction = Reaction.PASSIVE
     elif s.lost != 0:
         react(state, parameters, s.lost, LOST, time)
-    elif interlock != 0:
-        react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
-    elif asked != 0:
-        react(state, parameters, asked, EMERGENCY if emergency else TRUSTED, time)
-    elif not s.device_operational:
-        # No command arrives; at least no air is left to be let in later.
-        react(state, parameters, Cause.DEVICE_PASSIVE, DISOBEYED, time)
-    elif not s.supervisor_alive:
-        react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
-    elif s.reaction <= Reaction.COMPLETE:
-        if s.phase == Phase.HOMING:
+    else:
+        if interlock != 0:
+            react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
+        elif asked != 0:
+            react(state, parameters, asked, EMERGENCY if emergency else TRUSTED, time)
+        elif not s.device_operational:
+            # No command arrives; at least no air is left to be let in later.
+            react(state, parameters, Cause.DEVICE_PASSIVE, DISOBEYED, time)
+        elif not s.supervisor_alive:
+            react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
+        # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
+        if s.reaction > Reaction.COMPLETE:
+            _watch_braking(state, parameters, time)
+        elif s.phase == Phase.HOMING:
             _watch_search(state, parameters, time)
         else:
             _watch_swing(state, parameters, readings, time)
+
+
+@compiled
+def _watch_braking(state: Any, parameters: Any, time: float) -> None:
+    """Escalate a BRAKE that does not fit the model.
+
+    The envelope has nothing to add: without a reference no following error exists, and for its other limits
+    the stopping table has nothing more severe than BRAKE.
+    """
+    s, e = state.control[0], state.estimator[0]
+    if s.reaction == Reaction.BRAKE and not charging(s, time):
+        # The estimated velocity as reference: a brake has none.
+        broken = model_cause(parameters.model, state.model[0], state.estimator, e.velocity, s.phase)
+        if broken != 0:
+            react(state, parameters, broken, table_column(broken), time)
 
 
 @compiled

@@ -122,6 +122,16 @@ def test_a_blind_brake_begins_in_the_row_of_the_sample(
     assert s["blind_row"] == row
 
 
+def test_a_blind_brake_goes_on_with_what_a_brake_has_begun(bench: Bench) -> None:
+    state, parameters = bench
+    s = state.control[0]
+    begin_reaction(s, parameters, Reaction.BRAKE, 1.0)
+    begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
+    assert (s["reaction"], s["reaction_start"], s["still_since"]) == (Reaction.BLIND_BRAKE, 1.0, 1.1)
+    begin_reaction(s, parameters, Reaction.PASSIVE, 1.2)
+    assert (s["reaction_start"], s["still_since"]) == (1.2, 1.2)
+
+
 @pytest.mark.parametrize(
     ("cause", "emergency", "homed", "state"),
     [
