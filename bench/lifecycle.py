@@ -1,8 +1,8 @@
-"""States of the bench, phases of a swing, causes of a stop, and the two tables that say what is done.
+"""States of the bench, phases of a swing, causes of a stop, and the tables of transitions and reactions.
 
-`EDGES` says how the bench gets from state to state, `STOPPING` what is done about a cause: at 40 m/s the
-robot carries about 230 J and the air decides what happens, so what is safe depends on the phase and on what
-can still be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
+`EDGES` has the transitions between states, `STOPPING` the reaction to a cause: at 40 m/s the robot carries
+about 230 J and the air decides what happens, so the safe reaction depends on the phase and on what can still
+be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 class State(IntEnum):
-    """What the bench is ready for. The robot moves in HOMING, ARMED, SWINGING and RECOVERING only."""
+    """State of the bench. The robot moves in HOMING, ARMED, SWINGING and RECOVERING only."""
 
     STARTING = 0
     ESTOP = 1
@@ -37,7 +37,7 @@ class State(IntEnum):
 
 
 class Request(IntEnum):
-    """What can be asked of the control step; every request is answered in its tick."""
+    """Requests to the control step; each is answered in its tick."""
 
     NONE = 0
     ARM = 1
@@ -56,7 +56,7 @@ class Request(IntEnum):
 
 
 class Answer(IntEnum):
-    """What became of a request."""
+    """Answer to a request."""
 
     NONE = 0
     ACCEPTED = 1
@@ -97,12 +97,12 @@ REFUSAL_TEXT = {
     Refusal.NOT_VENTED: "the chambers are not proven empty yet: wait, then ask again",
     Refusal.LOCAL_RESET: "press the reset button beside the robot, then ask again",
     Refusal.READ_ONLY: "this bench was started to observe only",
-    Refusal.SUPERVISOR: "the loop hears nothing from its supervisor",
+    Refusal.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then ask again",
     Refusal.DEVICE: "the device went passive by itself: reset first",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
 }
-"""What the operator reads, with the cure."""
+"""Text for the operator, with the cure."""
 
 
 class Phase(IntEnum):
@@ -125,7 +125,7 @@ class Phase(IntEnum):
 
 
 class Reaction(IntEnum):
-    """What is done about a cause, in rising order of severity while the robot moves."""
+    """Reaction to a cause, in rising order of severity while the robot moves."""
 
     NONE = 0
     COMPLETE = 1
@@ -205,7 +205,7 @@ CAUSE_TEXT = {
     Cause.NONE: "none",
     Cause.EMERGENCY_STOP: "emergency stop circuit open: release it, then reset",
     Cause.GUARD: "guard open or not locked: close it, then reset",
-    Cause.NOT_FINITE: "a value that is not a number reached the envelope: keep the record and report it",
+    Cause.NOT_FINITE: "a NaN or infinite value reached the envelope: keep the record and report it",
     Cause.SHOULDER_ENCODER: "shoulder encoder R1 without a valid reading: check cable and supply",
     Cause.ARM_ENCODER: "arm encoder R2 without a valid reading: check cable and supply",
     Cause.WRIST_ENCODER: "wrist encoder R3 without a valid reading: check cable and supply",
@@ -227,18 +227,18 @@ CAUSE_TEXT = {
     Cause.WRIST_STOP_DISTANCE: "wrist could no longer stop before its end stop",
     Cause.WRIST_LEVER: "wrist folded so far that its cylinder has no lever",
     Cause.OPERATOR_STOP: "stopped by the operator",
-    Cause.EXCEPTION: "the cycle failed in this tick: keep the record and report it",
-    Cause.ADDRESS_TIMEOUT: "not at the address in time: check supply, valves and what stands in the way",
-    Cause.NETWORK_STOP: "emergency stop asked for over the network: find out why, then reset",
+    Cause.EXCEPTION: "internal fault of the cycle in this tick: keep the record and report it",
+    Cause.ADDRESS_TIMEOUT: "not at the address in time: check supply, valves and obstacles",
+    Cause.NETWORK_STOP: "emergency stop requested over the network: find the reason, then reset",
     Cause.POWER_UP: "the bench was switched on: reset to begin",
-    Cause.RESTART: "the bench was not shut down in order last time: look at its last stop, then reset",
-    Cause.SUPERVISOR: "the loop heard nothing from its supervisor",
+    Cause.RESTART: "the previous shutdown was unclean: look at the last stop, then reset",
+    Cause.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then reset",
     Cause.HOMING_FAILED: "encoders and mechanical reference do not agree, or no index was found: calibrate",
     Cause.NOT_VENTED: "the chambers did not empty in time: check vents and valves before going near",
-    Cause.DEVICE_PASSIVE: "the device went passive by itself, as it heard nothing for too long: reset",
-    Cause.SHOULDER_AIR: "shoulder air does not do what its valve is told: check valve, supply and sensors",
-    Cause.ARM_AIR: "right arm's air does not do what its valve is told: check valve, supply and sensors",
-    Cause.WRIST_AIR: "wrist air does not do what its valve is told: check valve, supply and sensors",
+    Cause.DEVICE_PASSIVE: "the device went passive after a time-out of its commands: reset",
+    Cause.SHOULDER_AIR: "shoulder air does not follow its valve command: check valve, supply and sensors",
+    Cause.ARM_AIR: "right arm's air does not follow its valve command: check valve, supply and sensors",
+    Cause.WRIST_AIR: "wrist air does not follow its valve command: check valve, supply and sensors",
     Cause.SHOULDER_VELOCITY: "shoulder does not move as the model says: check valve, supply and encoder R1",
     Cause.ARM_VELOCITY: "arm does not move as the model says: check valve, supply and encoder R2",
     Cause.WRIST_VELOCITY: "wrist does not move as the model says: check valve, supply and encoder R3",
@@ -248,22 +248,22 @@ CAUSE_TEXT = {
     Cause.SHOULDER_EFFORT: "shoulder's motion does not fit its air: check encoder R1, club, pressure sensors",
     Cause.ARM_EFFORT: "arm's motion does not fit its air: check encoder R2, club, pressure sensors",
     Cause.WRIST_EFFORT: "wrist's motion does not fit its air: check encoder R3, club, pressure sensors",
-    Cause.SHOULDER_FLOW: "shoulder valve passes more or less air than it is told: check valve and sensors",
-    Cause.ARM_FLOW: "right arm's valve passes more or less air than it is told: check valve and sensors",
-    Cause.WRIST_FLOW: "wrist valve passes more or less air than it is told: check valve and sensors",
+    Cause.SHOULDER_FLOW: "shoulder valve passes more or less air than commanded: check valve and sensors",
+    Cause.ARM_FLOW: "right arm's valve passes more or less air than commanded: check valve and sensors",
+    Cause.WRIST_FLOW: "wrist valve passes more or less air than commanded: check valve and sensors",
     Cause.SHOULDER_SENSOR: "one chamber of the shoulder alone does not fit the model: check its sensor",
     Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
     Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
     Cause.MANIFOLD: "the manifold holds pressure with the supply shut: shut it off and vent it by hand",
 }
-"""What the operator reads, with the cure where one is known."""
+"""Text for the operator, with the cure where one is known."""
 
 EMERGENCIES = frozenset({Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.POWER_UP, Cause.RESTART})
 """Causes that latch ESTOP; every other one latches FAULT."""
 
 
 class Edge(NamedTuple):
-    """One way from a state to another."""
+    """One transition between states."""
 
     source: State
     event: str
@@ -337,7 +337,7 @@ ACCEPTED_IN: dict[Request, frozenset[State]] = {
 """The states in which a request may be accepted, if its guard holds."""
 
 NEEDS_LEASE = frozenset(Request) - {Request.NONE, Request.STOP, Request.EMERGENCY_STOP, Request.DISARM}
-"""Requests that only the holder of the lease may make; what ends motion never needs one."""
+"""Requests that need the lease; a request that ends motion never needs it."""
 
 
 def transition_table() -> NDArray[np.uint8]:
@@ -359,19 +359,37 @@ shoulder or arm that does not obey, a wrist that does not, one chamber alone tha
 
 _STANDING = (Reaction.VENT,) * 6
 _SLOW = (
-    Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.PASSIVE,
+    Reaction.BRAKE,
+    Reaction.BLIND_BRAKE,
+    Reaction.BRAKE,
     Reaction.PASSIVE,
-)  # fmt: skip
+    Reaction.PASSIVE,
+    Reaction.PASSIVE,
+)
 _STOPPABLE = (
-    Reaction.BRAKE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE, Reaction.BRAKE,
-)  # fmt: skip
+    Reaction.BRAKE,
+    Reaction.BLIND_BRAKE,
+    Reaction.BRAKE,
+    Reaction.PASSIVE,
+    Reaction.BRAKE,
+    Reaction.BRAKE,
+)
 _COMMITTED = (
-    Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.BRAKE, Reaction.PASSIVE, Reaction.BRAKE, Reaction.BRAKE,
-)  # fmt: skip
-_BLOW = (
-    Reaction.COMPLETE, Reaction.BLIND_BRAKE, Reaction.COMPLETE, Reaction.PASSIVE, Reaction.COMPLETE,
     Reaction.COMPLETE,
-)  # fmt: skip
+    Reaction.BLIND_BRAKE,
+    Reaction.BRAKE,
+    Reaction.PASSIVE,
+    Reaction.BRAKE,
+    Reaction.BRAKE,
+)
+_BLOW = (
+    Reaction.COMPLETE,
+    Reaction.BLIND_BRAKE,
+    Reaction.COMPLETE,
+    Reaction.PASSIVE,
+    Reaction.COMPLETE,
+    Reaction.COMPLETE,
+)
 
 STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Reaction]] = {
     Phase.STANDING: _STANDING,

@@ -3,7 +3,7 @@
 The openings that were applied, the motion that was estimated and the supply's pressure move the plant's own
 chamber model on. What would drift is corrected: by the chamber's sensor where one is fitted, otherwise by
 Kane's equations, for the force that the motion needs is the force that the air gives. A joint that rests or
-lies in its cushion tells nothing, as friction or cushion may carry any part of its load.
+lies in its cushion gives no information, as friction or cushion may carry any part of its load.
 
 All pure, time is an argument.
 """
@@ -75,7 +75,7 @@ def observe_air(
 ) -> None:
     """Move the observer `a` on by `step` s under the openings `applied` since the last tick.
 
-    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `free` tells that
+    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `free`:
     nothing but air, friction and weight acts on the joints.
     """
     p, e, r = plant[0], estimator[0], readings[0]
@@ -113,7 +113,7 @@ def observe_air(
 
 @compiled
 def _take_sensors(a: Any, r: Any, step: float) -> None:
-    """Draw chambers to what their sensors show; one that is read less often tells something when it is."""
+    """Draw chambers to what their sensors show; one that is read less often counts when it is read."""
     for k in range(6):
         a.since[k] += step
         pressure = r.chamber_pressure[k]
@@ -130,9 +130,10 @@ def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: 
     )
     a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
     needed = (
-        m11 * a1 + m12 * a2 + m13 * a3 + h1, m12 * a1 + m22 * a2 + m23 * a3 + h2,
+        m11 * a1 + m12 * a2 + m13 * a3 + h1,
+        m12 * a1 + m22 * a2 + m23 * a3 + h2,
         m13 * a1 + m23 * a2 + m33 * a3 + h3,
-    )  # fmt: skip
+    )
     for i in range(3):
         x, y = 6 + 2 * i, 7 + 2 * i
         a.given[i] += step / (step + _LAG) * (actuator_force(p, a.pressure, i) - a.given[i])

@@ -1,4 +1,4 @@
-"""The envelope: the one layer between controller and driver that nothing gets around.
+"""The envelope: the one layer between controller and driver that no command bypasses.
 
 `interlock_cause`, `readings_cause` and `motion_cause` name the first cause to stop; `limit` bounds what may
 go to the valves. They see only estimates, readings and the command: pure, compiled, no clock. A value that
@@ -86,9 +86,15 @@ def readings_cause(parameters: Any, estimator: Any) -> int:
 
 @compiled
 def motion_cause(
-    parameters: Any, robot: Any, estimator: Any, readings: Any, reference: Any, phase: int,
-    measured_step: float, charging: bool,
-) -> int:  # fmt: skip
+    parameters: Any,
+    robot: Any,
+    estimator: Any,
+    readings: Any,
+    reference: Any,
+    phase: int,
+    measured_step: float,
+    charging: bool,
+) -> int:
     """Return the first limit of motion that is broken in `phase`, or 0; readings are trusted here.
 
     While `charging` the supply may still be rising. A supply pressure that is ABSENT breaks nothing.
@@ -112,7 +118,7 @@ def motion_cause(
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
             if not speed * speed <= p.stop_speed[i] * p.stop_speed[i] + 2.0 * p.stop_deceleration[i] * way:
                 return Cause.SHOULDER_STOP_DISTANCE + i
-        # The jump of the impact is in nobody's reference.
+        # The jump of the impact is in no reference.
         if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
             return Cause.SHOULDER_FOLLOWING + i
     return _clearance_cause(p, robot, angle)

@@ -65,19 +65,19 @@ def search(s: Any, p: Any, angle: Any, indexed: Any, shifted: Any, time: float, 
 
 @compiled
 def bounded(p: Any, opening: float) -> float:
-    """Return `opening` within what the search allows; what is no number stays none, for the envelope."""
+    """Return `opening` within what the search allows; NaN stays NaN, for the envelope."""
     return min(max(opening, -p.home_opening), p.home_opening) if np.isfinite(opening) else opening
 
 
 @compiled
 def search_cause(
-    s: Any, p: Any, following: Any, greatest_gap: float, angle: Any, velocity: Any, time: float
+    s: Any, p: Any, following: Any, max_gap: float, angle: Any, velocity: Any, time: float
 ) -> int:
-    """Return the cause that ends the search, or 0; `following` (3,) rad is the greatest error.
+    """Return the cause that ends the search, or 0; `following` (3,) rad is the max following error.
 
-    A joint that does not follow its reference is told by its own cause: it, or its valve, may be stuck.
+    A joint that does not follow its reference has its own cause: it, or its valve, may be stuck.
     """
-    if not 0.0 <= s.measured_step <= greatest_gap:
+    if not 0.0 <= s.measured_step <= max_gap:
         return Cause.TICK_GAP
     if not time - s.home_begin <= p.home_longest:
         return Cause.HOMING_FAILED

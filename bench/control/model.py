@@ -68,7 +68,7 @@ MODEL_STATE = np.dtype(
     align=True,
 )
 """The observer: spools, pressures as `sim.motion.chambers` takes them (chambers from 6 on, supply), what each
-sensor showed last and for how long (s); residuals of the chambers (Pa; NaN where there is none), the
+sensor showed last and for how long (s); residuals of the chambers (Pa; NaN if unknown), the
 same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed; which joint
 and which joint's reference is at its cushion; s for which the blow of one that ran into it still counts."""
 
@@ -99,7 +99,7 @@ def observe(
     machine's PLANT_PARAMETERS.
     """
     p, e, r = plant[0], estimator[0], readings[0]
-    fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall all begins anew
+    fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
     m.settled = m.settled + step if fresh else 0.0
     if m.exhaust_closed:
         m.vent_timer = 0.0
@@ -129,7 +129,7 @@ def observe(
         for k in range(a, b + 1):
             pressure = r.chamber_pressure[k]
             m.since[k] += step
-            # A sensor may be read less often than the loop runs: only a new value tells something.
+            # A sensor may be read less often than the loop runs: only a new value counts.
             if pressure != m.measured[k]:
                 m.residual[k] = pressure - m.air[6 + k]
                 m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
@@ -167,9 +167,10 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
         robot[0], e.angle[0], e.angle[1], e.angle[2], u1, u2, u3
     )
     needed = (
-        m11 * a1 + m12 * a2 + m13 * a3 + h1, m12 * a1 + m22 * a2 + m23 * a3 + h2,
+        m11 * a1 + m12 * a2 + m13 * a3 + h1,
+        m12 * a1 + m22 * a2 + m23 * a3 + h2,
         m13 * a1 + m23 * a2 + m33 * a3 + h3,
-    )  # fmt: skip
+    )
     for i in range(3):
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
@@ -186,7 +187,7 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
 
 @compiled
 def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, phase: int) -> int:
-    """Return the first comparison that fails in `phase`, or 0. Residuals that cannot be had fail none."""
+    """Return the first comparison that fails in `phase`, or 0. Unknown residuals fail no comparison."""
     p, e = limits[0], estimator[0]
     if not p.check or m.settled < _SETTLING:
         return 0

@@ -165,7 +165,7 @@ PROFILE = np.dtype(
 
 
 class ControlState(NamedTuple):
-    """All that the step remembers, as records it changes in place."""
+    """Memory of the step, as records that it changes in place."""
 
     control: Any
     encoder: Any
@@ -178,7 +178,7 @@ class ControlState(NamedTuple):
 
 
 class ControlParameters(NamedTuple):
-    """All that the step is told beforehand: records and the profile's tables."""
+    """Inputs of the step that stay as they are: records and the profile's tables."""
 
     control: Any
     encoder: Any

@@ -20,7 +20,7 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
     profile = parameters.profile[0]
     # A ten-millionth of a sample guards the floor against rounding of exact ticks.
     sample = (time - s.swing_start) / profile.period + 1e-7
-    if not sample >= 0.0:  # a clock that runs backwards, or is none, does not lead out of the tables
+    if not sample >= 0.0:  # a clock that runs backwards, or is NaN, stays within the tables
         sample = 0.0
     last = profile.samples - 1
     over = sample >= last
@@ -48,7 +48,7 @@ def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
     s.move_time = 0.3
     for i in range(3):
         s.move_from[i] = start[i]
-        # A quintic's greatest speed is 15/8 of its mean.
+        # The max speed of a quintic is 15/8 of its mean.
         s.move_time = max(s.move_time, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i])
     s.move_start = time
     s.moving = True
@@ -74,13 +74,13 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
 
 @compiled
 def charging(s: Any, time: float) -> bool:
-    """Tell whether the chambers are being charged before the first move."""
+    """Return whether the chambers are being charged before the first move."""
     return bool((s.moving or s.phase == Phase.HOMING) and time < s.move_start)
 
 
 @compiled
 def square_wave(periods: float) -> float:
-    """Return a square wave at so many periods: 1 in the first half of each, -1 in the second."""
+    """Return a square wave after `periods`: 1 in the first half of each, -1 in the second."""
     # A millionth of a period guards the floor against rounding of exact ticks.
     periods += 1e-6
     return 1.0 if periods - floor(periods) < 0.5 else -1.0
@@ -98,9 +98,16 @@ def feed_model_forward(state: Any, parameters: Any, time: float) -> None:
         if p.feed_forward == PNEUMATIC:
             wanted = force[k, i] + part * (force[k + 1, i] - force[k, i])
             s.feed_forward[i] = pneumatic_opening(
-                machine, parameters.robot, i, state.air[0], s.reference, s.reference_velocity, wanted,
-                changing, p.force_gain[i],
-            )  # fmt: skip
+                machine,
+                parameters.robot,
+                i,
+                state.air[0],
+                s.reference,
+                s.reference_velocity,
+                wanted,
+                changing,
+                p.force_gain[i],
+            )
         else:
             _, speed = actuator_motion(parameters.robot, machine, s.reference, s.reference_velocity, i)
             s.feed_forward[i] = p.rate_opening[i] * changing + p.speed_opening[i] * speed

@@ -141,7 +141,7 @@ class LifecycleSettings:
     vented_still: NotNegative = 2.0
     """For which the robot must rest with empty chambers until they count as vented, s."""
     vented_blind: NotNegative = 10.0
-    """The same where encoders cannot tell: as long as a raised arm may take to sink, s."""
+    """The same without trusted encoders: as long as a raised arm may take to sink, s."""
     local_reset: bool = False
     """Reset and secure also take the button beside the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
@@ -180,7 +180,7 @@ class HomingSettings:
     """s, of the search."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError when a joint is named twice or a direction is none."""
+        """Raise ValueError if a joint is named twice or a direction is 0."""
         if len(set(self.order)) < len(self.order):
             raise ValueError("order: each joint once")
         if 0 in self.direction:

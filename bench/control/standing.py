@@ -1,4 +1,4 @@
-"""What is watched while the robot stands: vents, homing by pose, interlocks and the latched states."""
+"""Monitoring of the standing robot: vents, homing by pose, interlocks and latched states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
 
     Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
     on what little air is left and then sinks: before anybody goes near, it has to rest for a while with empty
-    chambers. Where the encoders cannot tell, for as long as sinking may take.
+    chambers. Without trusted encoders: for as long as sinking may take.
     """
     fitted = empty = True
     blind = s.lost != 0 or s.distrusted

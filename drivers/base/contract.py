@@ -131,8 +131,20 @@ def pack_readings(readings: Readings, record: np.ndarray[Any, Any]) -> None:
 def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
     """Return the Readings of a READINGS record in plain Python types; 1.7 us."""
     (
-        time, count, sample_time, valid, age, stop, closed, locked, supply, reset, ball, chamber, indexed,
-    ) = record.item()  # fmt: skip
+        time,
+        count,
+        sample_time,
+        valid,
+        age,
+        stop,
+        closed,
+        locked,
+        supply,
+        reset,
+        ball,
+        chamber,
+        indexed,
+    ) = record.item()
     v1, v2, v3 = valid.tolist()
     i1, i2, i3 = indexed.tolist()
     return Readings(

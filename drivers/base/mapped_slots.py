@@ -1,4 +1,4 @@
-"""A mapped file of numbered records: one process writes, any others read, nobody waits, nothing is torn.
+"""A mapped file of numbered records: one process writes, any others read, no locks, no torn records.
 
 A record with sequence number s (from 1 on) stands in slot s modulo the number of slots, laid out as
 
@@ -118,7 +118,7 @@ class MappedSlots:
         """Map the file at `path` after checking that it is of this `kind` and holds records of `dtype`.
 
         Raises:
-            SharedMemoryError: there is none, or another program's, another version's or a damaged one.
+            SharedMemoryError: no such file, or one of another program or version, or a damaged one.
         """
         access = os.O_RDWR if writable else os.O_RDONLY
         try:
@@ -198,7 +198,7 @@ def _stride(size: int) -> int:
 
 
 def _digest(dtype: np.dtype[Any]) -> bytes:
-    """Return what tells one record type from another: names, types, shapes, order and places of fields."""
+    """Return the layout of a record type as text: names, types, shapes, order and offsets of its fields."""
     return sha256(repr((dtype.descr, dtype.itemsize)).encode()).digest()[:16]
 
 
@@ -217,25 +217,25 @@ def _checked(path: Path, descriptor: int, kind: str, dtype: np.dtype[Any]) -> in
             str(path),
             f"{status.st_size} bytes that begin with {start[:8]!r}",
             f"a shared {kind}, which begins with {_MAGIC!r}",
-            "Remove the file and start the bench anew.",
+            "Remove the file and restart the bench.",
         )
     _, version, padded, slots, size, digest = _HEADER.unpack(start)
     stored = padded.rstrip(b"\0")
-    anew = "Start all processes of the bench anew from one installation."
+    cure = "Restart all processes of the bench from one installation."
     if version != _VERSION:
-        raise SharedMemoryError(str(path), f"layout version {version}", f"version {_VERSION}", anew)
+        raise SharedMemoryError(str(path), f"layout version {version}", f"version {_VERSION}", cure)
     if stored != kind.encode():
-        raise SharedMemoryError(str(path), f"kind {stored!r}", f"kind {kind.encode()!r}", anew)
+        raise SharedMemoryError(str(path), f"kind {stored!r}", f"kind {kind.encode()!r}", cure)
     if (size, digest) != (dtype.itemsize, _digest(dtype)):
         raise SharedMemoryError(
             str(path),
             f"records of other code: {size} bytes, type {digest.hex()}",
             f"{dtype.itemsize} bytes, type {_digest(dtype).hex()}",
-            anew,
+            cure,
         )
     whole = _FIRST + slots * _stride(size)
     if slots < 2 or slots & (slots - 1) or status.st_size != whole:
         raise SharedMemoryError(
-            str(path), f"{status.st_size} bytes with {slots} slots", f"{whole} bytes", "Start the bench anew."
+            str(path), f"{status.st_size} bytes with {slots} slots", f"{whole} bytes", "Restart the bench."
         )
     return int(slots)

@@ -44,7 +44,7 @@ class SharedRecord:
         """Map the file at `path`, to write or to read it.
 
         Raises:
-            SharedMemoryError: there is none, or it is no shared record, damaged, or of other code: another
+            SharedMemoryError: no such file, or no shared record, or damaged, or of other code: another
                 layout or another `dtype`.
         """
         return cls(MappedSlots.open(path, _KIND, dtype, writable=True))
@@ -61,7 +61,7 @@ class SharedRecord:
 
     @property
     def newest(self) -> int:
-        """Version of the newest value, 0 before the first write; tells cheaply whether there is news."""
+        """Version of the newest value, 0 before the first write; a cheap test for a new value."""
         return self._slots.head
 
     def read(self, into: np.ndarray[Any, Any]) -> int:

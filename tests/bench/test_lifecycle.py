@@ -62,9 +62,18 @@ def test_every_cause_tells_the_operator_something_of_its_own() -> None:
 
 def test_causes_of_a_joint_stand_side_by_side() -> None:
     names = (
-        "ENCODER", "RANGE", "SPEED", "FOLLOWING", "STOP_DISTANCE", "AIR", "VELOCITY", "JUMP", "EFFORT",
-        "FLOW", "SENSOR",
-    )  # fmt: skip
+        "ENCODER",
+        "RANGE",
+        "SPEED",
+        "FOLLOWING",
+        "STOP_DISTANCE",
+        "AIR",
+        "VELOCITY",
+        "JUMP",
+        "EFFORT",
+        "FLOW",
+        "SENSOR",
+    )
     for name in names:
         first = Cause[f"SHOULDER_{name}"]
         assert [Cause[f"{joint}_{name}"] - first for joint in ("SHOULDER", "ARM", "WRIST")] == [0, 1, 2]
@@ -205,8 +214,11 @@ def test_requests_are_accepted_in_these_states_only() -> None:
 
 def test_what_ends_motion_needs_no_lease_and_everything_else_does() -> None:
     assert set(Request) - NEEDS_LEASE == {
-        Request.NONE, Request.STOP, Request.EMERGENCY_STOP, Request.DISARM,
-    }  # fmt: skip
+        Request.NONE,
+        Request.STOP,
+        Request.EMERGENCY_STOP,
+        Request.DISARM,
+    }
 
 
 def test_only_these_causes_latch_the_emergency_stop() -> None:

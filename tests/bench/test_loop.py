@@ -86,9 +86,20 @@ def parameters() -> ControlParameters:
     n = len(angle)
     begins = (0, 1, 400, 600, n - 3, n - 2, n - 1)
     profile = Profile(
-        "mock", "", "", "", PERIOD, begins, angle, velocity, velocity * WEIGHTLESS.move_gain,
-        20, np.zeros((n // 20 + 1, 6)), (0.25, -1.56), 0.9,
-    )  # fmt: skip
+        "mock",
+        "",
+        "",
+        "",
+        PERIOD,
+        begins,
+        angle,
+        velocity,
+        velocity * WEIGHTLESS.move_gain,
+        20,
+        np.zeros((n // 20 + 1, 6)),
+        (0.25, -1.56),
+        0.9,
+    )
     return build_controller(PLANT, profile, WEIGHTLESS, UNMODELLED)
 
 

@@ -1,8 +1,9 @@
 """`python -m tests.mutation`, or `make mutation`: do the tests notice small mistakes in the safety code?
 
-Every mutant of envelope, answers to requests and lifecycle is put before the tests named here, compilation
-off, until one fails. Exit code 1 when fewer than 95 % are noticed, or a survivor is not in `survivors.toml`
-with the reason why no test can or need notice it, or a mutant that stands there is noticed after all.
+Every mutant of envelope, answers to requests, state changes and lifecycle meets the tests named here,
+compilation off, until one fails. Exit code 1 when fewer than 95 % are noticed, or a survivor is not in
+`survivors.toml` with the reason why no test can or need notice it, or a mutant that stands there is noticed
+after all.
 
 (mutmut leaves out decorated functions, which is all of the envelope; cosmic-ray starts an interpreter a
 mutant, two seconds of imports each.)
@@ -31,6 +32,7 @@ TARGETS = {
         f"{_CONTROL}/test_requests.py",
         f"{_CONTROL}/test_edges.py",
     ),
+    "bench.control.states": (f"{_CONTROL}/test_states.py", f"{_CONTROL}/test_edges.py"),
     "bench.lifecycle": (
         "tests/bench/test_lifecycle.py",
         f"{_CONTROL}/test_answers.py",

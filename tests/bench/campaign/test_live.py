@@ -554,7 +554,7 @@ def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
         assert store.standing(name).state is CampaignState.ABORTED
         assert [stored.shot.status for stored in store.shots(name)][:3] == [ShotStatus.VALID] * 3
         assert store.events(name)[-1].kind == "reset"
-        assert "not shut down in order" in store.events(name)[-1].text
+        assert "previous shutdown was unclean" in store.events(name)[-1].text
 
 
 class ArmableBench(StandingBench):

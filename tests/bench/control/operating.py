@@ -23,8 +23,12 @@ VENT, HOMING, SECURING = 0.02, 0.02, 2.0
 """s."""
 TIMES = replace(SIMULATED, vented_still=0.0, vented_blind=0.0, vent_time=VENT, armed_time=1.0, series=False)
 CONTROL = replace(QUICK, precharge_time=0.01)
-SHORT = replace(STILL, **{name: getattr(STILL, name)[-90:] for name in ("angle", "velocity", "valve")},
-                begins=(0, 10, 20, 30, 40, 50, 60), blind_brake=STILL.blind_brake[-5:])  # fmt: skip
+SHORT = replace(
+    STILL,
+    **{name: getattr(STILL, name)[-90:] for name in ("angle", "velocity", "valve")},
+    begins=(0, 10, 20, 30, 40, 50, 60),
+    blind_brake=STILL.blind_brake[-5:],
+)
 PERMISSIONS = ("lease_held", "support_ready", "supervisor_alive")
 
 Act = Callable[[Puppet], None]
@@ -33,10 +37,12 @@ Act = Callable[[Puppet], None]
 def at_power_up(**settings: Any) -> Puppet:
     """Return a bench just switched on, its supervisor alive, everything granted."""
     puppet = Puppet(
-        SHORT, CONTROL, lifecycle=replace(TIMES, **settings),
+        SHORT,
+        CONTROL,
+        lifecycle=replace(TIMES, **settings),
         homing=HomingSettings(reference="pose", time=HOMING),
         state=State.STARTING,
-    )  # fmt: skip
+    )
     for name in PERMISSIONS:
         puppet.control[name] = True
     return puppet

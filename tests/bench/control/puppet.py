@@ -45,9 +45,20 @@ def still_profile() -> Profile:
     row = np.arange(SAMPLES // SPACING)[:, None]
     blind = np.hstack([np.cos(row + [0.0, 1.0, 2.0]), 0.02 + 0.001 * (row % 7) + [[0.0, 0.01, 0.02]]])
     return Profile(
-        "still", "", "", "", 1e-3, BEGINS, np.tile(ADDRESS, (SAMPLES, 1)), np.zeros((SAMPLES, 3)),
-        np.zeros((SAMPLES, 3)), SPACING, blind, (0.25, -1.56), 0.55,
-    )  # fmt: skip
+        "still",
+        "",
+        "",
+        "",
+        1e-3,
+        BEGINS,
+        np.tile(ADDRESS, (SAMPLES, 1)),
+        np.zeros((SAMPLES, 3)),
+        np.zeros((SAMPLES, 3)),
+        SPACING,
+        blind,
+        (0.25, -1.56),
+        0.55,
+    )
 
 
 STILL = still_profile()

@@ -17,10 +17,15 @@ from bench.lifecycle import NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal
 from tests.bench.control.puppet import Puppet
 
 FROM = {
-    Request.RESET: State.FAULT, Request.HOME: State.SAFE, Request.ARM: State.READY,
-    Request.SWING: State.ARMED, Request.ACCESS: State.READY, Request.SECURE: State.ACCESS,
-    Request.TEE: State.ARMED, Request.DISARM: State.ARMED,
-}  # fmt: skip
+    Request.RESET: State.FAULT,
+    Request.HOME: State.SAFE,
+    Request.ARM: State.READY,
+    Request.SWING: State.ARMED,
+    Request.ACCESS: State.READY,
+    Request.SECURE: State.ACCESS,
+    Request.TEE: State.ARMED,
+    Request.DISARM: State.ARMED,
+}
 STOPS = (Request.STOP, Request.EMERGENCY_STOP)
 NOW = 64.0
 """s; exact in binary, as all bounds here."""
@@ -80,9 +85,11 @@ class Condition:
 
     def apply(self, situation: Situation) -> None:
         record = {
-            "control": situation.state.control, "parameters": situation.parameters.control,
-            "readings": situation.readings, "estimator": situation.state.estimator,
-        }[self.where]  # fmt: skip
+            "control": situation.state.control,
+            "parameters": situation.parameters.control,
+            "readings": situation.readings,
+            "estimator": situation.state.estimator,
+        }[self.where]
         for name, value in self.values.items():
             record[name] = value
 
@@ -96,21 +103,33 @@ CONDITIONS = (
     Condition("read only", Refusal.READ_ONLY, frozenset(FROM), "parameters", {"read_only": True}),
     Condition("wrong state", Refusal.STATE, frozenset(FROM), "control", {"state": State.SWINGING}),
     Condition(
-        "stopping", Refusal.STOPPING, frozenset(FROM), "control",
+        "stopping",
+        Refusal.STOPPING,
+        frozenset(FROM),
+        "control",
         {"reaction": Reaction.BRAKE, "phase": Phase.HOLD},
     ),
     Condition("no lease", Refusal.NO_LEASE, NEEDS_LEASE, "control", {"lease_held": False}),
     Condition(
-        "passive device", Refusal.DEVICE, only(Request.ARM, Request.SWING, Request.HOME, Request.ACCESS),
-        "control", {"device_operational": False},
+        "passive device",
+        Refusal.DEVICE,
+        only(Request.ARM, Request.SWING, Request.HOME, Request.ACCESS),
+        "control",
+        {"device_operational": False},
     ),
     Condition(
-        "emergency stop", Refusal.EMERGENCY_STOP, MOVES_OR_RESETS | only(Request.ACCESS), "readings",
+        "emergency stop",
+        Refusal.EMERGENCY_STOP,
+        MOVES_OR_RESETS | only(Request.ACCESS),
+        "readings",
         {"emergency_stop_clear": False},
     ),
     Condition("guard unlocked", Refusal.GUARD, MOVES_OR_RESETS, "readings", {"guard_locked": False}),
     Condition(
-        "guard open", Refusal.GUARD, MOVES_OR_RESETS | only(Request.SECURE), "readings",
+        "guard open",
+        Refusal.GUARD,
+        MOVES_OR_RESETS | only(Request.SECURE),
+        "readings",
         {"guard_closed": False},
     ),
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
@@ -118,22 +137,26 @@ CONDITIONS = (
     Condition(
         "support", Refusal.SUPPORT, only(Request.ARM, Request.SWING), "control", {"support_ready": False}
     ),
-    Condition(
-        "on the way", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"phase": Phase.RETURN}
-    ),
+    Condition("on the way", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"phase": Phase.RETURN}),
     Condition("swinging", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"swinging": True}),
     Condition(
         "off the address", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "estimator", {"angle": (0, 0, 1.0)}
     ),
     Condition(
-        "pressure", Refusal.NOT_VENTED, only(Request.ACCESS, Request.HOME, Request.RESET), "control",
+        "pressure",
+        Refusal.NOT_VENTED,
+        only(Request.ACCESS, Request.HOME, Request.RESET),
+        "control",
         {"vented": False},
     ),
     Condition(
-        "button", Refusal.LOCAL_RESET, only(Request.RESET, Request.SECURE), "parameters",
+        "button",
+        Refusal.LOCAL_RESET,
+        only(Request.RESET, Request.SECURE),
+        "parameters",
         {"local_reset": True},
     ),
-)  # fmt: skip
+)
 """What forbids requests, in the order in which the operator is told of it."""
 
 Make = Callable[[Request], Situation]
@@ -258,9 +281,12 @@ def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:
     """Return answered number, answer, refusal, what was asked, and what is still asked."""
     s = situation.state.control[0]
     return (
-        int(s["answered_number"]), Answer(int(s["answer"])), Refusal(int(s["refusal"])), int(s["asked"]),
+        int(s["answered_number"]),
+        Answer(int(s["answer"])),
+        Refusal(int(s["refusal"])),
+        int(s["asked"]),
         int(s["request"]),
-    )  # fmt: skip
+    )
 
 
 def test_an_accepted_request_is_answered_once(good: Make) -> None:
@@ -307,8 +333,13 @@ def test_a_press_is_an_edge(good: Make) -> None:
     s = good(Request.RESET).state.control[0]
     s["reset_was_low"], s["reset_pressed"] = False, -1.0
     for time, level, pressed in (
-        (1.0, True, -1.0), (2.0, False, -1.0), (3.0, True, 3.0), (4.0, True, 3.0), (5.0, False, 3.0),
-        (6.0, False, 3.0), (7.0, True, 7.0),
-    ):  # fmt: skip
+        (1.0, True, -1.0),
+        (2.0, False, -1.0),
+        (3.0, True, 3.0),
+        (4.0, True, 3.0),
+        (5.0, False, 3.0),
+        (6.0, False, 3.0),
+        (7.0, True, 7.0),
+    ):
         note_local_reset(s, level, time)
         assert s["reset_pressed"] == pressed, time

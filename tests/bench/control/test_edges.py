@@ -91,12 +91,13 @@ UNRECORDED: dict[str, Act] = {"recorder not alive": give(support_ready=False)}
 ESTOP_OPEN: dict[str, Act] = {"emergency stop circuit open": give(emergency_stop_clear=False)}
 PASSIVE_DEVICE: dict[str, Act] = {"device passive": give(device_operational=False)}
 UNCLEAR: dict[str, Act] = {
-    **NO_LEASE, **ESTOP_OPEN,
+    **NO_LEASE,
+    **ESTOP_OPEN,
     "guard open": give(guard_closed=False),
     "guard not locked": give(guard_locked=False),
     "readings lost": lose,
     "supervisor dead": give(supervisor_alive=False),
-}  # fmt: skip
+}
 UNPRESSED: dict[str, Act] = {"button not pressed": give(reset_pressed=-np.inf)}
 PRESSURE: dict[str, Act] = {"not vented": give(vented=False, vent_start=np.inf)}
 CLOSED: dict[str, Act] = {"guard open": give(guard_closed=False), **NO_LEASE}
@@ -124,19 +125,31 @@ def cases() -> list[Case]:
     made = [
         Case(edge(S.STARTING, "warmed up", S.ESTOP), lambda: reach(S.STARTING), give(warm=True), 0, {}),
         Case(
-            edge(S.HOMING, "homed", S.READY), lambda: reach(S.HOMING), None, 2 * HOMING,
+            edge(S.HOMING, "homed", S.READY),
+            lambda: reach(S.HOMING),
+            None,
+            2 * HOMING,
             {"another pose": turn_away, "index lost": give(encoder_indexed=(1, 0, 1))},
         ),
         Case(
-            edge(S.READY, "index missing", S.SAFE), lambda: reach(S.READY).give(seen=False),
-            give(encoder_indexed=0), 0, {"a reading trusted before": give(seen=True)},
+            edge(S.READY, "index missing", S.SAFE),
+            lambda: reach(S.READY).give(seen=False),
+            give(encoder_indexed=0),
+            0,
+            {"a reading trusted before": give(seen=True)},
         ),
         Case(
-            edge(S.READY, "arm", S.ARMED), lambda: reach(S.READY), do(Request.ARM), 0,
+            edge(S.READY, "arm", S.ARMED),
+            lambda: reach(S.READY),
+            do(Request.ARM),
+            0,
             UNCLEAR | UNRECORDED | PASSIVE_DEVICE,
         ),
         Case(
-            edge(S.ARMED, "swing", S.SWINGING), lambda: reach(S.ARMED), do(Request.SWING), 0,
+            edge(S.ARMED, "swing", S.SWINGING),
+            lambda: reach(S.ARMED),
+            do(Request.SWING),
+            0,
             UNCLEAR | UNRECORDED | PASSIVE_DEVICE | AWAY,
         ),
         Case(edge(S.SWINGING, "swing over", S.RECOVERING), lambda: reach(S.SWINGING), None, 0.1, {}),
@@ -144,26 +157,41 @@ def cases() -> list[Case]:
             edge(S.RECOVERING, "back at the address", S.READY), lambda: reach(S.RECOVERING), None, SWUNG, {}
         ),
         Case(
-            edge(S.RECOVERING, "back at the address", S.ARMED), lambda: reach(S.RECOVERING, series=True),
-            None, SWUNG,
-            LEFT | {"lease regained": regained("lease_held"), "recorder regained": regained("support_ready"),
-                    "no series": lambda puppet: void(puppet.parameters.control.__setitem__("series", False))},
+            edge(S.RECOVERING, "back at the address", S.ARMED),
+            lambda: reach(S.RECOVERING, series=True),
+            None,
+            SWUNG,
+            LEFT
+            | {
+                "lease regained": regained("lease_held"),
+                "recorder regained": regained("support_ready"),
+                "no series": lambda puppet: void(puppet.parameters.control.__setitem__("series", False)),
+            },
         ),
         Case(edge(S.RECOVERING, "at rest", S.READY), braking, None, BRAKED, {}),
         Case(
-            edge(S.FAULT, "emergency stop", S.ESTOP), lambda: reach(S.FAULT),
-            do(Request.EMERGENCY_STOP), 0, {},
+            edge(S.FAULT, "emergency stop", S.ESTOP),
+            lambda: reach(S.FAULT),
+            do(Request.EMERGENCY_STOP),
+            0,
+            {},
         ),
         *(
             Case(
-                edge(S.ARMED, "disarm, time-out, lease or recorder lost", S.READY), lambda: reach(S.ARMED),
-                event, settle, {},
+                edge(S.ARMED, "disarm, time-out, lease or recorder lost", S.READY),
+                lambda: reach(S.ARMED),
+                event,
+                settle,
+                {},
             )
             for event, settle in (*((event, 0.0) for event in LEFT.values()), (None, 1.0))
         ),
         *(
             Case(
-                edge(S.ARMED, "disarm, lease or recorder lost", S.RECOVERING), on_the_way, event, 0,
+                edge(S.ARMED, "disarm, lease or recorder lost", S.RECOVERING),
+                on_the_way,
+                event,
+                0,
                 {"no air yet": give(air=False)},
             )
             for event in LEFT.values()
@@ -172,32 +200,42 @@ def cases() -> list[Case]:
             Case(edge(S.HOMING, "disarm, or lease lost", S.SAFE), lambda: reach(S.HOMING), LEFT[name], 0, {})
             for name in ("disarmed", "lease lost")
         ),
-    ]  # fmt: skip
+    ]
     for source in (S.ESTOP, S.FAULT):
         for homed in (False, True):
-            made.append(Case(
-                edge(source, "reset", S.READY if homed else S.SAFE),
-                partial(latched, source, homed), do(Request.RESET), 0,
-                UNCLEAR | UNPRESSED | {"chambers not emptied": full},
-            ))  # fmt: skip
-        made.append(Case(
-            edge(S.ACCESS, "secure", source), partial(in_access, source), secure, 0, CLOSED
-        ))  # fmt: skip
+            made.append(
+                Case(
+                    edge(source, "reset", S.READY if homed else S.SAFE),
+                    partial(latched, source, homed),
+                    do(Request.RESET),
+                    0,
+                    UNCLEAR | UNPRESSED | {"chambers not emptied": full},
+                )
+            )
+        made.append(Case(edge(S.ACCESS, "secure", source), partial(in_access, source), secure, 0, CLOSED))
     for homed, source in ((False, S.SAFE), (True, S.READY)):
-        made.append(Case(
-            edge(source, "home", S.HOMING), partial(reach, source), do(Request.HOME), 0,
-            UNCLEAR | PASSIVE_DEVICE | PRESSURE,
-        ))  # fmt: skip
-        made.append(Case(
-            edge(S.ACCESS, "secure", source), partial(in_access, homed=homed), secure, 0, CLOSED
-        ))  # fmt: skip
+        made.append(
+            Case(
+                edge(source, "home", S.HOMING),
+                partial(reach, source),
+                do(Request.HOME),
+                0,
+                UNCLEAR | PASSIVE_DEVICE | PRESSURE,
+            )
+        )
+        made.append(
+            Case(edge(S.ACCESS, "secure", source), partial(in_access, homed=homed), secure, 0, CLOSED)
+        )
     made += [
         Case(
-            edge(source, "access", S.ACCESS), partial(reach, source), do(Request.ACCESS), 0,
+            edge(source, "access", S.ACCESS),
+            partial(reach, source),
+            do(Request.ACCESS),
+            0,
             NO_LEASE | PRESSURE | ESTOP_OPEN | PASSIVE_DEVICE,
         )
         for source in (S.SAFE, S.READY, S.ESTOP, S.FAULT)
-    ]  # fmt: skip
+    ]
     for name, target, events in (
         ("emergency stop", S.ESTOP, (give(emergency_stop_clear=False), do(Request.EMERGENCY_STOP))),
         ("fault", S.FAULT, (give(supervisor_alive=False), give(device_operational=False))),

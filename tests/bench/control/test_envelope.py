@@ -94,10 +94,16 @@ class Motion:
     def cause(self) -> Cause:
         return Cause(
             motion_cause(
-                self.parameters, ROBOT.record, self.estimator, self.readings, self.reference,
-                int(self.phase), self.step, self.charging,
+                self.parameters,
+                ROBOT.record,
+                self.estimator,
+                self.readings,
+                self.reference,
+                int(self.phase),
+                self.step,
+                self.charging,
             )
-        )  # fmt: skip
+        )
 
     def coordinates(self, joint: int) -> tuple[float, float]:
         e = self.estimator[0]
@@ -175,10 +181,19 @@ def test_nothing_is_broken(phase: Phase, charging: bool) -> None:
 @pytest.mark.parametrize(
     ("step", "broken"),
     [
-        (0.0, False), (-0.0, False), (below(0.010), False), (0.010, False), (above(0.010), True), (1.0, True),
-        (-5e-324, True), (-1.0, True), (inf, True), (-inf, True), (nan, True),
+        (0.0, False),
+        (-0.0, False),
+        (below(0.010), False),
+        (0.010, False),
+        (above(0.010), True),
+        (1.0, True),
+        (-5e-324, True),
+        (-1.0, True),
+        (inf, True),
+        (-inf, True),
+        (nan, True),
     ],
-)  # fmt: skip
+)
 def test_a_tick_that_is_too_long_or_runs_backwards(phase: Phase, step: float, broken: bool) -> None:
     assert Motion(phase=phase, step=step).cause() is (Cause.TICK_GAP if broken else Cause.NONE)
 
@@ -455,9 +470,13 @@ def test_the_first_broken_limit_is_the_cause() -> None:
         order.append(motion.cause())
         mend()
     assert order == [
-        Cause.TICK_GAP, Cause.SUPPLY_PRESSURE, Cause.SHOULDER_FOLLOWING, Cause.ARM_SPEED, Cause.WRIST_RANGE,
+        Cause.TICK_GAP,
+        Cause.SUPPLY_PRESSURE,
+        Cause.SHOULDER_FOLLOWING,
+        Cause.ARM_SPEED,
+        Cause.WRIST_RANGE,
         Cause.GROUND,
-    ]  # fmt: skip
+    ]
     assert motion.cause() is Cause.NONE
 
 
@@ -495,14 +514,21 @@ def test_without_a_clock_the_valve_stays(step: float, before: float, wanted: flo
 @pytest.mark.parametrize(
     ("wanted", "before", "step", "expected"),
     [
-        (below(0.75), 0.75, 1.0, below(0.75)), (0.75, 0.7, 1.0, 0.75), (above(0.75), 0.7, 1.0, 0.75),
-        (-0.75, 0.7, 1.0, -0.75), (below(-0.75), 0.7, 1.0, -0.75), (1e300, 0.0, 1.0, 0.75),
+        (below(0.75), 0.75, 1.0, below(0.75)),
+        (0.75, 0.7, 1.0, 0.75),
+        (above(0.75), 0.7, 1.0, 0.75),
+        (-0.75, 0.7, 1.0, -0.75),
+        (below(-0.75), 0.7, 1.0, -0.75),
+        (1e300, 0.0, 1.0, 0.75),
         # slew 50/s: a 64th of a second is exactly 0.78125, half of that 0.390625
-        (0.75, 0.0, 1 / 128, 0.390625), (0.390625, 0.0, 1 / 128, 0.390625),
-        (below(0.390625), 0.0, 1 / 128, below(0.390625)), (-0.75, 0.0, 1 / 128, -0.390625),
-        (0.0, 0.75, 1 / 128, 0.359375), (0.75, -0.75, inf, 0.75),
+        (0.75, 0.0, 1 / 128, 0.390625),
+        (0.390625, 0.0, 1 / 128, 0.390625),
+        (below(0.390625), 0.0, 1 / 128, below(0.390625)),
+        (-0.75, 0.0, 1 / 128, -0.390625),
+        (0.0, 0.75, 1 / 128, 0.359375),
+        (0.75, -0.75, inf, 0.75),
     ],
-)  # fmt: skip
+)
 def test_opening_and_slew(wanted: float, before: float, step: float, expected: float) -> None:
     assert limit(generous(), wanted, before, step) == expected
 
@@ -535,10 +561,17 @@ def recarray(record: Record) -> Record:
 
 @compiled_only
 @given(
-    angle=poses, velocity=three, miss=st.tuples(*[st.floats(-0.5, 0.5)] * 3), pressure=st.floats(),
-    step=st.floats(0.0, 0.011) | st.floats(), phase=st.sampled_from(Phase), charging=st.booleans(),
-    ground=st.floats(-2.0, 0.0), radius=st.floats(0.0, 0.5), silence=st.tuples(*[st.floats(0.0, 0.005)] * 3),
-)  # fmt: skip
+    angle=poses,
+    velocity=three,
+    miss=st.tuples(*[st.floats(-0.5, 0.5)] * 3),
+    pressure=st.floats(),
+    step=st.floats(0.0, 0.011) | st.floats(),
+    phase=st.sampled_from(Phase),
+    charging=st.booleans(),
+    ground=st.floats(-2.0, 0.0),
+    radius=st.floats(0.0, 0.5),
+    silence=st.tuples(*[st.floats(0.0, 0.005)] * 3),
+)
 def test_compiled_and_plain_code_agree(
     plain: Plain,
     angle: tuple[float, float, float],

@@ -51,9 +51,14 @@ bars = st.floats(1.1e5, 7.9e5)
 
 
 @given(
-    i=st.integers(0, 2), pa=bars, pb=bars, share=st.floats(0.02, 0.98), side=st.sampled_from([-1.0, 1.0]),
-    part=st.floats(0.1, 0.9), speed=st.floats(-1.0, 1.0),
-)  # fmt: skip
+    i=st.integers(0, 2),
+    pa=bars,
+    pb=bars,
+    share=st.floats(0.02, 0.98),
+    side=st.sampled_from([-1.0, 1.0]),
+    part=st.floats(0.1, 0.9),
+    speed=st.floats(-1.0, 1.0),
+)
 def test_the_opening_found_changes_the_force_as_wanted(
     i: int, pa: float, pb: float, share: float, side: float, part: float, speed: float
 ) -> None:

@@ -673,9 +673,10 @@ def puppets() -> dict[Phase, Puppet]:
     phase=st.sampled_from(Phase),
     ticks=st.lists(
         st.tuples(dt, anything | st.none(), st.tuples(lag, lag, lag), st.integers(0, 6)),
-        min_size=1, max_size=25,
+        min_size=1,
+        max_size=25,
     ),
-)  # fmt: skip
+)
 def test_any_readings_at_any_time_give_a_bounded_command(
     puppets: dict[Phase, Puppet],
     phase: Phase,
