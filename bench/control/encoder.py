@@ -27,7 +27,7 @@ INVALID = 1
 REPEATED = 2
 """The sample of an earlier tick again: no new information."""
 STALE = 3
-"""Older (or further in the future) than `greatest_age`, or without a finite time."""
+"""Older (or further in the future) than `max_age`, or without a finite time."""
 IMPLAUSIBLE = 4
 """A count outside the range, or a jump beyond the possible speed."""
 
@@ -41,14 +41,14 @@ ENCODER_PARAMETERS = np.dtype(
         ("zero_count", "f8", (3,)),
         ("sign", "f8", (3,)),
         ("middle", "f8", (3,)),
-        ("greatest_speed", "f8", (3,)),
+        ("max_speed", "f8", (3,)),
         ("tolerance", "f8", (3,)),
-        ("greatest_age", "f8", (3,)),
+        ("max_age", "f8", (3,)),
     ],
     align=True,
 )
 """Per joint: counts per revolution; counts 0 … range-1; count at angle zero; +1 or -1; middle of the travel
-(rad); greatest possible speed (rad/s); counts allowed beyond it (noise, jitter); greatest age (s)."""
+(rad); max possible speed (rad/s); counts allowed beyond it (noise, jitter); max age (s)."""
 
 ENCODER_STATE = np.dtype(
     [
@@ -79,14 +79,14 @@ def design_encoders(
     zero_count: tuple[float, float, float],
     sign: tuple[int, int, int],
     travel: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
-    greatest_speed: tuple[float, float, float],
+    max_speed: tuple[float, float, float],
     count_range: tuple[int, int, int] | None = None,
     tolerance: tuple[float, float, float] = (4.0, 4.0, 4.0),
-    greatest_age: tuple[float, float, float] = (0.005, 0.005, 0.005),
+    max_age: tuple[float, float, float] = (0.005, 0.005, 0.005),
 ) -> np.ndarray[Any, Any]:
     """Return an ENCODER_PARAMETERS record; tuples are in joint order.
 
-    `travel` is each joint's (lowest, highest) angle (rad) that its stops allow, `greatest_speed` in rad/s,
+    `travel` is each joint's (lowest, highest) angle (rad) that its stops allow, `max_speed` in rad/s,
     `count_range` the number of different counts (default: one revolution), `tolerance` in counts.
 
     Raises:
@@ -104,9 +104,9 @@ def design_encoders(
             (np.isfinite(zero_count[joint]), "zero_count must be finite"),
             (low < high, f"travel must rise, found {low} … {high} rad"),
             (high - low < turns * _TURN, f"travel {low} … {high} rad is wider than the encoder's range"),
-            (0 < greatest_speed[joint] < np.inf, "greatest_speed must be above 0 and finite"),
+            (0 < max_speed[joint] < np.inf, "max_speed must be above 0 and finite"),
             (tolerance[joint] >= 0, "tolerance must not be negative"),
-            (greatest_age[joint] > 0, "greatest_age must be above 0"),
+            (max_age[joint] > 0, "max_age must be above 0"),
         )
         for holds, text in checks:
             if not holds:
@@ -117,9 +117,9 @@ def design_encoders(
     parameters["zero_count"] = zero_count
     parameters["sign"] = sign
     parameters["middle"] = np.mean(travel, axis=1)
-    parameters["greatest_speed"] = greatest_speed
+    parameters["max_speed"] = max_speed
     parameters["tolerance"] = tolerance
-    parameters["greatest_age"] = greatest_age
+    parameters["max_age"] = max_age
     return parameters
 
 
@@ -146,12 +146,12 @@ def decode_encoders(
         if r.encoder_valid[i] == 0:
             s.verdict[i] = INVALID
             continue
-        if s.sample_time[i] > time + p.greatest_age[i]:
+        if s.sample_time[i] > time + p.max_age[i]:
             s.started[i] = 0  # the clock went back: no sample of before says how far the joint can have come
         if s.started[i] and sample_time <= s.sample_time[i]:
             s.verdict[i] = REPEATED
             continue
-        if not abs(time - sample_time) <= p.greatest_age[i]:  # so that NaN is stale, too
+        if not abs(time - sample_time) <= p.max_age[i]:  # so that NaN is stale, too
             s.verdict[i] = STALE
             continue
         if r.encoder_indexed[i] != s.indexed[i]:
@@ -163,7 +163,7 @@ def decode_encoders(
         reach = 0.5 * span
         anchored = False
         if s.started[i]:
-            reach = p.greatest_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
+            reach = p.max_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
             anchored = reach < 0.5 * span
         jump = 0
         if anchored and s.indexed[i] == 0:

@@ -21,16 +21,16 @@ ENVELOPE_PARAMETERS = np.dtype(
     [
         ("lower", "f8", (3,)),
         ("upper", "f8", (3,)),
-        ("greatest_speed", "f8", (3,)),
+        ("max_speed", "f8", (3,)),
         ("following", "f8", (PHASES, 3)),
         ("stop_deceleration", "f8", (3,)),
         ("stop_speed", "f8", (3,)),
-        ("greatest_opening", "f8"),
-        ("greatest_slew", "f8"),
+        ("max_opening", "f8"),
+        ("max_slew", "f8"),
         ("lost_time", "f8"),
-        ("greatest_gap", "f8"),
-        ("least_supply", "f8"),
-        ("greatest_supply", "f8"),
+        ("max_gap", "f8"),
+        ("min_supply_pressure", "f8"),
+        ("max_supply_pressure", "f8"),
         ("ground", "f8"),
         ("sole_depth", "f8"),
         ("clearance", "f8"),
@@ -38,7 +38,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("ball_window", "f8"),
         ("ball_clearance", "f8"),
         ("frame_radius", "f8"),
-        ("least_lever", "f8"),
+        ("min_lever", "f8"),
     ],
     align=True,
 )
@@ -46,7 +46,7 @@ ENVELOPE_PARAMETERS = np.dtype(
 rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion
 takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest
 tick while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside
-and inside the ball's window (m); distance of the club from the shoulder axis (m); least |sin beta| of the
+and inside the ball's window (m); distance of the club from the shoulder axis (m); min |sin beta| of the
 wrist."""
 
 
@@ -101,18 +101,18 @@ def motion_cause(
     """
     p, e = parameters[0], estimator[0]
     angle, velocity = e.angle, e.velocity
-    if not 0.0 <= measured_step <= p.greatest_gap:
+    if not 0.0 <= measured_step <= p.max_gap:
         return Cause.TICK_GAP
     # Past the no-return instant stopping sooner than planned helps neither a sagging supply nor a short way.
     stoppable = phase <= Phase.DOWNSWING or phase == Phase.RETURN
     supply = readings[0].supply_pressure
-    if stoppable and ((not charging and supply < p.least_supply) or supply > p.greatest_supply):
+    if stoppable and ((not charging and supply < p.min_supply_pressure) or supply > p.max_supply_pressure):
         return Cause.SUPPLY_PRESSURE
     for i in range(3):
         position, speed = joint_coordinates(robot, angle, velocity, i)
         if not (p.lower[i] <= position <= p.upper[i]):
             return Cause.SHOULDER_RANGE + i
-        if not abs(speed) <= p.greatest_speed[i]:
+        if not abs(speed) <= p.max_speed[i]:
             return Cause.SHOULDER_SPEED + i
         if stoppable:
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
@@ -142,7 +142,7 @@ def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
     x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
     if not x * x + y * y >= p.frame_radius * p.frame_radius:
         return Cause.FRAME
-    if not abs(sin(angle[2] - 1.5 * np.pi)) >= p.least_lever:
+    if not abs(sin(angle[2] - 1.5 * np.pi)) >= p.min_lever:
         return Cause.WRIST_LEVER
     return 0
 
@@ -156,7 +156,7 @@ def limit(parameters: Any, wanted: float, before: float, measured_step: float) -
     p = parameters[0]
     if not np.isfinite(wanted):
         return 0.0
-    step = p.greatest_slew * measured_step if measured_step > 0.0 else 0.0
-    bounded = min(max(wanted, -p.greatest_opening), p.greatest_opening)
+    step = p.max_slew * measured_step if measured_step > 0.0 else 0.0
+    bounded = min(max(wanted, -p.max_opening), p.max_opening)
     opening: float = min(max(bounded, before - step), before + step)
     return opening

@@ -373,7 +373,7 @@ def build_controller(
             zero_count=plant.encoders.zero_count,
             sign=plant.encoders.sign,
             travel=angle_travel(plant),
-            greatest_speed=(60.0, 60.0, 120.0),
+            max_speed=(60.0, 60.0, 120.0),
         ),
         estimator=design_estimator(
             period=plant.tick,
@@ -473,6 +473,13 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
     for name, errors in settings.following.items():
         record["following"][0, _FOLLOWED[name]] = errors
     for name in (
+        "max_speed",
+        "max_slew",
+        "max_opening",
+        "max_gap",
+        "min_supply_pressure",
+        "max_supply_pressure",
+        "min_lever",
         "stop_deceleration",
         "stop_speed",
         "lost_time",
@@ -482,11 +489,6 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "frame_radius",
     ):
         record[name] = getattr(settings, name)
-    record["greatest_speed"], record["greatest_slew"] = settings.max_speed, settings.max_slew
-    record["greatest_opening"], record["greatest_gap"] = settings.max_opening, settings.max_gap
-    record["least_supply"] = settings.min_supply_pressure
-    record["greatest_supply"] = settings.max_supply_pressure
-    record["least_lever"] = settings.min_lever
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"] = profile.ball[0]
     return record

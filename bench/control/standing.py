@@ -87,7 +87,7 @@ def watch_standing(
             s.homed = False
     if s.state == State.STARTING:
         if s.warm:
-            latch(s, parameters, s.first_cause, time)
+            latch(s, parameters, int(s.first_cause), time)
         return
     if interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP:
         if s.state != State.ESTOP:
@@ -118,7 +118,7 @@ def watch_standing(
     elif asked != 0 and s.state == State.HOMING:
         latch(s, parameters, asked, time)
     elif s.lost != 0 and s.seen and s.state != State.SAFE:
-        latch(s, parameters, s.lost, time)
+        latch(s, parameters, int(s.lost), time)
     elif s.state == State.READY and jumped != 0:
         s.homed, s.distrusted = False, True  # whatever turned there, it was not the joint
         latch(s, parameters, jumped, time)

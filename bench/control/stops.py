@@ -48,7 +48,7 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
         react(state, parameters, Cause.TICK_GAP, TRUSTED, time)
         s.reaction = Reaction.PASSIVE
     elif s.lost != 0:
-        react(state, parameters, s.lost, LOST, time)
+        react(state, parameters, int(s.lost), LOST, time)
     else:
         if interlock != 0:
             react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)
@@ -88,7 +88,7 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
     """Stop the search for an index that leaves its limits, or does not fit the model."""
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
     following = limits.following[Phase.HOMING.value]
-    broken = search_cause(s, parameters.control[0], following, limits.greatest_gap, e.angle, e.velocity, time)
+    broken = search_cause(s, parameters.control[0], following, limits.max_gap, e.angle, e.velocity, time)
     stuck = Cause.SHOULDER_FOLLOWING <= broken < Cause.SHOULDER_FOLLOWING + 3
     doubted = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     if doubted != 0 and not charging(s, time):

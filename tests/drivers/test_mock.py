@@ -31,7 +31,7 @@ def angles(driver: MockDriver, time: float) -> Any:
         zero_count=(0.0,) * 3,
         sign=(1, 1, 1),
         travel=TRAVEL,
-        greatest_speed=(100.0,) * 3,
+        max_speed=(100.0,) * 3,
     )
     pack_readings(driver.read(time), readings)
     decode_encoders(state, parameters, readings, time)

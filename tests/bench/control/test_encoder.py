@@ -40,7 +40,7 @@ def designed(**changes: Any) -> Array:
         "zero_count": ZERO,
         "sign": SIGN,
         "travel": TRAVEL,
-        "greatest_speed": SPEED,
+        "max_speed": SPEED,
     }
     return design_encoders(**given_values | changes)
 
@@ -191,9 +191,9 @@ def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
         ({"zero_count": (np.nan, 0.0, 0.0)}, "joint 0: zero_count"),
         ({"travel": ((1.0, 0.0), *TRAVEL[1:])}, "joint 0: travel must rise"),
         ({"travel": ((-4.0, 4.0), *TRAVEL[1:])}, "joint 0: travel .* wider"),
-        ({"greatest_speed": (0.0, 1.0, 1.0)}, "joint 0: greatest_speed"),
+        ({"max_speed": (0.0, 1.0, 1.0)}, "joint 0: max_speed"),
         ({"tolerance": (0.0, -1.0, 0.0)}, "joint 1: tolerance"),
-        ({"greatest_age": (1.0, 1.0, 0.0)}, "joint 2: greatest_age"),
+        ({"max_age": (1.0, 1.0, 0.0)}, "joint 2: max_age"),
     ],
 )
 def test_a_bad_design_is_refused_by_name(changes: dict[str, Any], named: str) -> None:

@@ -57,10 +57,10 @@ def generous() -> Record:
     """Return limits that nothing breaks."""
     p = new_record(ENVELOPE_PARAMETERS)
     p["lower"], p["upper"] = -100.0, 100.0
-    p["following"] = p["stop_deceleration"] = p["stop_speed"] = p["greatest_speed"] = 1e3
-    p["greatest_opening"], p["greatest_slew"] = 0.75, 50.0
-    p["lost_time"], p["greatest_gap"], p["least_supply"] = 0.0045, 0.010, 6.5e5
-    p["greatest_supply"] = 8.8e5
+    p["following"] = p["stop_deceleration"] = p["stop_speed"] = p["max_speed"] = 1e3
+    p["max_opening"], p["max_slew"] = 0.75, 50.0
+    p["lost_time"], p["max_gap"], p["min_supply_pressure"] = 0.0045, 0.010, 6.5e5
+    p["max_supply_pressure"] = 8.8e5
     p["ground"] = -100.0
     return p
 
@@ -122,7 +122,7 @@ def test_limits_are_one_a_joint() -> None:
     shapes = {name: ENVELOPE_PARAMETERS[name].shape for name in ENVELOPE_PARAMETERS.names or ()}
     several = {name: shape for name, shape in shapes.items() if shape}
     assert several == {"following": (len(Phase), 3)} | dict.fromkeys(
-        ("lower", "upper", "greatest_speed", "stop_deceleration", "stop_speed"), (3,)
+        ("lower", "upper", "max_speed", "stop_deceleration", "stop_speed"), (3,)
     )
 
 
@@ -257,7 +257,7 @@ def test_working_range(phase: Phase, joint: int, charging: bool) -> None:
 @each_phase
 @each_joint
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_greatest_speed(phase: Phase, joint: int, sign: float) -> None:
+def test_max_speed(phase: Phase, joint: int, sign: float) -> None:
     motion = Motion(phase=phase)
     broken = nth(Cause.SHOULDER_SPEED, joint)
     motion.estimator["velocity"] *= sign
@@ -269,11 +269,11 @@ def test_greatest_speed(phase: Phase, joint: int, sign: float) -> None:
         (nan, broken),
         (inf, Cause.NONE),
     ):
-        motion.parameters["greatest_speed"][0, joint] = value
+        motion.parameters["max_speed"][0, joint] = value
         assert motion.cause() is expected
     for value in (nan, inf, -inf):
         motion.estimator["velocity"][0, joint] = value
-        motion.parameters["greatest_speed"] = 1e3
+        motion.parameters["max_speed"] = 1e3
         assert motion.cause() is broken
 
 
@@ -371,8 +371,8 @@ def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
         ({"ground": -0.5, "clearance": 1.0, "ball_window": below(1.0)}, Cause.GROUND),
         ({"frame_radius": 1.0}, Cause.NONE),
         ({"frame_radius": above(1.0)}, Cause.FRAME),
-        ({"least_lever": 1.0}, Cause.NONE),
-        ({"least_lever": above(1.0)}, Cause.WRIST_LEVER),
+        ({"min_lever": 1.0}, Cause.NONE),
+        ({"min_lever": above(1.0)}, Cause.WRIST_LEVER),
     ],
 )
 def test_what_is_just_clear_is_clear(changes: dict[str, float], cause: Cause) -> None:
@@ -445,9 +445,9 @@ def test_lever_of_the_wrist(phase: Phase, side: float) -> None:
     ):
         angle = (0.5, 4.25, 1.5 * pi + side * beta)
         motion = Motion(phase=phase, estimator=moving(angle), reference=np.array(angle))
-        motion.parameters["least_lever"] = 0.15
+        motion.parameters["min_lever"] = 0.15
         assert motion.cause() is expected
-        motion.parameters["least_lever"] = nan
+        motion.parameters["min_lever"] = nan
         assert motion.cause() is Cause.WRIST_LEVER
 
 
@@ -456,12 +456,12 @@ def test_the_first_broken_limit_is_the_cause() -> None:
     p = motion.parameters
     motion.readings["supply_pressure"] = 0.0
     p["lower"][0, 2] = 50.0
-    p["following"], p["ground"], p["greatest_speed"][0, 1] = -1.0, 100.0, 0.0
+    p["following"], p["ground"], p["max_speed"][0, 1] = -1.0, 100.0, 0.0
     mends: tuple[Callable[[], None], ...] = (
         lambda: setattr(motion, "step", 0.001),
         lambda: motion.readings.__setitem__("supply_pressure", 8e5),
         lambda: p.__setitem__("following", 1e3),
-        lambda: p.__setitem__("greatest_speed", 1e3),
+        lambda: p.__setitem__("max_speed", 1e3),
         lambda: p.__setitem__("lower", -100.0),
         lambda: p.__setitem__("ground", -100.0),
     )
@@ -588,8 +588,8 @@ def test_compiled_and_plain_code_agree(
     p, e, r = generous(), moving(angle), readings()
     p["lower"], p["upper"] = (-1.5, 0.0, 4.8), (1.5, 0.4, 6.2)
     p["following"], p["stop_deceleration"], p["stop_speed"] = 0.4, (60.0, 15.0, 150.0), (9.0, 5.0, 34.0)
-    p["greatest_speed"], p["ground"] = (26.0, 6.0, 48.0), ground
-    p["frame_radius"], p["least_lever"] = radius, 0.15
+    p["max_speed"], p["ground"] = (26.0, 6.0, 48.0), ground
+    p["frame_radius"], p["min_lever"] = radius, 0.15
     e["velocity"], e["without_sample"], r["supply_pressure"] = velocity, silence, pressure
     reference = np.array(angle) + np.array(miss)
     robot = ROBOT.record

@@ -684,7 +684,7 @@ def test_any_readings_at_any_time_give_a_bounded_command(
 ) -> None:
     puppet = puppets[phase]
     state, good, time = copied(puppet.state), puppet.readings.copy(), puppet.time
-    greatest = float(puppet.parameters.envelope["greatest_opening"][0])
+    greatest = float(puppet.parameters.envelope["max_opening"][0])
     command, cycle = new_record(COMMAND), new_record(CYCLE)
     for interval, changes, lags, request in ticks:
         time += interval
