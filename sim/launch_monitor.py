@@ -212,6 +212,8 @@ class SimulatedMonitor:
         self._connected = False
         self._next_attempt = self._next_heartbeat = -float("inf")
         self._unsent = bytearray()
+        self._in_flight: list[_Outgoing] = []
+        """Shots whose message is in `_unsent`; a dropped connection puts them back."""
 
     @property
     def connected(self) -> bool:
@@ -244,6 +246,8 @@ class SimulatedMonitor:
             self._connection.close()
         self._connection, self._connected = None, False
         self._unsent.clear()
+        self._waiting[:0] = self._in_flight
+        self._in_flight.clear()
 
     def _step(self, time: float) -> None:
         if self._connection is None and time >= self._next_attempt:
@@ -265,14 +269,17 @@ class SimulatedMonitor:
             options = {"ContainsBallData": False, "ContainsClubData": False, "IsHeartBeat": True}
             self._unsent += _root(self._number, self.parameters, options, {})
         while self._waiting and self._waiting[0].due <= time:
-            self._unsent += self._waiting.pop(0).message
-            self.sent += 1
+            self._in_flight.append(self._waiting.pop(0))
+            self._unsent += self._in_flight[-1].message
         with suppress(BlockingIOError):
             while self._unsent:
                 piece = self._unsent[:_PIECE] if self.parameters.pieces else self._unsent
                 del self._unsent[: self._connection.send(piece)]
                 if self.parameters.pieces:
                     break  # the rest at the next step
+        if not self._unsent:
+            self.sent += len(self._in_flight)
+            self._in_flight.clear()
         with suppress(BlockingIOError):
             if not (answer := self._connection.recv(65_536)):
                 raise ConnectionError("closed")

@@ -157,10 +157,10 @@ def test_the_drawing_of_floors_is_the_contracts() -> None:
     assert _floors((ROOT / "bench/README.md").read_text()) == contracts
 
 
-def test_twenty_changes_name_their_files() -> None:
+def test_at_least_twenty_changes_name_their_files() -> None:
     table = _section("bench/README.md", "Where do I change")
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
-    assert len(rows) == 20
+    assert len(rows) >= 20
     assert [row for row in rows if not PATH_IN_TEXT.search(row)] == []
 
 

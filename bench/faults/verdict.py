@@ -116,7 +116,7 @@ def judge_case(
         head_share=round(head_share, 4),
         rest_ticks=run.rest_tick if run.rest_tick < len(cycles) - 1 else -1,
         operator=CAUSE_TEXT[cause] if cause else "; ".join(run.refusals) or "nothing",
-        record=f"{final.name}, trip {cause.name}" + (f", reaction {reaction}" if reaction else ""),
+        record=f"{final.name}, trip {_trips(cycles, cause)}" + (f", reaction {reaction}" if reaction else ""),
         change=change,
     )
 
@@ -135,6 +135,13 @@ def _detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int, str, int
     if run.device_passive >= 0 and reacted < 0:
         reaction, reacted = "PASSIVE (valve node)", run.device_passive
     return detected_by, tripped, reaction, reacted
+
+
+def _trips(cycles: Cycles, last: Cause) -> str:
+    """Return the latched causes in order: trapped pressure takes the place of the first one."""
+    _, first = np.unique(cycles["trip"], return_index=True)
+    names = [Cause(int(cycles["trip"][row])).name for row in sorted(first) if cycles["trip"][row] != 0]
+    return " then ".join(dict.fromkeys([*names, last.name]))
 
 
 def _first(mask: NDArray[np.bool_]) -> int:

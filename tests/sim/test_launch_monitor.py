@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -177,3 +179,27 @@ def test_it_comes_again_when_the_server_was_away(server: LaunchMonitorServer) ->
 def test_parameters_are_checked() -> None:
     with pytest.raises(ValueError, match="missing"):
         MonitorParameters(missing=1.5)
+
+
+def test_a_shot_whose_connection_drops_while_it_is_sent_is_sent_again(
+    server: LaunchMonitorServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monitor, deadline = SimulatedMonitor(EXACT, *server.address), time.monotonic() + 10.0
+    try:
+        while not monitor.connected:
+            monitor.step(0.0)
+            assert time.monotonic() < deadline
+        monitor.see(STRUCK, 0.0)
+        with monkeypatch.context() as dropped:
+            dropped.setattr(socket.socket, "send", Mock(side_effect=ConnectionResetError))
+            monitor.step(9.0)
+        assert (monitor.connected, monitor.sent, monitor.waiting) == (False, 0, 1)
+        now = 9.0
+        while not (records := server.take()):
+            now += RECONNECT / 2
+            monitor.step(now)
+            assert time.monotonic() < deadline
+        assert [record.number for record in records] == [2]
+        assert (monitor.sent, monitor.waiting) == (1, 0)
+    finally:
+        monitor.close()

@@ -346,7 +346,7 @@ def test_a_stored_shot_that_the_plan_did_not_have_is_refused(make: Callable[...,
     bench = make()
     bench.run(Scripted(), batch=4)
     bench.plan = replace(bench.plan, design=replace(bench.plan.design, seed=99))
-    with pytest.raises(BenchError, match="do not belong together"):
+    with pytest.raises(BenchError, match="do not belong to its plan"):
         bench.run(Scripted())
 
 
