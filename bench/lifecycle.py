@@ -92,7 +92,7 @@ REFUSAL_TEXT = {
     Refusal.GUARD: "the guard is open or not locked: close it",
     Refusal.READINGS: "an encoder gives no valid readings: check cables and supply",
     Refusal.NOT_AT_ADDRESS: "the robot does not rest at its address yet: wait, then ask again",
-    Refusal.NO_LEASE: "nobody holds the bench: take the lease",
+    Refusal.NO_LEASE: "the lease is not held: take it",
     Refusal.SUPPORT: "the recorder or the publisher is not running: nothing is armed without a record",
     Refusal.NOT_VENTED: "the chambers are not proven empty yet: wait, then ask again",
     Refusal.LOCAL_RESET: "press the reset button beside the robot, then ask again",

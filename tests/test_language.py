@@ -35,21 +35,9 @@ WHOLE = {
 """Longer functions that read better whole: derivations, and the integration of one tick."""
 
 PENDING = {
-    "bench/campaign/live.py:_taken",
-    "bench/commands/calibrate.py:encoders",
-    "bench/commands/compare.py:compare",
-    "bench/commands/faults.py:run",
-    "bench/commands/identify.py:identify",
-    "bench/commands/launch_monitor.py:launch_monitor",
-    "bench/commands/learn.py:learn",
-    "bench/commands/swing.py:design",
-    "bench/commands/tune.py:tune",
     "bench/control/encoder.py:decode_encoders",
     "bench/control/step.py:estimate_tick",
-    "bench/design/designer.py:design_downswing",
     "bench/design/optimal_control.py:solve_downswing",
-    "bench/learning/identify.py:identify",
-    "bench/swing/profile.py:_check",
 }
 """Longer functions that are still to be split, or named above: add none."""
 

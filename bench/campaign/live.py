@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -36,18 +36,20 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.processes.bench_folder import bench_folder
-from bench.shot.recorded_shot import ball_struck, delivery_of_cycles, plant_of
+from bench.shot.recorded_shot import FlightConditions, ball_struck, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import told_figures
 from bench.shot.shot_message import ShotMessage, launch_to_json
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
+from drivers.base import Launch
 from drivers.base.shared_record import SharedMemoryError
 from sim.air import Air
 from sim.ball import Ball
-from sim.flight import fly
+from sim.flight import Flight, fly
 from sim.impact import Delivery, strike
 from sim.live.surroundings import SurroundingsWriter
+from sim.plant import PlantParameters
 from sim.robot import Club
 
 HOLDER = "campaign "
@@ -58,7 +60,7 @@ _READY = 60.0
 """Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
 _SWING = 60.0
 """Max duration of a swing, until the robot is back or stands, s."""
-NO_WORD = "the launch monitor's process told nothing of the swing"
+NO_WORD = "the launch monitor's process did not report the swing"
 _RESETS = 3
 """Max number of automatic resets of a simulated bench before one shot."""
 
@@ -435,71 +437,111 @@ class LiveShots:
         message: ShotMessage | None,
         events: Events,
     ) -> Taken:
-        arm, row = step.trial.arm, _row(step, number, sample)
+        """Return the shot of the swing in `record`; a failed one if None."""
         if record is None:
             taken = self._untaken(step, number, sample, events, f"no record of it within {STORED:g} s")
             return taken._replace(struck=True)
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
-        if (mounted := plant.robot.club).name != arm.club:
-            if not felt_alike(self._plan.clubs[arm.club], self._clubs.get(mounted.name)):
-                raise Suspended(f"the bench swings club {mounted.name}, the plan {arm.club}")
-            mounted = with_face_of(mounted, self._plan.clubs[arm.club])
-            plant = replace(plant, robot=replace(plant.robot, club=mounted))
+        plant = self._with_planned_club(plant, step.trial.arm.club)
         delivery, struck = delivery_of_cycles(cycles, plant), ball_struck(cycles)
-        reason = _failure(metadata, delivery, struck)
-        status = ShotStatus.FAILED if reason else ShotStatus.VALID
-        if not reason and not metadata["complete"]:
-            status, reason = (
-                ShotStatus.EXCLUDED,
-                f"{metadata['lost_records']} cycles of its record are missing",
-            )
-        ball, more = self._plan.balls[arm.ball], dict[str, Any]()
+        status, reason = _judged(metadata, delivery, struck)
+        ball, more = self._plan.balls[step.trial.arm.ball], dict[str, Any]()
         if self.simulated:
             ball = self._ball_as_hit(step, number, sample)
             more["varied"] = {
                 "restitution_factor": ball.restitution_factor,
                 "struck_in_the_plant": ball.name if self._ball_chosen else plant.ball.name,
             }
-        launch, figures, doubt = None, dict[str, Any](), ""
         air = around.air if self.simulated else self._air()
         if self._monitored:
-            doubt = NO_WORD if message is None else message.reason
-            if message is not None and message.launch is not None:
-                figures, launch = told_figures(message.launch), message.launch.launch
-                more["launch"] = launch_to_json(message.launch)
-        elif self.simulated and delivery is not None and struck:
-            draws = random_of(self._plan, number).standard_normal(6)
-            try:
-                launch = monitored(self._plan.simulation, strike(delivery, plant.robot.club, ball), draws[2:])
-            except ValueError as error:
-                doubt = f"no launch: {error}"
-        flight = None
-        if launch is not None and not doubt:
-            try:
-                flight = fly(launch, air or around.air, ball, around.wind, around.turf)
-            except ValueError as error:
-                doubt = f"no flight: {error}"
+            seen = _reported(message)
+            more |= seen.metadata
+        else:
+            hit = delivery if self.simulated and struck else None
+            seen = self._modelled(number, hit, plant.robot.club, ball)
+        flight, doubt = None, seen.doubt
+        if seen.launch is not None and not doubt:
+            flight, doubt = _flown(seen.launch, around if air is None else replace(around, air=air), ball)
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt
-        if air is not None:
-            row |= {
-                "air_temperature_k": air.temperature,
-                "air_pressure_pa": air.pressure,
-                "relative_humidity": air.relative_humidity,
-            }
         shot = Shot.from_measurements(
-            **row,
+            **_row(step, number, sample),
+            **_air_columns(air),
             delivery=delivery,
-            launch=launch,
+            launch=seen.launch,
             flight=flight,
             status=status,
             reason=reason,
             time_utc=datetime.fromisoformat(metadata["time_utc"]),
         )
-        shot = replace(shot, **figures)
+        shot = replace(shot, **seen.figures)
         metadata |= {"record": record.path.name, **more}
         return Taken(shot, cycles, metadata, struck, events, original=record.path)
+
+    def _with_planned_club(self, plant: PlantParameters, name: str) -> PlantParameters:
+        """Return `plant` with club `name` of the plan; the mounted one may differ in its face only.
+
+        Raises:
+            Suspended: the bench swings another club.
+        """
+        mounted, planned = plant.robot.club, self._plan.clubs[name]
+        if mounted.name == name:
+            return plant
+        if not felt_alike(planned, self._clubs.get(mounted.name)):
+            raise Suspended(f"the bench swings club {mounted.name}, the plan {name}")
+        return replace(plant, robot=replace(plant.robot, club=with_face_of(mounted, planned)))
+
+    def _modelled(self, number: int, delivery: Delivery | None, club: Club, ball: Ball) -> _SeenLaunch:
+        """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
+        if delivery is None:
+            return _SeenLaunch(None, "", {}, {})
+        draws = random_of(self._plan, number).standard_normal(6)
+        try:
+            launch = monitored(self._plan.simulation, strike(delivery, club, ball), draws[2:])
+        except ValueError as error:
+            return _SeenLaunch(None, f"no launch: {error}", {}, {})
+        return _SeenLaunch(launch, "", {}, {})
+
+
+class _SeenLaunch(NamedTuple):
+    """Launch of a shot as the launch monitor has it."""
+
+    launch: Launch | None
+    doubt: str
+    """Reason to exclude the shot; empty without one."""
+    figures: dict[str, Any]
+    """Columns of the shot that the monitor measured."""
+    metadata: dict[str, Any]
+
+
+def _reported(message: ShotMessage | None) -> _SeenLaunch:
+    """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
+    if message is None:
+        return _SeenLaunch(None, NO_WORD, {}, {})
+    if message.launch is None:
+        return _SeenLaunch(None, message.reason, {}, {})
+    metadata = {"launch": launch_to_json(message.launch)}
+    return _SeenLaunch(message.launch.launch, message.reason, told_figures(message.launch), metadata)
+
+
+def _flown(launch: Launch, around: FlightConditions, ball: Ball) -> tuple[Flight | None, str]:
+    """Return the flight of `ball`, or None with the reason."""
+    try:
+        return fly(launch, around.air, ball, around.wind, around.turf), ""
+    except ValueError as error:
+        return None, f"no flight: {error}"
+
+
+def _air_columns(air: Air | None) -> dict[str, Any]:
+    """Return the columns of the measured `air`."""
+    if air is None:
+        return {}
+    return {
+        "air_temperature_k": air.temperature,
+        "air_pressure_pa": air.pressure,
+        "relative_humidity": air.relative_humidity,
+    }
 
 
 def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
@@ -527,6 +569,15 @@ def _suspending() -> Iterator[None]:
         yield
     except BenchError as error:
         raise Suspended(f"{error.place}: {error.found}") from error
+
+
+def _judged(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> tuple[ShotStatus, str]:
+    """Return the status of a swing's shot by its record, and the reason unless it is valid."""
+    if reason := _failure(metadata, delivery, struck):
+        return ShotStatus.FAILED, reason
+    if not metadata["complete"]:
+        return ShotStatus.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
+    return ShotStatus.VALID, ""
 
 
 def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> str:

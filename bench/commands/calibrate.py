@@ -38,38 +38,45 @@ Note = Annotated[str, typer.Option(metavar="TEXT", help="Remark.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
+AngleUncertainty = Annotated[
+    float, typer.Option(metavar="DEG", help="Standard uncertainty of each angle zero.")
+]
+ZeroCounts = Annotated[
+    Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Counts at joint angle zero.")
+]
+LockedPose = Annotated[
+    Three | None,
+    typer.Option(
+        metavar="SHOULDER ARM WRIST",
+        help="Angles (deg) at which the robot is locked, at its mechanical reference.",
+    ),
+]
+Counts = Annotated[
+    tuple[int, int, int] | None,
+    typer.Option(
+        metavar="SHOULDER ARM WRIST",
+        help="Encoder counts at that pose.",
+        show_default="read from the running bench",
+    ),
+]
+Signs = Annotated[
+    tuple[int, int, int] | None,
+    typer.Option(
+        metavar="SHOULDER ARM WRIST",
+        help="Sign of each encoder: -1 if its count falls as the angle rises.",
+        show_default="as in force",
+    ),
+]
+
+
 @app.command()
 def encoders(
     context: typer.Context,
-    uncertainty_deg: Annotated[
-        float, typer.Option(metavar="DEG", help="Standard uncertainty of each angle zero.")
-    ],
-    zero_counts: Annotated[
-        Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Counts at joint angle zero.")
-    ] = None,
-    from_pose: Annotated[
-        Three | None,
-        typer.Option(
-            metavar="SHOULDER ARM WRIST",
-            help="Angles (deg) at which the robot is locked, at its mechanical reference.",
-        ),
-    ] = None,
-    counts: Annotated[
-        tuple[int, int, int] | None,
-        typer.Option(
-            metavar="SHOULDER ARM WRIST",
-            help="Encoder counts at that pose.",
-            show_default="read from the running bench",
-        ),
-    ] = None,
-    sign: Annotated[
-        tuple[int, int, int] | None,
-        typer.Option(
-            metavar="SHOULDER ARM WRIST",
-            help="Sign of each encoder: -1 if its count falls as the angle rises.",
-            show_default="as in force",
-        ),
-    ] = None,
+    uncertainty_deg: AngleUncertainty,
+    zero_counts: ZeroCounts = None,
+    from_pose: LockedPose = None,
+    counts: Counts = None,
+    sign: Signs = None,
     method: Method = "",
     by: By = None,
     expires_days: Days = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,35 +15,42 @@ if TYPE_CHECKING:
 
     from bench.learning.compare import Compared
     from bench.learning.figures import Figures
+    from bench.simulation.series import Bench
     from sim.plant import PlantParameters
+
+
+ProfileName = Annotated[
+    str | None,
+    typer.Argument(metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"),
+]
+RobotName = Annotated[
+    Literal["nominal", "worn", "both"],
+    typer.Option(
+        help="The configured robot; or a worn one: friction +40 %, valve flow -8 %, supply -4 %, head "
+        "+10 g, vane +3 %, encoders 1 ms later."
+    ),
+]
+Draw = Annotated[
+    int | None,
+    typer.Option(
+        metavar="SEED",
+        min=0,
+        help="Seed of a random robot within 10 % of the configured one, used instead.",
+    ),
+]
+Swings = Annotated[int, typer.Option(min=1, max=100, help="Swings with each controller.")]
+Learning = Annotated[bool, typer.Option(help="Also compare with learned openings.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def compare(
     context: typer.Context,
-    profile: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"
-        ),
-    ] = None,
-    robot: Annotated[
-        Literal["nominal", "worn", "both"],
-        typer.Option(
-            help="The configured robot; or a worn one: friction +40 %, valve flow -8 %, supply -4 %, head "
-            "+10 g, vane +3 %, encoders 1 ms later."
-        ),
-    ] = "both",
-    draw: Annotated[
-        int | None,
-        typer.Option(
-            metavar="SEED",
-            min=0,
-            help="Seed of a random robot within 10 % of the configured one, used instead.",
-        ),
-    ] = None,
-    swings: Annotated[int, typer.Option(min=1, max=100, help="Swings with each controller.")] = 3,
-    learning: Annotated[bool, typer.Option(help="Also compare with learned openings.")] = True,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    profile: ProfileName = None,
+    robot: RobotName = "both",
+    draw: Draw = None,
+    swings: Swings = 3,
+    learning: Learning = True,
+    json_: Json = False,
 ) -> None:
     """Compare controllers on one swing: PIDs alone, with feed-forward by the model, and with learning.
 
@@ -52,12 +60,10 @@ def compare(
 
     from rich.console import Console
 
-    from bench.commands.progress import progress_bar
     from bench.design.validate import require_possible
-    from bench.learning.compare import compare as compared
-    from bench.learning.compare import controllers, planned_figures, problem_of
+    from bench.learning.compare import planned_figures
     from bench.simulation.series import Bench
-    from bench.simulation.variation import WORN, drawn
+    from bench.simulation.variation import drawn
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
@@ -67,11 +73,39 @@ def compare(
     require_possible(swing, plant, configuration.envelope, str(path))
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     planned = planned_figures(bench)
-    robots: dict[str, PlantParameters] = {"nominal": plant, "worn": WORN.applied_to(plant)}
     if draw is not None:
         robots = {f"drawn {draw}": drawn(draw, plant).applied_to(plant)}
-    elif robot != "both":
-        robots = {robot: robots[robot]}
+    else:
+        robots = _robots_named(robot, plant)
+    rows = _compared_on(robots, bench, swings, learning)
+    if json_:
+        records = {name: [compared_record(row) for row in found] for name, found in rows.items()}
+        record = {"profile": swing.name, "swings": swings, "planned": planned.shown, "robots": records}
+        typer.echo(json.dumps(record, indent=2))
+        return
+    console = Console()
+    for name, found in rows.items():
+        console.print(compared_table(f"{swing.name} on the {name} robot, mean of {swings} swings", found))
+        console.print(*notes(found), "", sep="\n", highlight=False)
+    console.print(_legend(planned), highlight=False)
+
+
+def _robots_named(name: str, plant: PlantParameters) -> dict[str, PlantParameters]:
+    """Return the nominal robot `plant`, the worn one, or both, by name."""
+    from bench.simulation.variation import WORN
+
+    robots = {"nominal": plant, "worn": WORN.applied_to(plant)}
+    return robots if name == "both" else {name: robots[name]}
+
+
+def _compared_on(
+    robots: Mapping[str, PlantParameters], bench: Bench, swings: int, learning: bool
+) -> dict[str, list[Compared]]:
+    """Swing each of `robots` with each controller; return the controllers' results by robot."""
+    from bench.commands.progress import progress_bar
+    from bench.learning.compare import compare as compared
+    from bench.learning.compare import controllers, problem_of
+
     rows: dict[str, list[Compared]] = {}
     with progress_bar() as bar:
         problem = None
@@ -87,16 +121,7 @@ def compare(
 
             rows[name] = compared(bench, truth, swings, problem, show)
             bar.update(task, completed=each + 1)
-    if json_:
-        told = {name: [compared_record(row) for row in found] for name, found in rows.items()}
-        record = {"profile": swing.name, "swings": swings, "planned": planned.shown, "robots": told}
-        typer.echo(json.dumps(record, indent=2))
-        return
-    console = Console()
-    for name, found in rows.items():
-        console.print(compared_table(f"{swing.name} on the {name} robot, mean of {swings} swings", found))
-        console.print(*notes(found), "", sep="\n", highlight=False)
-    console.print(_legend(planned), highlight=False)
+    return rows
 
 
 def compared_record(row: Compared) -> dict[str, Any]:
@@ -176,9 +201,9 @@ def _legend(planned: Figures) -> str:
     return (
         "Each row adds one thing to the one above; planned: the profile's own openings instead.\n"
         f"Planned: strike {shown['strike_mm']:+.1f} mm, {shown['head_speed_mps']:.2f} m/s, lean "
-        f"{shown['shaft_lean_deg']:+.2f}°, attack {shown['attack_angle_deg']:+.2f}°; told is what the "
-        "delivery at the ball is off it.\n"
+        f"{shown['shaft_lean_deg']:+.2f}°, attack {shown['attack_angle_deg']:+.2f}°; deviations of the "
+        "delivery at the ball are relative to it.\n"
         "Tracking: rms of shoulder·arm·wrist in the downswing; head: the same of its way; sat.: ticks of the "
         "downswing with a valve at its limit; air: litres ANR a swing. Following errors stop no swing here; "
-        "where the bench would stop is told."
+        "a note says where the bench would stop."
     )

@@ -23,30 +23,41 @@ def faults() -> None:
     """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
 
 
+ProfileName = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path.")]
+Output = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
+]
+Signals = Annotated[
+    list[str] | None,
+    typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable."),
+]
+Phases = Annotated[
+    list[str] | None, typer.Option(metavar="PHASE", help="Only faults in this phase; repeatable.")
+]
+ModelCheck = Annotated[
+    bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
+]
+Compare = Annotated[
+    bool,
+    typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check."),
+]
+Quick = Annotated[bool, typer.Option("--quick", help="One instant per phase only.")]
+Processes = Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
 @app.command()
 def run(
     context: typer.Context,
-    profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path.")] = "default",
-    output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
-    ] = None,
-    signal: Annotated[
-        list[str] | None,
-        typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable."),
-    ] = None,
-    phase: Annotated[
-        list[str] | None, typer.Option(metavar="PHASE", help="Only faults in this phase; repeatable.")
-    ] = None,
-    model_check: Annotated[
-        bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
-    ] = True,
-    compare: Annotated[
-        bool,
-        typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check."),
-    ] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="One instant per phase only.")] = False,
-    processes: Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")] = 0,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    profile: ProfileName = "default",
+    output: Output = None,
+    signal: Signals = None,
+    phase: Phases = None,
+    model_check: ModelCheck = True,
+    compare: Compare = False,
+    quick: Quick = False,
+    processes: Processes = 0,
+    json_: Json = False,
 ) -> None:
     """Run the fault matrix; results of earlier runs with the same sources are reused.
 

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from bench.commands.session import Session
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from bench.learning.identify import Identified
+
+
+Records = Annotated[
+    list[Path], typer.Argument(metavar="RECORD...", help="Parquet files of swings of one profile.")
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
 
 def identify(
     context: typer.Context,
-    records: Annotated[
-        list[Path], typer.Argument(metavar="RECORD...", help="Parquet files of swings of one profile.")
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml."),
-    ] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    records: Records,
+    output: Output = None,
+    json_: Json = False,
 ) -> None:
     """Identify friction, valve flow, dead volumes, supply, vane, club and latency from recorded swings.
 
@@ -27,13 +37,10 @@ def identify(
     """
     import json
 
-    from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Table
 
     from bench.commands.progress import progress_bar
     from bench.errors import BenchError
-    from bench.learning.identify import NAMES
     from bench.learning.identify import identify as identified
     from bench.learning.plant_file import plant_file, write_plant_file
     from bench.learning.recorded import read_recorded
@@ -62,22 +69,37 @@ def identify(
         robot = found.variation(bench).applied_to(bench.model)
         write_plant_file(output, plant_file(robot, found, configuration))
     if json_:
-        rows = zip(NAMES, found.values.tolist(), found.error.tolist(), found.known.tolist(), strict=True)
-        fields = ("name", "value", "standard_error", "identified")
-        told = [dict(zip(fields, row, strict=True)) for row in rows]
-        typer.echo(json.dumps({"parameters": told, "before": found.before, "after": found.after}, indent=2))
+        typer.echo(json.dumps(_record(found), indent=2))
         return
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"identified from {len(recorded)} swings")
+    console = Console()
+    console.print(_table(found, f"identified from {len(recorded)} swings"))
+    console.print(
+        f"Factors on the configured robot. Simulated swings were off by {found.before:.1f} times what swings "
+        f"alike differ by, and are by {found.after:.1f} times now.",
+        highlight=False,
+    )
+
+
+def _record(found: Identified) -> dict[str, Any]:
+    from bench.learning.identify import NAMES
+
+    rows = zip(NAMES, found.values.tolist(), found.error.tolist(), found.known.tolist(), strict=True)
+    fields = ("name", "value", "standard_error", "identified")
+    parameters = [dict(zip(fields, row, strict=True)) for row in rows]
+    return {"parameters": parameters, "before": found.before, "after": found.after}
+
+
+def _table(found: Identified, title: str) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from bench.learning.identify import NAMES
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title)
     for column in ("parameter", "value", "standard error", ""):
         table.add_column(column, justify="left" if column in ("parameter", "") else "right")
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
         unit = ("{:+.2f} ms", "{:.2f} ms") if name == NAMES[-1] else ("{:.3f}", "{:.3f}")
         note = "" if known else "not identified"
         table.add_row(name, unit[0].format(value), unit[1].format(error), note)
-    console = Console()
-    console.print(table)
-    console.print(
-        f"Factors on the configured robot. Simulated swings were off by {found.before:.1f} times what swings "
-        f"alike differ by, and are by {found.after:.1f} times now.",
-        highlight=False,
-    )
+    return table

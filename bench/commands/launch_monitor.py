@@ -32,39 +32,51 @@ class NoPlant(BenchError):
     exit_code = ExitCode.DEVICE
 
 
+Seed = Annotated[int, typer.Option(min=0, help="Seed of noise and faults.")]
+Drop = Annotated[
+    list[int] | None,
+    typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable."),
+]
+Missing = Annotated[float, _share("balls without a message")]
+Misread = Annotated[float, _share("balls with one wrong value")]
+Double = Annotated[float, _share("balls measured and sent twice")]
+Repeated = Annotated[float, _share("messages sent again")]
+NoSpin = Annotated[float, _share("balls without spin")]
+Ghost = Annotated[float, _share("balls followed by a ghost ball")]
+Club = Annotated[bool, typer.Option("--club", help="Also send club speed and attack angle.")]
+Noise = Annotated[
+    float,
+    typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none."),
+]
+Delay = Annotated[float, typer.Option(min=0.0, max=30.0, metavar="S", help="Delay from impact to message.")]
+Pieces = Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")]
+TextNumbers = Annotated[bool, typer.Option("--text", help="Send numbers as text, and spin as components.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder of the plant's shared records (golfbench nodes --folder).",
+        show_default="the bench's",
+    ),
+]
+
+
 def launch_monitor(
     context: typer.Context,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of noise and faults.")] = 1,
-    drop: Annotated[
-        list[int] | None,
-        typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable."),
-    ] = None,
-    missing: Annotated[float, _share("balls without a message")] = 0.0,
-    misread: Annotated[float, _share("balls with one wrong value")] = 0.0,
-    double: Annotated[float, _share("balls measured and sent twice")] = 0.0,
-    repeated: Annotated[float, _share("messages sent again")] = 0.0,
-    no_spin: Annotated[float, _share("balls without spin")] = 0.0,
-    ghost: Annotated[float, _share("balls followed by a ghost ball")] = 0.0,
-    club: Annotated[bool, typer.Option("--club", help="Also send club speed and attack angle.")] = False,
-    noise: Annotated[
-        float,
-        typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none."),
-    ] = 1.0,
-    delay: Annotated[
-        float, typer.Option(min=0.0, max=30.0, metavar="S", help="Delay from impact to message.")
-    ] = 0.6,
-    pieces: Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")] = False,
-    text: Annotated[
-        bool, typer.Option("--text", help="Send numbers as text, and spin as components.")
-    ] = False,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the plant's shared records (golfbench nodes --folder).",
-            show_default="the bench's",
-        ),
-    ] = None,
+    seed: Seed = 1,
+    drop: Drop = None,
+    missing: Missing = 0.0,
+    misread: Misread = 0.0,
+    double: Double = 0.0,
+    repeated: Repeated = 0.0,
+    no_spin: NoSpin = 0.0,
+    ghost: Ghost = 0.0,
+    club: Club = False,
+    noise: Noise = 1.0,
+    delay: Delay = 0.6,
+    pieces: Pieces = False,
+    text: TextNumbers = False,
+    folder: Folder = None,
 ) -> None:
     """Simulate a launch monitor for a simulated bench until Ctrl-C or SIGTERM.
 

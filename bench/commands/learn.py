@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -12,92 +12,138 @@ from bench.commands.session import Session
 from bench.learning.source import Source
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
     from rich.table import Table
 
-    from bench.learning.learn import LearningResult
+    from bench.config import Configuration
+    from bench.learning.learn import LearningProblem, LearningResult, Swinger
+    from bench.learning.recorded import Recorded
     from bench.learning.store import Learned
-
+    from bench.simulation.series import Bench
+    from sim.plant import PlantParameters
 
 _FACE = 60.0
 """mm from its centre, beyond which no mark is read."""
+_LEARNING = "learning swings"
+"""Text of the bar."""
+
+SwingName = Annotated[str, typer.Argument(metavar="SWING", help="Name or path of a profile.")]
+Simulated = Annotated[
+    bool, typer.Option("--sim", help="Simulate the robot in lock-step, without a running bench.")
+]
+Robot = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Configuration of the robot that really swings; the bench still assumes --config.",
+    ),
+]
+Draw = Annotated[
+    int | None,
+    typer.Option(metavar="SEED", min=0, help="Or seed of a random robot within 10 % of the configured one."),
+]
+IdentifiedRobot = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Output of golfbench identify: start from what was learned on that robot in simulation.",
+    ),
+]
+Records = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="RECORD",
+        help="Record it was identified from, repeatable: corrects what identification missed.",
+    ),
+]
+DeliverySource = Annotated[
+    Source | None,
+    typer.Option(help="Source of the delivery on a running bench.", show_default="encoders+model"),
+]
+Swings = Annotated[int, typer.Option(min=1, max=100, help="Max number of swings.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Also write the corrected profile, .toml, with its table beside it."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def learn(
     context: typer.Context,
-    profile: Annotated[str, typer.Argument(metavar="SWING", help="Name or path of a profile.")],
-    sim: Annotated[
-        bool, typer.Option("--sim", help="Simulate the robot in lock-step, without a running bench.")
-    ] = False,
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Configuration of the robot that really swings; the bench still assumes --config.",
-        ),
-    ] = None,
-    draw: Annotated[
-        int | None,
-        typer.Option(
-            metavar="SEED", min=0, help="Or seed of a random robot within 10 % of the configured one."
-        ),
-    ] = None,
-    identified: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Output of golfbench identify: start from what was learned on that robot in simulation.",
-        ),
-    ] = None,
-    records: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="RECORD",
-            help="Record it was identified from, repeatable: corrects what identification missed.",
-        ),
-    ] = None,
-    source: Annotated[
-        Source | None,
-        typer.Option(help="Source of the delivery on a running bench.", show_default="encoders+model"),
-    ] = None,
-    swings: Annotated[int, typer.Option(min=1, max=100, help="Max number of swings.")] = 12,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Also write the corrected profile, .toml, with its table beside it."
-        ),
-    ] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    profile: SwingName,
+    sim: Simulated = False,
+    robot: Robot = None,
+    draw: Draw = None,
+    identified: IdentifiedRobot = None,
+    records: Records = None,
+    source: DeliverySource = None,
+    swings: Swings = 12,
+    output: Output = None,
+    json_: Json = False,
 ) -> None:
     """Learn a swing by repeating it on the running bench, or with --sim; store the correction.
 
     The target is the profile's delivery on the configured plant. Exits with 1 if it is not reached.
     """
-    import json
     from datetime import UTC, datetime
 
-    from rich.console import Console
-
-    from bench.commands.progress import progress_bar
-    from bench.config import database_url, load_configuration
+    from bench.config import database_url
     from bench.design.planned_openings import require_planned_openings
     from bench.design.validate import require_possible
-    from bench.errors import BenchError, ExitCode
-    from bench.learning.beginning import begun_on
-    from bench.learning.learn import learn as learned
-    from bench.learning.learn import on_series, prepare
-    from bench.learning.learner import LearningSettings
-    from bench.learning.live import LiveSwinger, require_bench
+    from bench.errors import ExitCode
     from bench.learning.recorded import read_recorded
     from bench.learning.store import Conditions, keep, stored
-    from bench.network.client import BenchClient
-    from bench.simulation.series import Bench, Series
-    from bench.simulation.variation import drawn
+    from bench.simulation.series import Bench
     from bench.store.database import open_database
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
-    only = {"--robot": robot, "--draw": draw} if not sim else {"--source": source}
-    for option in (name for name, value in only.items() if value is not None):
+    _require_usable({"--robot": robot, "--draw": draw} if not sim else {"--source": source}, sim)
+    _require_identified(records, identified)
+    recorded = read_recorded(records or [])
+    configuration = context.ensure_object(Session).configuration()
+    require_planned_openings(configuration.control)
+    path = find_profile(profile)
+    swing, plant = load_profile(path), configuration.plant
+    require_possible(swing, plant, configuration.envelope, str(path))
+    truth = _robot(plant, robot, draw)
+    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    measured, origin = source or "encoders+model", _Origin(identified, recorded)
+    if sim:
+        result, simulated = _learn_in_lock_step(bench, truth, origin, swings), True
+    else:
+        result, simulated = _learn_live(configuration, bench, origin, measured, swings)
+    settings, now = configuration.bench, datetime.now(UTC)
+    conditions = Conditions.of(swing, plant, configuration.air.temperature, truth if simulated else None)
+    entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
+    with open_database(database_url(settings.database, settings.data_dir), now) as database:
+        version = keep(database, entry)
+    if output is not None:
+        save_profile(output, result.correction.applied_to(swing))
+    _show(result, entry, version, json_)
+    if not result.within:
+        raise typer.Exit(ExitCode.REFUSED)
+
+
+def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> None:
+    """Print the learning swings, stored as `version`."""
+    import json
+
+    from rich.console import Console
+
+    if json_:
+        typer.echo(json.dumps(entry.record | {"version": version}, indent=2))
+        return
+    console = Console()
+    console.print(_table(result, entry.profile))
+    console.print(_verdict(result, entry, version), highlight=False)
+
+
+def _require_usable(options: Mapping[str, object], sim: bool) -> None:
+    """Refuse any of `options` that is given: they belong to the other kind of bench than `sim`."""
+    from bench.errors import BenchError
+
+    for option in (name for name, value in options.items() if value is not None):
         raise BenchError(
             "learn",
             option,
@@ -105,11 +151,54 @@ def learn(
             "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here."),
         )
 
+
+def _require_identified(records: list[Path] | None, identified: Path | None) -> None:
+    """Refuse `records` without the robot identified from them."""
+    from bench.errors import BenchError
+
     if records and identified is None:
         raise BenchError(
             "learn", "--records", "with --identified only", "Name the robot that they identified."
         )
-    recorded = read_recorded(records or [])
+
+
+def _robot(plant: PlantParameters, file: Path | None, draw: int | None) -> PlantParameters:
+    """Return the robot that swings in simulation: that of `file` or else `plant`, varied by seed `draw`."""
+    from bench.config import load_configuration
+    from bench.simulation.variation import drawn
+
+    robot = plant if file is None else load_configuration(file).plant
+    return robot if draw is None else drawn(draw, robot).applied_to(robot)
+
+
+class _Origin(NamedTuple):
+    """What learning starts from besides the model."""
+
+    identified: Path | None
+    """Configuration of the identified robot; None to start from the model."""
+    recorded: Sequence[Recorded]
+    """Swings that it was identified from."""
+
+
+def _learn_in_lock_step(bench: Bench, robot: PlantParameters, origin: _Origin, swings: int) -> LearningResult:
+    """Learn on the simulated `robot` in at most `swings` swings."""
+    from bench.commands.progress import progress_bar
+    from bench.learning.learn import on_series
+    from bench.simulation.series import Series
+
+    with progress_bar() as bar:
+        problem = _problem(bench, origin, bar)
+        task = bar.add_task(_LEARNING, total=swings + 1)
+        return _result(problem, on_series(problem, Series(bench, robot)), swings, bar, task)
+
+
+def _learn_live(
+    configuration: Configuration, bench: Bench, origin: _Origin, source: Source, swings: int
+) -> tuple[LearningResult, bool]:
+    """Learn on the running bench, set the correction there, and return whether its robot is simulated."""
+    from bench.commands.progress import progress_bar
+    from bench.learning.live import LiveSwinger, require_bench
+    from bench.network.client import BenchClient
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
@@ -121,56 +210,45 @@ def learn(
         finally:
             bar.start()
 
-    configuration = context.ensure_object(Session).configuration()
-    require_planned_openings(configuration.control)
-    path = find_profile(profile)
-    swing, plant = load_profile(path), configuration.plant
-    require_possible(swing, plant, configuration.envelope, str(path))
-    truth = plant if robot is None else load_configuration(robot).plant
-    truth = truth if draw is None else drawn(draw, truth).applied_to(truth)
-    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
-    measured = source or "encoders+model"
-    with ExitStack() as stack, progress_bar() as bar:
-        client = None if sim else stack.enter_context(BenchClient.connect(configuration))
-        if client is not None:
-            require_bench(client.status(), swing, measured)
-        task = bar.add_task("the model's response", total=1.0)
-        problem = prepare(bench, lambda part: bar.update(task, completed=part))
-        bar.update(task, completed=1.0)
-        if identified is not None:
-            task = bar.add_task("the identified robot learns", total=None)
-            problem = begun_on(problem, load_configuration(identified).plant, recorded)
-            bar.update(task, total=1.0, completed=1.0)
-        task = bar.add_task("learning swings", total=swings + 1)
-        live = None
-        if client is not None:
-            live = stack.enter_context(LiveSwinger(client, problem, measured, say, ask_mark))
-        swinger = live or on_series(problem, Series(bench, truth))
-        result = learned(
-            problem,
-            swinger,
-            LearningSettings(swings=swings),
-            on_attempt=lambda attempt: bar.update(task, advance=1),
-        )
-        if live is not None:
+    with progress_bar() as bar, BenchClient.connect(configuration) as client:
+        require_bench(client.status(), bench.profile, source)
+        problem = _problem(bench, origin, bar)
+        task = bar.add_task(_LEARNING, total=swings + 1)
+        with LiveSwinger(client, problem, source, say, ask_mark) as live:
+            result = _result(problem, live, swings, bar, task)
             live.correct(result.weights)
-    settings, now = configuration.bench, datetime.now(UTC)
-    simulated = live is None or live.simulated
-    temperature = configuration.air.temperature
-    conditions = Conditions.of(swing, plant, temperature, truth if simulated else None)
-    entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
-    with open_database(database_url(settings.database, settings.data_dir), now) as database:
-        version = keep(database, entry)
-    if output is not None:
-        save_profile(output, result.correction.applied_to(swing))
-    if json_:
-        typer.echo(json.dumps(entry.record | {"version": version}, indent=2))
-    else:
-        console = Console()
-        console.print(_table(result, swing.name))
-        console.print(_verdict(result, entry, version), highlight=False)
-    if not result.within:
-        raise typer.Exit(ExitCode.REFUSED)
+        return result, live.simulated
+
+
+def _problem(bench: Bench, origin: _Origin, bar: Progress) -> LearningProblem:
+    """Return the model's response, or that of the identified robot once it has learned."""
+    from bench.config import load_configuration
+    from bench.learning.beginning import begun_on
+    from bench.learning.learn import prepare
+
+    task = bar.add_task("the model's response", total=1.0)
+    problem = prepare(bench, lambda part: bar.update(task, completed=part))
+    bar.update(task, completed=1.0)
+    if origin.identified is not None:
+        task = bar.add_task("the identified robot learns", total=None)
+        problem = begun_on(problem, load_configuration(origin.identified).plant, origin.recorded)
+        bar.update(task, total=1.0, completed=1.0)
+    return problem
+
+
+def _result(
+    problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
+) -> LearningResult:
+    """Learn with `swinger`, one step of the bar's `task` a swing."""
+    from bench.learning.learn import learn as learned
+    from bench.learning.learner import LearningSettings
+
+    return learned(
+        problem,
+        swinger,
+        LearningSettings(swings=swings),
+        on_attempt=lambda attempt: bar.update(task, advance=1),
+    )
 
 
 def _mark_from_person() -> tuple[float, float] | None:

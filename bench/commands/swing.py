@@ -277,6 +277,13 @@ Start = Annotated[
 ]
 
 
+_ASK_FOR_LESS = (
+    "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
+    "--nearest gives way."
+)
+"""Action after a failed design."""
+
+
 @app.command()
 def design(
     context: typer.Context,
@@ -304,10 +311,9 @@ def design(
 
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
     from bench.design.designer import DesignFailed, SwingDemand
-    from bench.design.follow import demand_like
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
-    from bench.swing.golfers import find_golfer, human_downswing
+    from bench.swing.golfers import find_golfer
 
     configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
@@ -321,10 +327,7 @@ def design(
         margin=margin / 100,
         nearest=nearest,
     )
-    if whose is not None:
-        demand = demand_like(plant, whose, human_downswing(plant, whose), demand, speed)
-    if backswing is not None:
-        demand = replace(demand, backswing_time=backswing)
+    demand = _with_golfer(demand, plant, whose, speed, backswing)
     begin = None if start == "nothing" else start or configuration.swing.profile
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
@@ -334,16 +337,28 @@ def design(
         swing = _save_design(configuration, plant, demand, begin, path, whose)
     except DesignFailed as failure:
         raise BenchError(
-            "swing design",
-            str(failure),
-            "a swing that this plant can do",
-            "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
-            "--nearest gives way.",
+            "swing design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
         ) from None
     if whose is not None:
         rows = [golfer_row(plant, whose, swing)]
         Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
     typer.echo(f"Next: golfbench swing check {path}")
+
+
+def _with_golfer(
+    demand: SwingDemand,
+    plant: PlantParameters,
+    golfer: Golfer | None,
+    speed: float | None,
+    backswing: float | None,
+) -> SwingDemand:
+    """Return `demand` as `golfer` would swing; `speed` (m/s) and `backswing` (s) override the golfer's."""
+    from bench.design.follow import demand_like
+    from bench.swing.golfers import human_downswing
+
+    if golfer is not None:
+        demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, speed)
+    return demand if backswing is None else replace(demand, backswing_time=backswing)
 
 
 def _profile_named(name: str | None) -> Profile | None:

@@ -10,33 +10,42 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
     from rich.table import Table
 
+    from bench.simulation.series import Bench
     from bench.tuning.gains import Gains
-    from bench.tuning.linear_loop import Judged
+    from bench.tuning.linear_loop import Estimator, Frozen, Judged
     from bench.tuning.proof import Proof
     from bench.tuning.recipe import Recipe
+    from sim.plant import PlantParameters
 
 Method = Literal["margins", "thesis", "none"]
 
 
+ProfileName = Annotated[
+    str | None,
+    typer.Argument(metavar="PROFILE", help="Profile to tune for.", show_default="the configuration's"),
+]
+MethodName = Annotated[
+    Method,
+    typer.Option(
+        help="margins: the stiffest loops that keep their margins; thesis: its recipe, P until "
+        "overshoot, D until it is gone, I until the static error is; none: only show the margins."
+    ),
+]
+Output = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write a configuration with the gains, .toml.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
 def tune(
     context: typer.Context,
-    profile: Annotated[
-        str | None,
-        typer.Argument(metavar="PROFILE", help="Profile to tune for.", show_default="the configuration's"),
-    ] = None,
-    method: Annotated[
-        Method,
-        typer.Option(
-            help="margins: the stiffest loops that keep their margins; thesis: its recipe, P until "
-            "overshoot, D until it is gone, I until the static error is; none: only show the margins."
-        ),
-    ] = "margins",
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a configuration with the gains, .toml.")
-    ] = None,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    profile: ProfileName = None,
+    method: MethodName = "margins",
+    output: Output = None,
+    json_: Json = False,
 ) -> None:
     """Tune the three PIDs on the simulated robot, and show the margins of their loops along a swing.
 
@@ -51,72 +60,97 @@ def tune(
     from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.simulation.series import Bench
-    from bench.simulation.variation import WORN
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
-    from bench.tuning.by_margins import tune_by_margins
     from bench.tuning.gains import Gains
-    from bench.tuning.gains_file import gains_file
     from bench.tuning.linear_loop import freeze, judge, operating_points, steady_estimator
-    from bench.tuning.proof import proof
-    from bench.tuning.recipe import tune_by_recipe
     from sim.plant import build_plant
 
     configuration = context.ensure_object(Session).configuration()
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
-    swing, control = load_profile(path), configuration.control
+    swing, before = load_profile(path), Gains.of(configuration.control)
     require_possible(swing, plant, configuration.envelope, str(path))
-    bench = Bench(plant, swing, control, configuration.envelope, configuration.estimator)
-    gains, recipe = Gains.of(control), None
+    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     with progress_bar() as bar:
         task = bar.add_task("a swing, linearised", total=1.0)
         built, period = build_plant(plant), plant.tick
         plants = [freeze(built, point) for point in operating_points(bench)]
         estimator = steady_estimator(plant, configuration.estimator)
         bar.update(task, completed=1.0)
-        if method == "margins":
-            task = bar.add_task("gains", total=1.0)
-            gains = tune_by_margins(
-                plants, estimator, plant, control, progress=lambda part: bar.update(task, completed=part)
-            ).gains
-        elif method == "thesis":
-            task = bar.add_task("steps", total=None)
-            recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
-            gains = recipe.gains
+        gains, recipe = _tuned(method, bench, plants, estimator, bar)
         judged = judge(plants, estimator, gains, period)
-        proofs: dict[str, tuple[Proof, Proof]] = {}
-        if method != "none":
-            task = bar.add_task("whole swings", total=4)
-            for name, truth in (("nominal", plant), ("worn", WORN.applied_to(plant))):
-                pair = []
-                for tried in (Gains.of(control), gains):
-                    pair.append(proof(bench, truth, tried))
-                    bar.update(task, advance=1)
-                proofs[name] = (pair[0], pair[1])
-    judging = [frozen for frozen in plants if frozen.point.judged]
+        proofs = {} if method == "none" else _proofs(bench, gains, bar)
     failed = bool(proofs) and bool(proofs["nominal"][1].failure)
     if json_:
         typer.echo(json.dumps(_record(method, gains, judged, proofs, recipe), indent=2))
     else:
         console = Console()
         console.print(margins_table(f"margins along {swing.name}", judged))
-        worst = (
-            _worst(judge(judging, estimator, Gains.of(control), period)),
-            _worst(judge(judging, estimator, gains, period)),
-        )
-        for line in _story(Gains.of(control), gains, recipe, proofs, worst):
+        judging = [frozen for frozen in plants if frozen.point.judged]
+        old, new = (_worst(judge(judging, estimator, tried, period)) for tried in (before, gains))
+        for line in _story(before, gains, recipe, proofs, (old, new)):
             console.print(line, highlight=False)
     if method != "none" and not failed and output is not None:
-        how = {"margins": "by margins", "thesis": "by the thesis' recipe"}[method]
-        text = gains_file(gains, configuration.files[-1], f"tuned {how} for the swing {swing.name}")
-        output.parent.mkdir(parents=True, exist_ok=True)
-        output.write_text(text, encoding="utf-8")
+        _write_gains(output, gains, configuration.files[-1], method, swing.name)
         if not json_:
             typer.echo(f"{output}: golfbench --config {output} swing simulate {profile or path.stem}")
     if failed:
         if not json_:
             typer.echo("Nothing is written: the configured robot does not swing with these gains.")
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _tuned(
+    method: Method, bench: Bench, plants: list[Frozen], estimator: Estimator, bar: Progress
+) -> tuple[Gains, Recipe | None]:
+    """Return the gains by `method`, and the thesis' recipe if they are by it."""
+    from bench.tuning.by_margins import tune_by_margins
+    from bench.tuning.gains import Gains
+    from bench.tuning.recipe import tune_by_recipe
+
+    if method == "margins":
+        task = bar.add_task("gains", total=1.0)
+        found = tune_by_margins(
+            plants,
+            estimator,
+            bench.model,
+            bench.control,
+            progress=lambda part: bar.update(task, completed=part),
+        )
+        return found.gains, None
+    if method == "thesis":
+        task = bar.add_task("steps", total=None)
+        recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
+        return recipe.gains, recipe
+    return Gains.of(bench.control), None
+
+
+def _proofs(bench: Bench, gains: Gains, bar: Progress) -> dict[str, tuple[Proof, Proof]]:
+    """Return whole swings of the nominal and the worn robot, each as configured and with `gains`."""
+    from bench.simulation.variation import WORN
+    from bench.tuning.gains import Gains
+    from bench.tuning.proof import proof
+
+    task = bar.add_task("whole swings", total=4)
+
+    def proven(truth: PlantParameters, tried: Gains) -> Proof:
+        made = proof(bench, truth, tried)
+        bar.update(task, advance=1)
+        return made
+
+    before, plant = Gains.of(bench.control), bench.model
+    robots = {"nominal": plant, "worn": WORN.applied_to(plant)}
+    return {name: (proven(truth, before), proven(truth, gains)) for name, truth in robots.items()}
+
+
+def _write_gains(output: Path, gains: Gains, base: Path, method: Method, swing: str) -> None:
+    """Write a configuration with `gains` on top of `base`."""
+    from bench.tuning.gains_file import gains_file
+
+    how = {"margins": "by margins", "thesis": "by the thesis' recipe"}[method]
+    text = gains_file(gains, base, f"tuned {how} for the swing {swing}")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(text, encoding="utf-8")
 
 
 def margins_table(title: str, judged: Judged) -> Table:
@@ -186,8 +220,8 @@ def _story(
     lines.append("")
     for name, (old, new) in proofs.items():
         for text, proof in (("as configured", old), ("tuned", new)):
-            told = proof.failure or f"{_milli(proof.backswing)} and {_milli(proof.downswing)} mrad"
-            lines.append(f"{name} robot, {text}: {told}")
+            errors = f"{_milli(proof.backswing)} and {_milli(proof.downswing)} mrad"
+            lines.append(f"{name} robot, {text}: {proof.failure or errors}")
     lines.append("Following errors, rms of shoulder·arm·wrist: up to the top, and in the downswing.")
     return lines
 

@@ -28,7 +28,7 @@ SUPERVISION = np.dtype(
     align=True,
 )
 """`heartbeat` changes while the supervisor lives. `lease` is the number of the lease that counts, 0 while
-nobody holds the bench. A request is new when its number is, and made under `request_lease`; stops are counted
+none is held. A request is new when its number is, and made under `request_lease`; stops are counted
 apart and never wait behind one. `shutdown` ends the loop, as soon as the robot stands."""
 
 
