@@ -14,14 +14,14 @@ PROJECT = Path(__file__).resolve().parent.parent
 PACKAGES = ("bench", "sim", "drivers")
 
 CEILINGS = {
-    "anew": 32,
-    "is none": 21,
-    "told|tells|tell": 128,
-    "heard|hears|hear": 13,
-    "greatest": 22,
-    "somebody|nobody|whoever": 40,
-    "what is": 106,
-    "wish|wishes": 2,
+    "anew": 0,
+    "is none": 11,
+    "told|tells|tell": 10,
+    "heard|hears|hear": 4,
+    "greatest": 3,
+    "somebody|nobody|whoever": 12,
+    "what is": 38,
+    "wish|wishes": 1,
 }
 """Max occurrences of each in docstrings and messages of PACKAGES: lower them, never raise them."""
 
