@@ -124,6 +124,31 @@ def design_encoders(
 
 
 @compiled
+def _unwrap(s: Any, p: Any, i: int, count: int, sample_time: float) -> tuple[int, int, float]:
+    """Return encoder `i`'s unwrapped count, its change since the last sample and how far it can have changed.
+
+    An absolute count lies on the turn nearest the middle of the joint's travel, whatever came before; one
+    that counts from power-up lies nearest the last sample.
+    """
+    span, per_radian = p.count_range[i], p.counts_per_revolution[i] / _TURN
+    reach = 0.5 * span
+    anchored = False
+    if s.started[i]:
+        reach = p.max_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
+        anchored = reach < 0.5 * span
+    jump = 0
+    if anchored and s.indexed[i] == 0:
+        jump = (count - s.unwrapped[i] + span // 2) % span - span // 2
+        unwrapped = s.unwrapped[i] + jump
+    else:
+        centre = p.zero_count[i] + p.sign[i] * p.middle[i] * per_radian
+        unwrapped = count + span * int(np.floor((centre - count) / span + 0.5))
+        if anchored:
+            jump = unwrapped - s.unwrapped[i]
+    return unwrapped, jump, reach
+
+
+@compiled
 def decode_encoders(
     state: np.ndarray[Any, Any],
     parameters: np.ndarray[Any, Any],
@@ -158,22 +183,8 @@ def decode_encoders(
             s.indexed[i] = r.encoder_indexed[i]
             s.zero_set[i] = s.started[i]
             s.started[i] = 0
-        span = p.count_range[i]
-        per_radian = p.counts_per_revolution[i] / _TURN
-        reach = 0.5 * span
-        anchored = False
-        if s.started[i]:
-            reach = p.max_speed[i] * (sample_time - s.sample_time[i]) * per_radian + p.tolerance[i]
-            anchored = reach < 0.5 * span
-        jump = 0
-        if anchored and s.indexed[i] == 0:
-            jump = (count - s.unwrapped[i] + span // 2) % span - span // 2
-            unwrapped = s.unwrapped[i] + jump
-        else:
-            centre = p.zero_count[i] + p.sign[i] * p.middle[i] * per_radian
-            unwrapped = count + span * int(np.floor((centre - count) / span + 0.5))
-            if anchored:
-                jump = unwrapped - s.unwrapped[i]
+        span, per_radian = p.count_range[i], p.counts_per_revolution[i] / _TURN
+        unwrapped, jump, reach = _unwrap(s, p, i, count, sample_time)
         if count < 0 or count >= span or abs(jump) > reach:
             s.verdict[i] = IMPLAUSIBLE
             s.rejected[i] += 1

@@ -50,13 +50,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     elapsed = min(max(s.measured_step, 0.0), LONGEST_STEP)
     _restart_filters(s, e)
     decode_encoders(state.encoder, parameters.encoder, readings, time)
-    for i in range(3):
-        s.zero_shift[i] = 0.0
-        if state.encoder[0].zero_set[i] != 0 and state.encoder[0].fresh[i] != 0:
-            # The angle counts from another zero; the joint went on as before.
-            begun = state.encoder[0].angle[i] - e.velocity[i] * elapsed
-            s.zero_shift[i] = begun - e.angle[i]
-            e.angle[i] = begun
+    _move_to_new_zeros(s, e, state.encoder[0], elapsed)
     estimate(
         state.estimator,
         parameters.estimator,
@@ -170,6 +164,18 @@ def step(
     estimate_tick(state, parameters, readings, time)
     decide_tick(state, parameters, readings, time)
     limit_tick(state, parameters, readings, command, cycle)
+
+
+@compiled
+def _move_to_new_zeros(s: Any, e: Any, encoder: Any, elapsed: float) -> None:
+    """Let estimates of angles that count from another zero since this tick go on from there."""
+    for i in range(3):
+        s.zero_shift[i] = 0.0
+        if encoder.zero_set[i] != 0 and encoder.fresh[i] != 0:
+            # The angle counts from another zero; the joint went on as before.
+            begun = encoder.angle[i] - e.velocity[i] * elapsed
+            s.zero_shift[i] = begun - e.angle[i]
+            e.angle[i] = begun
 
 
 @compiled
