@@ -227,6 +227,19 @@ def test_a_plan_changed_between_a_stop_and_resume_is_refused(
 @pytest.mark.slow
 def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
     """The limit on a file's size makes the operating system itself refuse the write."""
+    # Compiled code is in its cache before the limit holds: it is not the file that the test is about.
+    (tmp_path / "warm.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "warm"}"\n')
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "--config",
+                str(tmp_path / "warm.toml"),
+                "campaign",
+                "run",
+                str(tmp_path / "short.toml"),
+                "--sim",
+            ]
+        )
     limited = (
         "import resource, sys\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
