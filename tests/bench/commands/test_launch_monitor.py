@@ -192,7 +192,7 @@ def test_a_port_that_is_taken_is_told_and_had_later(tmp_path: Path) -> None:
     file, port = configuration(tmp_path, "taken")
     with socket.create_server(("127.0.0.1", port)) as other:
         with running_bench(file) as bench:
-            link = monitored(bench, lambda link: "expected to listen" in link["note"])
+            link = monitored(bench, lambda link: "cannot listen" in link["note"])
             assert (link["present"], link["listening"]) == (False, "")
             assert bench.client.status()["support_ready"]  # one may swing without
             other.close()
