@@ -120,7 +120,12 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
             )
     if c.is_machine and not c.lifecycle.local_reset:
         wanted = "true with a real robot: who resets over the network does not see who stands beside it"
-        yield "lifecycle.local_reset", format_value(c.lifecycle.local_reset), wanted, "Wire the button."
+        yield (
+            "lifecycle.local_reset",
+            format_value(c.lifecycle.local_reset),
+            wanted,
+            "Wire the button and set the key to true.",
+        )
     if c.driver.name == "daq" and not any(c.daq.chamber_pressures) and not c.daq.vent_proof:
         wanted = "a sensor in each chamber, or daq.vent_proof: time alone does not prove that vents open"
         yield "daq.chamber_pressures", "no sensor", wanted, "Fit sensors, or name the device that proves it."

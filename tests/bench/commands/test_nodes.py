@@ -50,7 +50,9 @@ def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path
 
 
 def test_nodes_without_an_interface_say_what_to_do(file: Path) -> None:
-    file.write_text(file.read_text().replace("local_socket", "no_such_interface"))
+    file.write_text(
+        file.read_text().replace("local_socket", "no_such_interface") + "[lifecycle]\nlocal_reset = true\n"
+    )
     with command_beside(file, "nodes") as process:
         _, told = process.communicate(timeout=LONGEST)
     assert process.returncode == ExitCode.DEVICE
@@ -82,7 +84,7 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
 @pytest.mark.parametrize(
     ("text", "place", "told"),
     [
-        ("bitrate = 500_000", "canopen.bitrate", "bus load 10"),
+        ("bitrate = 500_000", "canopen.bitrate", "a bus load of 10"),
         ("answer_time = 0.0009", "canopen.answer_time", "0.0009 s"),
         ("answer_time = 0.0", "canopen.answer_time", "0.0"),
         ("master = 22", "canopen", "contradictory values"),
