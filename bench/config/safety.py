@@ -88,11 +88,11 @@ BOUNDS = (
         "a swing that begins elsewhere than designed passes elsewhere over the ground",
     ),
     Bound(
-        "envelope", "max_gap", (0.0, 0.05), (0.0, 0.02), "s",
+        "envelope", "max_gap", (0.0, 0.5), (0.0, 0.02), "s",
         "within it the club's head travels blindly, 0.8 m at 40 m/s in 0.02 s",
     ),
     Bound(
-        "envelope", "lost_time", (0.0, 0.05), (0.0, 0.012), "s",
+        "envelope", "lost_time", (0.0, 0.5), (0.0, 0.012), "s",
         "an encoder that is lost for longer is braked for too late",
     ),
     Bound(
