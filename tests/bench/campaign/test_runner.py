@@ -414,7 +414,7 @@ def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -
     """Two hundred kills: `python -m tests.benchmarks campaign_kills`."""
     command = [sys.executable, "-m", "tests.benchmarks", "campaign_kills"]
     # A process of its own: it forks its runners, and must not have started threads before.
-    options = ["--kills", "3", "--batch", "3", "--blocks", "8"]
+    options = ["--kills", "3", "--batch", "3", "--blocks", "24"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
