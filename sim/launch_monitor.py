@@ -133,9 +133,8 @@ def _measured(launch: Launch, p: MonitorParameters, chance: np.random.Generator)
 def _club_seen(club: ClubMotion | None, number: int, p: MonitorParameters) -> ClubMotion | None:
     if club is None or not p.club:
         return None
-    a, b = np.random.default_rng([p.seed, number, 1]).standard_normal(
-        2
-    )  # separate stream: does not change the ball's draws
+    # A separate stream: it does not change the ball's draws.
+    a, b = np.random.default_rng([p.seed, number, 1]).standard_normal(2)
     return ClubMotion(club.speed * (1.0 + p.speed_noise * a), club.attack_angle + p.angle_noise * b)
 
 

@@ -230,9 +230,8 @@ class Runner:
         self._asked_so_far = len(prompts)
         self._open = prompts[-1] if prompts and prompts[-1].answered is None else None
         if entry.real_time and self._store.standing(entry.id).state is not CampaignState.WAITING:
-            self._fitting = self._fitting._replace(
-                feeder=()
-            )  # a ball may have gone into a shot that was cut off
+            # A ball may have gone into a shot that was cut off.
+            self._fitting = self._fitting._replace(feeder=())
         if not entry.simulated and (last := self._store.last_answered(entry, PromptKind.CLUB)):
             self._fitting = self._fitting.with_done(last[1])  # perhaps one of another campaign
 

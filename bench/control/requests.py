@@ -114,9 +114,8 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         if s.phase != Phase.HOLD or s.swinging or not near_address(parameters, state.estimator):
             return Refusal.NOT_AT_ADDRESS
     if not s.vented:
-        if (
-            request == Request.HOME and not p.home_by_index
-        ):  # the pose proves something of a robot without air only
+        # The pose proves a zero only while no air holds the robot.
+        if request == Request.HOME and not p.home_by_index:
             return _not_vented(p, readings)
         if request == Request.RESET and time - s.vent_start >= p.vent_time:
             return _not_vented(p, readings)

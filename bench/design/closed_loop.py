@@ -137,9 +137,8 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     rows = slice(top, top + len(opening))
     angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
     angle[rows] = cycles["angle"]
-    window = (
-        profile.begins[5] - top
-    )  # from here on the loop does not damp: the jump at impact is not a motion
+    # From the window on the loop does not damp: the jump at impact is not a motion.
+    window = profile.begins[5] - top
     away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, control)
     velocity[rows] = cycles["velocity"] + away
     derivative = np.array(control.pid.derivative) * away

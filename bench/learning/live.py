@@ -188,9 +188,8 @@ class LiveSwinger:
                 waits = False
                 try:
                     self._bring_nearer(status)
-                except (
-                    CommandRefused
-                ):  # not at rest, not vented, or the lease is held by others: retry until the time-out
+                except CommandRefused:
+                    # Not at rest, not vented, or the lease is held by others: retry until the time-out.
                     if time.monotonic() > deadline:
                         raise
             if time.monotonic() > deadline:

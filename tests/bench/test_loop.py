@@ -181,10 +181,8 @@ def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty
     driver.fail_read = DriverError("bus off")
     loop.advance(1, Request.ARM)
     assert control(loop)["answer"] == Answer.REFUSED
-    assert (control(loop)["cause"], control(loop)["state"]) == (
-        Cause.EXCEPTION,
-        State.ESTOP,
-    )  # nothing said the circuit is closed
+    # ESTOP, as nothing said the circuit is closed.
+    assert (control(loop)["cause"], control(loop)["state"]) == (Cause.EXCEPTION, State.ESTOP)
     driver.fail_read = None
     loop.advance(1, Request.ARM)
     assert control(loop)["answer"] == Answer.REFUSED

@@ -390,9 +390,8 @@ def test_readings_have_their_types_and_fit_the_record(opened: Driver) -> None:
         for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "local_reset", "ball_present"):
             assert type(getattr(reading, name)) is bool
         assert math.isnan(reading.supply_pressure) or reading.supply_pressure > 5e4
-        assert all(
-            math.isnan(p) or p > 5e4 for p in reading.chamber_pressure
-        )  # absent or absolute, never zero
+        # Absent or absolute, never zero.
+        assert all(math.isnan(p) or p > 5e4 for p in reading.chamber_pressure)
         pack_readings(reading, new_record(READINGS))
 
 

@@ -287,9 +287,8 @@ def test_face_share_of_the_start_direction(club: Club, loft: float, attack: floa
 
 def test_spin_axis_stands_square_to_the_plane_of_face_and_path() -> None:
     delivery = delivery_from_angles(45, -0.03, -0.02, 0.03, 0.25)
-    launch = strike(
-        delivery, POINT_HEAD
-    )  # a head that yields unequally in height and width deviates slightly
+    # A head that yields unequally in height and width deviates slightly.
+    launch = strike(delivery, POINT_HEAD)
     v, n = np.array(delivery.velocity), np.array(delivery.axes[0])
     normal = np.cross(v, n)
     d = launch.direction

@@ -37,9 +37,8 @@ def test_the_first_step_is_exact() -> None:
     control(state, designed(), reference, reference_velocity, angle, velocity, np.array([0.1, 0, 0]), PERIOD)
     s = state[0]
     assert s["proportional"] == pytest.approx([4 * 0.05, 2 * -0.05, 3 * -0.2], abs=1e-15)
-    assert s["integral"] == pytest.approx(
-        [10 * 0.05 * 1e-3, 0.0, 0.0], abs=1e-15
-    )  # the wrist is at its limit
+    # The wrist is at its limit.
+    assert s["integral"] == pytest.approx([10 * 0.05 * 1e-3, 0.0, 0.0], abs=1e-15)
     assert s["derivative"] == pytest.approx([0.1 * 0.5, 0.2 * -1.5, 0.0], abs=1e-15)
     assert s["unsaturated"] == pytest.approx([0.2 + 5e-4 + 0.05 + 0.1, -0.1 - 0.3, -0.6], abs=1e-15)
     assert s["output"] == pytest.approx([0.3505, -0.4, -0.5], abs=1e-15)
