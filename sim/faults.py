@@ -65,19 +65,6 @@ PHASES = (
 )
 """Names of the phases for onsets, by number; a test keeps them equal to the bench's."""
 
-_ANALOGUE: tuple[Kind, ...] = (
-    "off",
-    "stuck",
-    "garbage",
-    "offset",
-    "scale",
-    "slow",
-    "delayed",
-    "intermittent",
-    "drifting",
-)
-_SWITCH: tuple[Kind, ...] = ("off", "stuck", "garbage", "delayed", "intermittent")
-
 MEANINGS: dict[str, dict[Kind, str]] = {
     "encoder": {
         "off": "no valid reading",

@@ -22,9 +22,6 @@ Quantity = Literal[
 """Quantities that can be compared; angles in degrees."""
 Factor = Literal["ball", "club", "swing"]
 
-_Count = Annotated[int, Range(0, 100000, "")]
-_Length = Annotated[float, Range(0.0, 1000.0, "m")]
-
 
 @dataclass(frozen=True)
 class Heading:

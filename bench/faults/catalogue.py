@@ -176,9 +176,6 @@ def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
     return ""
 
 
-PLAUSIBLE_KINDS = frozenset({"offset", "scale", "drifting"})
-"""Kinds of fault whose readings are wrong but plausible."""
-
 HARDWARE: tuple[tuple[str, str], ...] = (
     ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply by itself"),
     ("guard closed", "guard switches of two channels, wired into the same circuit"),

@@ -27,9 +27,6 @@ PHASES = (
     "return",
 )
 
-PROMISED_TICKS = {"encoder off": 5, "switch off": 1, "link off": 5, "loop stall": 1}
-"""Promised ticks to the reaction."""
-
 
 def summarise(
     outcomes: Sequence[CaseOutcome],
