@@ -31,7 +31,9 @@ class Shot:
     Units stand in the names. Angles follow `sim/impact.py`: attack positive up, club path, face angle,
     direction and spin axis positive to the right of the target line, strike positive towards the toe
     and up from the centre of the face. A figure that was not measured is None, never zero; the sources
-    name the sources of the delivery, launch and carry figures ("" without figures).
+    name the sources of the delivery, launch and carry figures ("" without figures). `carry_source` says
+    which carry `carry_m` is: "reference", "monitor", "measured" (the columns below), or "simulated", the
+    flight of the simulated ball.
     """
 
     shot: int
@@ -76,6 +78,16 @@ class Shot:
     air_temperature_k: float | None = None
     air_pressure_pa: float | None = None
     relative_humidity: float | None = None
+    carry_reference_m: float | None = None
+    """Carry flown from the launch with the reference ball's aerodynamics, all balls alike."""
+    carry_monitor_m: float | None = None
+    """Carry as the launch monitor reported it."""
+    carry_measured_m: float | None = None
+    """Carry flown with the aerodynamic coefficients measured on this ball."""
+    carry_measured_error_m: float | None = None
+    """Standard uncertainty of `carry_measured_m` from its coefficients, common to all shots of the ball."""
+    flight_source: str = ""
+    """Source of total, apex, landing angle and side; empty: that of `carry_m`."""
 
     @classmethod
     def from_measurements(

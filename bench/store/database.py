@@ -14,11 +14,21 @@ from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select
 from sqlalchemy.exc import DatabaseError, IntegrityError
+from sqlalchemy.schema import CreateColumn
 
 from bench.errors import BenchError
-from bench.store.tables import VERSION_2, VERSION_3, VERSION_4, VERSION_5, Row, SchemaVersionRow
+from bench.store.tables import (
+    SHOT_COLUMNS_6,
+    VERSION_2,
+    VERSION_3,
+    VERSION_4,
+    VERSION_5,
+    VERSION_6,
+    Row,
+    SchemaVersionRow,
+)
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -44,11 +54,23 @@ def _add_air_readings(connection: Connection) -> None:
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_5])
 
 
+def _add_carries(connection: Connection) -> None:
+    """Version 5 had one carry of a shot, and no aerodynamics of balls."""
+    shots = Row.metadata.tables["shots"]
+    there = {column["name"] for column in inspect(connection).get_columns("shots")}
+    for name in SHOT_COLUMNS_6:
+        if name not in there:  # version 1 had no shots: they came with today's columns
+            column = CreateColumn(shots.c[name]).compile(dialect=connection.dialect)
+            connection.exec_driver_sql(f"ALTER TABLE shots ADD COLUMN {column}")
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_6])
+
+
 MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     1: _add_campaigns,
     2: _add_prompts,
     3: _add_learned_swings,
     4: _add_air_readings,
+    5: _add_carries,
 }
 """Migration of the tables from each version to the next."""
 

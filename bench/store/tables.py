@@ -150,6 +150,11 @@ class ShotRow(Row):
     air_temperature_k: Mapped[float | None]
     air_pressure_pa: Mapped[float | None]
     relative_humidity: Mapped[float | None]
+    carry_reference_m: Mapped[float | None]
+    carry_monitor_m: Mapped[float | None]
+    carry_measured_m: Mapped[float | None]
+    carry_measured_error_m: Mapped[float | None]
+    flight_source: Mapped[str] = mapped_column(server_default="")
     file: Mapped[str]
     """Record of its cycles below `data_dir`, whole before this row exists; empty: the robot did not swing."""
     bytes: Mapped[int]
@@ -250,6 +255,29 @@ class AirReadingRow(Row):
 
 _only_add(Row.metadata.tables[AirReadingRow.__tablename__], "readings of the air")
 
+
+class BallAerodynamicsRow(Row):
+    """Aerodynamic coefficients measured on one ball model. Rows are only added: the newest is used."""
+
+    __tablename__ = "ball_aerodynamics"
+    __table_args__ = (UniqueConstraint("bench", "ball", "version"),)
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    bench: Mapped[str]
+    ball: Mapped[str]
+    version: Mapped[int]
+    """Rises by one per bench and ball."""
+    date: Mapped[datetime]
+    """Time of the measurement."""
+    source: Mapped[str]
+    """Device and place that the flight data come from."""
+    by: Mapped[str]
+    content: Mapped[dict[str, Any]]
+    """The values, as `bench.calibration.ball_aerodynamics` names them."""
+
+
+_only_add(Row.metadata.tables[BallAerodynamicsRow.__tablename__], "aerodynamics of balls")
+
 VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
 """Tables that came with schema version 2."""
 
@@ -261,3 +289,15 @@ VERSION_4 = ("learned_swings",)
 
 VERSION_5 = ("air_readings",)
 """Tables that came with schema version 5."""
+
+VERSION_6 = ("ball_aerodynamics",)
+"""Tables that came with schema version 6."""
+
+SHOT_COLUMNS_6 = (
+    "carry_reference_m",
+    "carry_monitor_m",
+    "carry_measured_m",
+    "carry_measured_error_m",
+    "flight_source",
+)
+"""Columns of `shots` that came with schema version 6."""

@@ -200,7 +200,7 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-@pytest.mark.parametrize("version", [2, 3, 4])
+@pytest.mark.parametrize("version", [2, 3, 4, 5])
 def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
         plain.executescript((STORED / f"version_{version}.sql").read_text())
