@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
@@ -220,6 +221,9 @@ def valves(
     _add(context, CalibrationKind.VALVES, content, method or "values entered", by, expires_days, note, json_)
 
 
+app.command()(aerodynamics)
+
+
 @app.command("list")
 def list_all(context: typer.Context, json_: Json = False) -> None:
     """Show all calibrations of this bench, also superseded ones."""
@@ -227,25 +231,34 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
 
     from rich.console import Console
 
+    from bench.calibration.aerodynamics_archive import list_aerodynamics
     from bench.calibration.archive import calibration_of, list_calibrations
+    from bench.calibration.ball_aerodynamics import AerodynamicsEntry
+    from bench.calibration.calibration import Entry
     from bench.commands.calibration_tables import listing
     from bench.config import database_url
     from bench.store.database import is_there, open_database
 
     configuration, now = context.ensure_object(Session).configuration(), _now()
     bench = configuration.bench
-    entries = []
+    entries, balls = list[Entry](), list[AerodynamicsEntry]()
     if is_there(url := database_url(bench.database, bench.data_dir)):
         with open_database(url, now) as database:
             entries = list_calibrations(database, bench.id)
+            balls = list_aerodynamics(database, bench.id)
     if json_:
-        typer.echo(json.dumps([entry.record() for entry in entries], indent=2))
-    elif entries:
+        records = [entry.record() for entry in entries]
+        records += [{"kind": "aerodynamics", "subject": e.values.ball, **e.record()} for e in balls]
+        typer.echo(json.dumps(records, indent=2))
+        return
+    if entries:
         Console().print(listing(entries, calibration_of(configuration, now), now))
     else:
         typer.echo(
             f"bench {bench.id} was never calibrated: all values are nominal, as the configuration has them"
         )
+    for ball_entry in balls:
+        typer.echo(f"aerodynamics of {ball_entry.values.ball}: {ball_entry.text}")
 
 
 @app.command()
@@ -275,16 +288,6 @@ def show(context: typer.Context, json_: Json = False) -> None:
             console.print(f"not to be armed: {problem}", style="red", highlight=False, soft_wrap=True)
     if problems:
         raise typer.Exit(ExitCode.REFUSED)
-
-
-def _user() -> str:
-    """Return the name of this process' user; empty, which is refused, when it has none."""
-    import getpass
-
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return ""
 
 
 def _now() -> datetime:
@@ -333,7 +336,7 @@ def _add(
             values,
             date=now,
             expires=now + timedelta(days=expires_days or VALID_DAYS[kind]),
-            by=_user() if by is None else by,
+            by=user_name() if by is None else by,
             method=method,
             note=note,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from math import radians
+from math import pi, radians
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
@@ -19,6 +19,9 @@ from bench.errors import ExitCode, Refused
 from bench.processes.bench_folder import bench_folder
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingWriter
+from drivers.base import Launch
+from sim.ball import Ball
+from sim.flight import fly
 
 Answer = tuple[int, str, str]
 
@@ -255,3 +258,34 @@ def test_the_pose_takes_the_counts_of_the_running_bench(golfbench: Run, ticking:
     entry = json.loads(text)
     assert (code, entry["method"]) == (0, "locked at the mechanical reference, counts read")
     assert entry["values"]["zero_count"][0] == pytest.approx(100.5 + 30 * 131072 / 360)
+
+
+def test_the_aerodynamics_of_a_ball_are_fitted_stored_and_listed(golfbench: Run, tmp_path: Path) -> None:
+    rows = ["ball_speed_mps,launch_angle_deg,spin_rpm,carry_m,apex_m,time_s"]
+    for speed in (58.0, 61.0, 64.0, 67.0, 70.0):
+        flight = fly(Launch(speed, radians(11.0), 0.0, 280.0, 0.0), ball=Ball(drag_factor=1.03))
+        rows.append(f"{speed},11,{280 * 30 / pi:.3f},{flight.carry},{flight.apex},{flight.time}")
+    (tmp_path / "flights.csv").write_text("\n".join(rows))
+    command = [
+        "calibrate",
+        "aerodynamics",
+        "tour",
+        "flights.csv",
+        "--by",
+        "Ann",
+        "--source",
+        "radar, range 2",
+    ]
+    code, text, _ = golfbench(*command, "--no-store")
+    assert (code, "not stored" in text) == (0, True)
+    assert golfbench("calibrate", "list", "--json")[1].strip() == "[]"
+    code, text, _ = golfbench(*command, "--measured", "2026-10-02")
+    assert (code, "tour: drag 1.0300 ±" in text, "2026-10-02, version 1, by Ann" in text) == (0, True, True)
+    assert "aerodynamics of tour: drag 1.0300" in golfbench("calibrate", "list")[1]
+    (record,) = json.loads(golfbench("calibrate", "list", "--json")[1])
+    assert (record["kind"], record["subject"], record["source"]) == ("aerodynamics", "tour", "radar, range 2")
+    code, _, errors = golfbench(*command, "--measured", "tomorrow")
+    assert (code, "--measured" in errors) == (2, True)
+    (tmp_path / "flights.csv").write_text("\n".join(rows[:3]))
+    code, _, errors = golfbench(*command)
+    assert (code, "expected at least 3" in errors) == (2, True)

@@ -1,0 +1,210 @@
+"""`golfbench calibrate aerodynamics`: drag and lift of a ball model from measured flights."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.calibration.aerodynamics_fit import FlightUncertainty
+    from bench.calibration.ball_aerodynamics import BallAerodynamics
+
+
+def _spread(metavar: str, figure: str) -> Any:
+    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: SD of the device from flight to flight.")
+
+
+def _shared(metavar: str, figure: str) -> Any:
+    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: standard uncertainty of its calibration.")
+
+
+BallName = Annotated[str, typer.Argument(metavar="BALL", help="Ball model, as plans name it.")]
+FlightTable = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FLIGHTS",
+        help="CSV, a row a flight: ball_speed_mps (or _mph), launch_angle_deg, spin_rpm, and of carry_m "
+        "(or _yd), apex_m (or _yd), time_s what was measured; optional direction_deg, spin_axis_deg, "
+        "air_temperature_k, air_pressure_pa, relative_humidity, wind_mps, cross_wind_mps.",
+    ),
+]
+Source = Annotated[
+    str, typer.Option(metavar="TEXT", help="Device and place: full-flight monitor, indoor range.")
+]
+PointTable = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS has a column flight, too.",
+    ),
+]
+Mass = Annotated[float, typer.Option(metavar="G", help="Mass of the ball.")]
+Diameter = Annotated[float, typer.Option(metavar="MM", help="Diameter of the ball.")]
+SpeedScatter = Annotated[float, _spread("M/S", "Ball speed")]
+AngleScatter = Annotated[float, _spread("DEG", "Launch angle")]
+SpinScatter = Annotated[float, _spread("RPM", "Spin")]
+CarryScatter = Annotated[float, _spread("M", "Carry")]
+ApexScatter = Annotated[float, _spread("M", "Apex")]
+TimeScatter = Annotated[float, _spread("S", "Flight time")]
+PointScatter = Annotated[float, _spread("M", "Coordinates of a point")]
+SpeedError = Annotated[float, _shared("M/S", "Ball speed")]
+AngleError = Annotated[float, _shared("DEG", "Launch angle")]
+SpinError = Annotated[float, _shared("RPM", "Spin")]
+CarryError = Annotated[float, _shared("M", "Carry")]
+ApexError = Annotated[float, _shared("M", "Apex")]
+TimeError = Annotated[float, _shared("S", "Flight time")]
+PointError = Annotated[float, _shared("M", "Coordinates of points")]
+Day = Annotated[
+    str | None,
+    typer.Option(metavar="DATE", help="Day of the measurement, YYYY-MM-DD.", show_default="today"),
+]
+Measurer = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")
+]
+Store = Annotated[bool, typer.Option("--store/--no-store", help="Store the result, or only print it.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+
+def aerodynamics(
+    context: typer.Context,
+    ball: BallName,
+    flights: FlightTable,
+    source: Source,
+    points: PointTable = None,
+    mass_g: Mass = 45.93,
+    diameter_mm: Diameter = 42.67,
+    speed_scatter: SpeedScatter = 0.3,
+    angle_scatter_deg: AngleScatter = 0.2,
+    spin_scatter_rpm: SpinScatter = 100.0,
+    carry_scatter: CarryScatter = 1.0,
+    apex_scatter: ApexScatter = 0.5,
+    time_scatter: TimeScatter = 0.05,
+    point_scatter: PointScatter = 0.01,
+    speed_error: SpeedError = 0.0,
+    angle_error_deg: AngleError = 0.0,
+    spin_error_rpm: SpinError = 0.0,
+    carry_error: CarryError = 0.0,
+    apex_error: ApexError = 0.0,
+    time_error: TimeError = 0.0,
+    point_error: PointError = 0.0,
+    measured: Day = None,
+    by: Measurer = None,
+    store: Store = True,
+    json_: Json = False,
+) -> None:
+    """Fit drag and lift of a ball model to measured flights, with standard uncertainties.
+
+    Campaigns with carry = "measured" fly every launch with the newest coefficients of its ball. The scatter
+    of the device weights the figures; the uncertainty of its calibration is common to all flights and added.
+    """
+    scatter = _uncertainty(
+        *(speed_scatter, angle_scatter_deg, spin_scatter_rpm),
+        *(carry_scatter, apex_scatter, time_scatter, point_scatter),
+    )
+    calibration = _uncertainty(
+        *(speed_error, angle_error_deg, spin_error_rpm),
+        *(carry_error, apex_error, time_error, point_error),
+    )
+    day = _day(measured)
+    values = _fitted(ball, flights, points, scatter, calibration, mass_g / 1e3, diameter_mm / 2e3)
+    _keep(context, values, day, source, user_name() if by is None else by, store=store, json_=json_)
+
+
+def _fitted(
+    ball: str,
+    flights: Path,
+    points: Path | None,
+    scatter: FlightUncertainty,
+    calibration: FlightUncertainty,
+    mass: float,
+    radius: float,
+) -> BallAerodynamics:
+    """Return the fit to the flights in the files; BenchError when they do not determine it."""
+    from bench.calibration.aerodynamics_fit import fit_aerodynamics
+    from bench.calibration.flight_table import read_flights
+    from bench.errors import BenchError
+
+    measured = read_flights(flights, points)
+    try:
+        return fit_aerodynamics(ball, measured, scatter, calibration, mass=mass, radius=radius)
+    except ValueError as error:
+        raise BenchError(
+            str(flights), str(error), "flights that determine drag and lift", "Measure more of them."
+        ) from None
+
+
+def _keep(
+    context: typer.Context,
+    values: BallAerodynamics,
+    date: datetime,
+    source: str,
+    by: str,
+    *,
+    store: bool,
+    json_: bool,
+) -> None:
+    """Store the fit unless `store` is false, and print it."""
+    import json
+    from datetime import UTC, datetime
+
+    from bench.calibration.aerodynamics_archive import add_aerodynamics
+    from bench.calibration.ball_aerodynamics import AerodynamicsEntry
+    from bench.config import database_url
+    from bench.store.database import open_database
+
+    bench = context.ensure_object(Session).configuration().bench
+    entry = AerodynamicsEntry(0, date, source, by, values)
+    if store:
+        url = database_url(bench.database, bench.data_dir)
+        with open_database(url, datetime.now(UTC)) as database:
+            entry = add_aerodynamics(database, bench.id, values, date=date, source=source, by=by)
+    if json_:
+        typer.echo(json.dumps(entry.record(), indent=2))
+        return
+    typer.echo(f"{values.ball}: {entry.text}{'' if store else '; not stored'}")
+    if values.chi_square > 2.0:
+        typer.echo(
+            f"The flights scatter {values.chi_square**0.5:.1f} times as much as stated: the errors are "
+            "widened by that. Check the table for wrong rows, and the stated scatter."
+        )
+
+
+def _uncertainty(
+    speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
+) -> FlightUncertainty:
+    from math import pi, radians
+
+    from bench.calibration.aerodynamics_fit import FlightUncertainty
+
+    return FlightUncertainty(speed, radians(angle_deg), spin_rpm * pi / 30, carry, apex, time, point)
+
+
+def _day(text: str | None) -> datetime:
+    """Return noon (UTC) of the day in `text`; now without one."""
+    from datetime import UTC, datetime
+
+    from bench.errors import BenchError
+
+    if text is None:
+        return datetime.now(UTC)
+    try:
+        return datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
+    except ValueError:
+        raise BenchError(
+            "calibrate aerodynamics: --measured", repr(text), "a day as 2026-11-22", "Correct it."
+        ) from None
+
+
+def user_name() -> str:
+    """Return the name of this process' user; empty, which is refused, when it has none."""
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""
