@@ -125,7 +125,7 @@ def _right_arm() -> Actuator:
         lower=0.0,
         upper=0.22,
         friction=Friction(viscous=30.0, coulomb=60.0, static=80.0),
-        stop=EndStop(energy=30.0, travel=0.012, damping_speed=0.5),
+        stop=EndStop(energy=40.0, travel=0.012, damping_speed=0.5),
     )
 
 
@@ -137,7 +137,7 @@ def _wrist() -> Actuator:
         lower=2 * pi - np.deg2rad(80.0).item(),
         upper=2 * pi,
         friction=Friction(viscous=20.0, coulomb=45.0, static=60.0),
-        stop=EndStop(energy=40.0, travel=0.12, damping_speed=4.0),
+        stop=EndStop(energy=90.0, travel=0.12, damping_speed=4.0),
     )
 
 

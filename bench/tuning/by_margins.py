@@ -78,16 +78,17 @@ def tune_by_margins(
 ) -> Tuned:
     """Return gains of all joints; where `wanted` cannot be reached, those that come nearest to it.
 
-    Deterministic: a search over fixed factors on the gains of `control`, joint by joint, twice round.
+    Deterministic: a search over fixed factors on the gains of `control`, joint by joint, twice round. No
+    joint gains at another's cost: the loops share the plant's damping.
     """
     start = Gains.of(control)
     wanted, gains, period = wanted or Wanted(), start, plant.tick
     judged = [frozen for frozen in plants if frozen.point.judged]
-    met, done, all_ = [0.0, 0.0, 0.0], 0, _ROUNDS * 3 * len(_DERIVATIVE) * len(_DAMPING)
+    before = [met_share(judged, estimator, start, joint, period, wanted) for joint in range(3)]
+    met, done, all_ = list(before), 0, _ROUNDS * 3 * len(_DERIVATIVE) * len(_DAMPING)
     for _ in range(_ROUNDS):
         for joint in range(3):
-            best: tuple[float, float] | None = None
-            found = gains
+            found: list[tuple[float, float, Gains]] = []
             for derivative in _DERIVATIVE:
                 for damping in _DAMPING:
                     for factor in _PROPORTIONAL:
@@ -101,11 +102,15 @@ def tune_by_margins(
                         if not reaches_address(tried, joint, plant, control):
                             break
                         share = met_share(judged, estimator, tried, joint, period, wanted)
-                        if best is None or (round(share, 6), factor) > best:
-                            best, found = (round(share, 6), factor), tried
+                        found.append((round(share, 6), factor, tried))
                         if share >= 1.0:
                             break  # smaller ones are no better
                     done += 1
                     progress(done / all_)
-            gains, met[joint] = found, best[0] if best else 0.0
+            others = [other for other in range(3) if other != joint]
+            for share, _, tried in sorted(found, key=lambda one: one[:2], reverse=True):
+                kept = (met_share(judged, estimator, tried, k, period, wanted) >= before[k] for k in others)
+                if all(kept):
+                    gains, met[joint] = tried, share
+                    break
     return Tuned(gains, (met[0], met[1], met[2]))

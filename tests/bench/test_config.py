@@ -149,7 +149,7 @@ def test_without_a_name_the_working_directory_comes_first(
 
 def test_the_effective_configuration_is_plain_data(default: Configuration) -> None:
     effective = default.effective()
-    assert effective["plant"]["wrist"]["stop"]["energy"] == 40.0
+    assert effective["plant"]["wrist"]["stop"]["energy"] == 90.0
     assert effective["bench"]["data_dir"] == "data"
 
 
@@ -157,8 +157,8 @@ def test_the_effective_configuration_is_plain_data(default: Configuration) -> No
 
 
 def test_an_overlay_changes_only_its_keys(overlay: Overlay, default: Configuration) -> None:
-    found = load_configuration(overlay("[plant.wrist.stop]\nenergy = 90.0"))
-    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, energy=90.0))
+    found = load_configuration(overlay("[plant.wrist.stop]\nenergy = 60.0"))
+    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, energy=60.0))
     assert found == replace(default, plant=replace(default.plant, wrist=wanted))
 
 
