@@ -23,7 +23,17 @@ from sim.random_stream import uniform
 from sim.sensors import sense
 
 Kind = Literal[
-    "off", "stuck", "garbage", "offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking"
+    "off",
+    "stuck",
+    "garbage",
+    "offset",
+    "scale",
+    "slow",
+    "delayed",
+    "intermittent",
+    "drifting",
+    "leaking",
+    "swapped",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
@@ -76,6 +86,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "delayed": "`value` s late, with a wrong time stamp",
         "intermittent": "no valid reading in the share `value` of ticks",
         "drifting": "`value` rad/s away from the truth",
+        "swapped": "exchanged with that of joint `value` (0 shoulder, 1 arm, 2 wrist)",
     },
     "valve": {
         "off": "de-energised: the spring centres the spool",
@@ -88,6 +99,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "intermittent": "centred in the share `value` of ticks",
         "drifting": "opens by `value` a second too much",
         "leaking": "its closed edges leak the share `value` of the full opening",
+        "swapped": "exchanged with that of joint `value` (0 shoulder, 1 arm, 2 wrist)",
     },
     "supply": {
         "off": "nothing comes from upstream",
@@ -170,7 +182,9 @@ def sort_of(signal: str) -> str:
 
 MAX_DELAY = 63
 """Maximum delay in ticks."""
-_NEEDS_VALUE = frozenset({"offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking"})
+_NEEDS_VALUE = frozenset(
+    {"offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking", "swapped"}
+)
 
 
 @dataclass(frozen=True)
@@ -205,6 +219,8 @@ class Fault:
             raise ValueError(f"phase: any, or one of {', '.join(PHASES)}")
         if self.kind in _NEEDS_VALUE and not isfinite(self.value):
             raise ValueError(f"value: a number, as {self.signal} {kinds[self.kind]}")
+        if self.kind == "swapped" and self.value not in range(len(JOINTS)):
+            raise ValueError("value: the number of a joint, 0 shoulder, 1 arm, 2 wrist")
         if self.kind == "intermittent" and not 0.0 <= self.value <= 1.0:
             raise ValueError("value: a share, 0 to 1")
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
@@ -278,7 +294,9 @@ DEVICE = np.dtype(
 without inputs (s); whether it went passive, whether a command has been received; what is up in this tick; the
 link's delay (ticks) and the newest of its `late` records."""
 
-_OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING = range(10)
+_OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING, _SWAPPED = (
+    range(11)
+)
 _ENCODER, _VALVE = 0, 3
 _SUPPLY, _VENTS, _E_STOP, _GUARD_CLOSED, _GUARD_LOCKED, _LOCAL_RESET, _BALL, _TEE, _SUPPLY_SENSOR = range(
     6, 15
@@ -302,8 +320,10 @@ class Faults(NamedTuple):
     healthy_robot: Any
     healthy_plant: Any
     sensed: Any
+    received: Any
+    """COMMAND that the device obeys."""
     sent: Any
-    """COMMAND that reaches the plant."""
+    """COMMAND that reaches the plant, with the faults of its parts."""
     late_readings: Any
     late_commands: Any
 
@@ -338,8 +358,8 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
     device = new_record(DEVICE)
     device["watchdog"], device["elapsed"] = watchdog, -plant.parameters.tick
     device["link_up"] = device["inputs_up"] = device["loop_up"] = True
-    sent = new_record(COMMAND)
-    sent["guard_lock"] = True
+    received = new_record(COMMAND)
+    received["guard_lock"] = True
     late = MAX_DELAY + 1
     return Faults(
         made,
@@ -348,7 +368,8 @@ def new_faults(faults: tuple[Fault, ...], plant: Plant, *, watchdog: float = 0.0
         plant.robot.copy(),
         plant.plant.copy(),
         new_record(READINGS),
-        sent,
+        received,
+        received.copy(),
         new_record(READINGS, late),
         new_record(COMMAND, late),
     )
@@ -464,6 +485,12 @@ def _switched(f: Any, m: Any, true: bool, now: float, tick: float) -> bool:
 @compiled
 def _spoil_encoder(f: Any, m: Any, p: Any, out: Any, i: int, now: float) -> None:
     """Apply the fault to encoder `i`."""
+    if f.kind == _SWAPPED:
+        j = int(f.value)
+        if m.active and i != j:
+            a, b = out.encoder_count[i], out.encoder_count[j]
+            out.encoder_count[i], out.encoder_count[j] = b, a
+        return
     span = p.encoder_counts
     if m.filled == 0:
         m.unwrapped = out.encoder_count[i]
@@ -592,24 +619,31 @@ def deliver_command(faults: Faults, plant: Any, command: Any, spoken: bool) -> N
 
     Without a command for the watchdog time the device goes passive and stays so until `revive`.
     """
-    d, sent, p = faults.device[0], faults.sent[0], plant[0]
+    d, received, sent, p = faults.device[0], faults.received[0], faults.sent[0], plant[0]
     arrives = spoken and d.link_up
     _copy_command(command[0], faults.late_commands[d.index])
     if d.passive:
-        _make_passive(sent)
+        _make_passive(received)
     elif arrives:
         d.commanded, d.silence = True, 0.0
         back = min(d.delay, max(d.filled - 1, 0))
-        _copy_command(faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], sent)
+        _copy_command(faults.late_commands[(d.index - back + MAX_DELAY + 1) % (MAX_DELAY + 1)], received)
     elif d.commanded:
         d.silence += p.tick
         if d.silence >= d.watchdog - 1e-9:
             d.passive = True
-            _make_passive(sent)
+            _make_passive(received)
+    _copy_command(received, sent)
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
         if _VALVE <= f.signal < _SUPPLY:
             i = f.signal - _VALVE
+            if f.kind == _SWAPPED:
+                j = int(f.value)
+                if m.active and i != j:
+                    a, b = sent.valve[i], sent.valve[j]
+                    sent.valve[i], sent.valve[j] = b, a
+                continue
             wrong = _wrong(f, m, sent.valve[i], -1.0, 1.0, False, d.elapsed, p.tick)
             sent.valve[i] = 0.0 if _is_out(f, m) else min(max(wrong, -1.0), 1.0)
         elif f.signal == _SUPPLY and f.kind not in (_OFF, _SCALE, _DRIFTING):

@@ -11,6 +11,7 @@ from bench.commands.session import Session
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+    from bench.faults.catalogue import Breakage
     from bench.faults.matrix import MatrixPlan
     from bench.faults.verdict import CaseOutcome
     from bench.swing.profile import Profile
@@ -41,6 +42,14 @@ Compare = Annotated[
     bool,
     typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check."),
 ]
+Families = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="FAMILY",
+        help="Only 'one fault', 'during a stop', 'from the start', 'latent pair', 'access'; repeatable.",
+    ),
+]
+Every = Annotated[int, typer.Option(metavar="N", min=1, help="A sample: one case of N.")]
 Quick = Annotated[bool, typer.Option("--quick", help="One instant per phase only.")]
 Processes = Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
@@ -53,6 +62,8 @@ def run(
     output: Output = None,
     signal: Signals = None,
     phase: Phases = None,
+    family: Families = None,
+    every: Every = 1,
     model_check: ModelCheck = True,
     compare: Compare = False,
     quick: Quick = False,
@@ -67,6 +78,7 @@ def run(
 
     from bench.commands.faults_page import matrix_page, matrix_table, reasons_table
     from bench.errors import BenchError, ExitCode
+    from bench.faults.catalogue import FAMILIES
     from bench.faults.matrix import plan_matrix
     from bench.faults.summary import PHASES, summary_text
     from bench.swing.library import find_profile
@@ -75,12 +87,20 @@ def run(
 
     if unknown := sorted(set(phase or ()) - set(PHASES)):
         raise BenchError("--phase", ", ".join(unknown), f"of {', '.join(PHASES)}", "Correct it.")
+    if unknown := sorted(set(family or ()) - set(FAMILIES)):
+        raise BenchError("--family", ", ".join(unknown), f"of {', '.join(FAMILIES)}", "Correct it.")
     configuration = context.ensure_object(Session).configuration()
     swing = load_profile(find_profile(profile))
     folder = output or configuration.bench.data_dir / "faults"
     folder.mkdir(parents=True, exist_ok=True)
     plan = plan_matrix(
-        swing, model_check=model_check, signals=signal or (), phases=phase or (), one_instant=quick
+        swing,
+        model_check=model_check,
+        signals=signal or (),
+        phases=phase or (),
+        families=family or (),
+        one_instant=quick,
+        every=every,
     )
     summary = _matrix(configuration, swing, folder, plan, model_check, compare, processes)
     texts = {
@@ -111,16 +131,24 @@ def _matrix(
     compare: bool,
     processes: int,
 ) -> dict[str, Any]:
+    from datetime import UTC, datetime
+
+    from bench.faults.origin import origin_of
     from bench.faults.summary import compare as compared
     from bench.faults.summary import summarise
 
     store = folder / "cases.jsonl"
     outcomes, seconds = _outcomes(configuration, profile, plan, store, model_check, processes)
     summary = summarise(
-        outcomes, plan.skipped, model_check=model_check, profile=profile.name, seconds=seconds
+        outcomes,
+        plan.skipped,
+        model_check=model_check,
+        profile=profile.name,
+        seconds=seconds,
+        origin=origin_of(configuration, profile, datetime.now(UTC)),
     )
     if compare:
-        rest = tuple(case for case in plan.cases if _is_compared(case[0].fault.signal))
+        rest = tuple(case for case in plan.cases if _is_compared(case[0]))
         without, _ = _outcomes(
             configuration, profile, type(plan)(rest, ()), folder / "without.jsonl", not model_check, processes
         )
@@ -129,10 +157,15 @@ def _matrix(
     return summary
 
 
-def _is_compared(signal: str) -> bool:
+def _is_compared(breakage: Breakage) -> bool:
     from sim.faults import sort_of
 
-    return sort_of(signal) in ("encoder", "valve", "supply", "club head")
+    return breakage.family == "one fault" and sort_of(breakage.fault.signal) in (
+        "encoder",
+        "valve",
+        "supply",
+        "club head",
+    )
 
 
 def _outcomes(

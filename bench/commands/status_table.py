@@ -78,7 +78,7 @@ def _title(status: BenchStatus, age: float, silent: bool) -> Text:
 
 
 def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
-    cause, lease, loop = status["cause"], status["lease"], status["loop"]
+    cause, latest, lease, loop = status["cause"], status["latest_cause"], status["lease"], status["loop"]
     moves = f"{status['phase']}, reaction {status['reaction']}"
     chambers = [_bar(pressure) for pressure in status["chamber_pressure_pa"]]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
@@ -86,6 +86,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     rows: list[tuple[str, Text | str]] = [
         ("phase", moves),
         ("cause", Text(f"{cause['name']}: {cause['text']}", "red") if cause else "none"),
+        *([("then found", Text(f"{latest['name']}: {latest['text']}", "red"))] if latest else []),
         ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
         (
             "robot",

@@ -68,10 +68,23 @@ def stand(s: Any, parameters: Any, time: float) -> None:
 
 
 @compiled
+def _note(s: Any, parameters: Any, cause: int) -> bool:
+    """Note `cause` as the latest; return whether it is an emergency.
+
+    The first cause lasts, as an open guard does, and is seen in every tick: it hides none found after it.
+    """
+    before = s.latest_cause
+    s.latest_cause = cause
+    emergency = bool(parameters.control[0].emergencies[s.latest_cause] != 0)
+    if s.latest_cause == s.cause and before != 0:
+        s.latest_cause = before
+    return emergency
+
+
+@compiled
 def latch(s: Any, parameters: Any, cause: int, time: float) -> None:
     """Latch ESTOP or FAULT while standing; the first cause is kept, unless an emergency comes on top."""
-    s.latest_cause = cause
-    emergency = parameters.control[0].emergencies[s.latest_cause] != 0
+    emergency = _note(s, parameters, cause)
     if s.cause == 0 or (emergency and not s.emergency):
         s.cause = cause
     s.emergency = s.emergency or emergency
@@ -83,8 +96,7 @@ def latch(s: Any, parameters: Any, cause: int, time: float) -> None:
 def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> None:
     """Enter the table's reaction to `cause`, unless a more severe one is under way."""
     s, p = state.control[0], parameters.control[0]
-    s.latest_cause = cause
-    s.emergency = s.emergency or p.emergencies[s.latest_cause] != 0
+    s.emergency = _note(s, parameters, cause) or s.emergency
     s.distrusted = s.distrusted or column == LOST or cause >= Cause.SHOULDER_AIR
     if s.cause == 0:
         s.cause = cause

@@ -12,7 +12,7 @@ from bench.config import Configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import SIMULATED, build_controller
 from bench.errors import Refused
-from bench.faults.catalogue import EVENT_AFTER, Breakage
+from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.faults.watch import Watch, WatchedRun
@@ -29,6 +29,8 @@ _LONGEST = 40.0
 """Longest watch of a case, s."""
 _LONGEST_SEARCH = 10.0
 """Additional time for a case that begins in the search and goes on to a swing, s."""
+_LONGEST_ACCESS = 60.0
+"""Additional time for a case that vents, releases the guard and goes on to a swing, s."""
 _ASK_AFTER = 0.2
 """Time in hold or standing from the fault to the request that goes on, s."""
 
@@ -50,7 +52,7 @@ class Workbench:
         self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
         self.period = c.plant.tick
         self._bases: dict[Instant, LockstepEngine] = {}
-        self._ends: dict[Instant, WatchedRun] = {}
+        self._ends: dict[tuple[Instant, Event, float], WatchedRun] = {}
         self._lifecycle = lifecycle
 
     @cached_property
@@ -67,18 +69,33 @@ class Workbench:
             plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
         )
 
+    @cached_property
+    def _absolute(self) -> tuple[Plant, ControlParameters]:
+        """The shipped machine, homed by its hanging pose."""
+        c = self.configuration
+        homing = replace(c.homing, method="absolute")
+        return self.plant, build_controller(
+            c.plant, self.profile, c.control, self.envelope, c.estimator, self._lifecycle, homing
+        )
+
     def base(self, instant: Instant) -> LockstepEngine:
         """Return the undisturbed bench at `instant`.
 
         Raises:
             Refused: the undisturbed bench does not get there.
         """
+        instant = replace(instant, delay=0.0)
         if instant not in self._bases:
             self._bases[instant] = self._brought_to(instant)
         return self._bases[instant].copy()
 
     def _brought_to(self, instant: Instant) -> LockstepEngine:
-        if instant.phase == "homing":
+        if instant.phase == "start":
+            plant, parameters = self._homing if instant.label == "index" else self._absolute
+            stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
+            stepper.state = new_control_state(State.SAFE)
+            bench = LockstepEngine(stepper, name=self.profile.name)
+        elif instant.phase == "homing":
             plant, parameters = self._homing
             stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
             stepper.state = new_control_state(State.SAFE)
@@ -94,7 +111,10 @@ class Workbench:
                 bench.arm()
                 bench.control["tee"] = True
                 bench.advance(400)
-                if instant.phase != "hold":
+                if instant.phase == "access":
+                    if instant.label == "inside":
+                        _enter(bench)
+                elif instant.phase != "hold":
                     bench.advance(instant.tick, Request.SWING)
         if bench.cause:
             raise Refused(
@@ -108,20 +128,21 @@ class Workbench:
     def run(self, breakage: Breakage, instant: Instant) -> CaseOutcome:
         """Return how `breakage` at `instant` ends."""
         run = self._watched(instant, breakage)
-        healthy = self._healthy(instant, without_ball=breakage.event == "no ball")
+        healthy = self._healthy(instant, _event_of(breakage), breakage.event_after)
         return judge_case(self._limits, breakage, instant, run, healthy)
 
-    def _healthy(self, instant: Instant, *, without_ball: bool) -> WatchedRun:
-        key = replace(instant, label=instant.label + (" no ball" if without_ball else ""))
+    def _healthy(self, instant: Instant, event: Event, after: float = 0.0) -> WatchedRun:
+        """Return the run from `instant` without a fault, with `event` (stop or missing ball) `after` s."""
+        key = replace(instant, delay=0.0), event, after
         if key not in self._ends:
-            self._ends[key] = self._watched(instant, None, without_ball=without_ball)
+            self._ends[key] = self._watched(key[0], None, event, after)
         return self._ends[key]
 
     @cached_property
     def _limits(self) -> CaseLimits:
         """Limits of all cases; the head may be as fast as undisturbed, with or without a ball."""
         hold = Instant("hold", 0)
-        runs = [self._healthy(hold, without_ball=without_ball) for without_ball in (False, True)]
+        runs = [self._healthy(hold, event) for event in _WITH_AND_WITHOUT_BALL]
         safety = SafetyLimits(
             frame_radius=self.envelope.frame_radius,
             access_pressure=1.05 * self.configuration.lifecycle.vented_pressure,
@@ -129,30 +150,66 @@ class Workbench:
         return CaseLimits(self.plant, safety, max(run.loads.peak_head_speed for run in runs))
 
     def _watched(
-        self, instant: Instant, breakage: Breakage | None, *, without_ball: bool = False
+        self, instant: Instant, breakage: Breakage | None, event: Event = "", after: float = 0.0
     ) -> WatchedRun:
-        """Run from `instant` until everything rests."""
+        """Run from `instant` until everything rests; without a `breakage` with `event` `after` s."""
         bench = self.base(instant)
         bench.stepper.plant = own_records(bench.stepper.plant)
         bench.begin_tally()
-        state = bench.plant_state
-        no_ball = without_ball or (breakage is not None and breakage.event == "no ball")
-        if no_ball:
-            state["ball_present"] = False
         if breakage is not None:
-            bench.stepper.break_with((breakage.fault,), watchdog=self.configuration.driver.watchdog)
+            event, after = breakage.event, breakage.event_after
+        if event == "no ball":
+            bench.plant_state["ball_present"] = False
+        if breakage is not None:
+            later = tuple(replace(fault, time=fault.time + instant.delay) for fault in breakage.faults)
+            bench.stepper.break_with(later, watchdog=self.configuration.driver.watchdog)
         watch = Watch(bench)
-        ask_at = round(_ASK_AFTER / self.period)
-        event_at = round(EVENT_AFTER / self.period)
-        event = breakage.event if breakage is not None else ""
+        event_at = round(after / self.period)
         watch.advance(event_at, 0)
-        if event == "guard opened":
-            state["guard_closed"] = False
-        elif event == "emergency stop":
-            state["emergency_stop_clear"] = False
-        watch.advance(ask_at - event_at, Request.STOP if event == "stop" else 0)
-        requests = {"standing": Request.ARM, "homing": Request.ARM, "hold": Request.SWING}
-        going_on = requests.get(instant.phase, 0)
-        longest = _LONGEST + (_LONGEST_SEARCH if instant.phase == "homing" else 0.0)
-        watch.until_rest(round(longest / self.period), going_on, instant.phase)
+        _bring_about(event, bench)
+        watch.advance(round(_ASK_AFTER / self.period) - event_at, Request.STOP if event == "stop" else 0)
+        longest = _LONGEST + (_LONGEST_SEARCH if instant.phase in ("homing", "start") else 0.0)
+        longest += _LONGEST_ACCESS if instant.phase == "access" else 0.0
+        watch.until_rest(
+            round(longest / self.period), _GOING_ON.get(instant.name, _GOING_ON.get(instant.phase, ()))
+        )
         return watch.run()
+
+
+_GOING_ON: dict[str, tuple[Request, ...]] = {
+    "start": (Request.HOME, Request.ARM, Request.SWING),
+    "standing": (Request.ARM, Request.SWING),
+    "homing": (Request.ARM, Request.SWING),
+    "hold": (Request.SWING,),
+    "access before": (Request.DISARM, Request.ACCESS, Request.SECURE, Request.ARM, Request.SWING),
+    "access inside": (Request.SECURE, Request.ARM, Request.SWING),
+}
+"""Requests that go on from an instant, by its name or phase."""
+_WITH_AND_WITHOUT_BALL: tuple[Event, ...] = ("", "no ball")
+
+
+def _event_of(breakage: Breakage) -> Event:
+    """Return the event that the undisturbed run needs for a comparison with `breakage`.
+
+    An event that shows a single fault is no part of it: it is noticed, or the switch that is stuck hides it.
+    """
+    return (
+        breakage.event if breakage.event in ("stop", "no ball") or breakage.family == "during a stop" else ""
+    )
+
+
+def _bring_about(event: Event, bench: LockstepEngine) -> None:
+    """Open the circuit of `event`."""
+    if event == "guard opened":
+        bench.plant_state["guard_closed"] = False
+    elif event == "emergency stop":
+        bench.plant_state["emergency_stop_clear"] = False
+
+
+def _enter(bench: LockstepEngine) -> None:
+    """Vent, release the guard and open it."""
+    bench.request(Request.DISARM)
+    while not bench.request(Request.ACCESS) and not bench.cause:
+        bench.advance(100)
+    bench.plant_state["guard_closed"] = False
+    bench.advance(500)

@@ -4,29 +4,60 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import nan
-from typing import Literal
+from typing import Literal, get_args
 
 from drivers.base import CHAMBERS, JOINTS
 from sim.faults import Fault, Kind, sort_of
 
 Event = Literal["", "stop", "guard opened", "emergency stop", "no ball"]
-"""Event after the fault: a stop that needs the part, or the event that a stuck switch should report."""
+"""Event beside the fault: a stop that needs the part, or the event that a stuck switch should report."""
 
 EVENT_AFTER = 0.05
-"""Time from the fault to the event, s."""
+"""Time from the fault to the event, s, where the fault comes first."""
+
+Family = Literal["one fault", "during a stop", "from the start", "latent pair", "access"]
+"""When the faults come: alone at any instant; while a stop is under way; before the bench is switched on; one
+that shows nothing before the one that it should have shown; around the released guard."""
+FAMILIES: tuple[Family, ...] = get_args(Family)
 
 
 @dataclass(frozen=True)
 class Breakage:
-    """One row of the matrix."""
+    """One row of the matrix: a fault, or two of which the first hides the second, and an event."""
 
     fault: Fault
     event: Event = ""
+    family: Family = "one fault"
+    hidden_by: Fault | None = None
 
     @property
     def name(self) -> str:
-        """Signal, kind, value and event."""
-        return self.fault.name + (f", then {self.event}" if self.event else "")
+        """Signal, kind, value, event and the other fault."""
+        if self.family == "during a stop":
+            return f"{self.fault.name}, during {_DURING[self.event]}"
+        if self.family == "from the start":
+            return f"{self.fault.name}, from the start"
+        if self.family == "access":
+            return f"{self.fault.name}, around access"
+        first = f"{self.hidden_by.name}, then " if self.hidden_by is not None else ""
+        return first + self.fault.name + (f", then {self.event}" if self.event else "")
+
+    @property
+    def event_after(self) -> float:
+        """Time from the instant of the case to the event, s."""
+        return 0.0 if self.family == "during a stop" else EVENT_AFTER
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """The faults in the order in which they come."""
+        return (self.fault,) if self.hidden_by is None else (self.hidden_by, self.fault)
+
+
+_DURING: dict[Event, str] = {
+    "stop": "an operator's stop",
+    "emergency stop": "an emergency stop",
+    "guard opened": "a stop by the guard",
+}
 
 
 def _broken(signal: str, kind: Kind, value: float = nan, text: str = "", event: Event = "") -> Breakage:
@@ -95,7 +126,7 @@ def _pressure(signal: str, event: Event) -> tuple[Breakage, ...]:
     )
 
 
-CATALOGUE: tuple[Breakage, ...] = (
+SINGLE: tuple[Breakage, ...] = (
     *(breakage for joint in JOINTS for breakage in _encoder(joint)),
     *(breakage for joint in JOINTS for breakage in _valve(joint)),
     _broken("supply", "off", text="supply lost"),
@@ -117,6 +148,8 @@ CATALOGUE: tuple[Breakage, ...] = (
     _broken("tee", "off", text="no ball on the tee", event="no ball"),
     *_pressure("supply sensor", ""),
     *(breakage for chamber in CHAMBERS for breakage in _pressure(f"{chamber} sensor", "stop")),
+    _broken("shoulder encoder", "swapped", 2.0, "shoulder and wrist encoders swapped"),
+    _broken("shoulder valve", "swapped", 1.0, "shoulder and arm valves swapped"),
     _broken("club head", "off", text="club head lost"),
     _broken("link", "off", text="link cut"),
     Breakage(Fault("link cut for 3 ms", "link", "off", duration=0.003)),
@@ -126,6 +159,7 @@ CATALOGUE: tuple[Breakage, ...] = (
     _broken("link", "delayed", 0.01, "link delayed 10 ms"),
     _broken("link", "intermittent", 0.2, "link intermittent 20 %"),
     _broken("clock", "off", text="clock gives no number"),
+    Breakage(Fault("clock gives no number for a tick", "clock", "off", duration=0.001)),
     _broken("clock", "stuck", text="clock stands still"),
     _broken("clock", "offset", 0.5, "clock jumps 0.5 s ahead"),
     _broken("clock", "offset", -0.5, "clock jumps 0.5 s back"),
@@ -147,7 +181,7 @@ CATALOGUE: tuple[Breakage, ...] = (
     _broken("launch monitor", "delayed", 20.0),
     _broken("launch monitor", "intermittent", 0.3),
 )
-"""All rows."""
+"""Faults that come alone."""
 
 MOVING: frozenset[str] = frozenset(
     {"homing", "backswing", "top", "downswing", "committed", "impact", "follow-through", "return"}
@@ -157,6 +191,8 @@ MOVING: frozenset[str] = frozenset(
 def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
     """Return the rule by which `breakage` cannot matter in `phase`; empty if it can."""
     signal, sort = breakage.fault.signal, sort_of(breakage.fault.signal)
+    if breakage.family != "one fault":
+        return ""
     if sort == "launch monitor":
         return "the loop does not read the launch monitor; its data are judged after the swing"
     if signal == "local reset":

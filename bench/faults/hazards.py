@@ -28,11 +28,14 @@ def hazard_table(summary: dict[str, Any]) -> str:
     v = summary["verdicts"]
     lines = [
         HEAD,
-        f"{summary['cases']} cases from {len(summary['instants'])} instants "
-        f"({', '.join(sorted(summary['instants']))}), "
+        f"{summary['cases']} cases from {len(summary['instants'])} instants, "
         f"model-based check {'on' if summary['model_check'] else 'off'}: "
         f"{v['safe']} detected and safe, {v['harmless']} harmless, {v['undetected']} undetected with another "
         f"shot or pose, {v['unsafe']} unsafe; {summary['left_out_by_rule']} pairs left out by rule.",
+        "",
+        _origin(summary),
+        "",
+        *_families(summary),
         "",
         "| hazard | cases | detected by | reaction, ticks | residual risk | only by hardware |",
         "|---|---|---|---|---|---|",
@@ -53,6 +56,32 @@ _ALWAYS = (
     "whole swing's energy, or a second valve in series.",
     "- The bench's computer and the valve electronics failing together: the emergency stop's own dump valve.",
 )
+
+
+def _origin(summary: dict[str, Any]) -> str:
+    o = summary["origin"]
+    return (
+        f"Swing `{summary['profile']}`, commit {o['commit'] or 'unknown'}, digests: configuration "
+        f"{o['configuration']}, profile {o['profile']}, compiled sources {o['sources']}; seed {o['seed']}; "
+        f"{o['time_utc'][:16]} UTC."
+    )
+
+
+def _families(summary: dict[str, Any]) -> list[str]:
+    names = ("safe", "harmless", "undetected", "unsafe")
+    lines = ["| faults that come | " + " | ".join(names) + " |", "|---|---|---|---|---|"]
+    lines += [
+        f"| {family} | " + " | ".join(str(counts[name]) for name in names) + " |"
+        for family, counts in summary["families"].items()
+        if any(counts.values())
+    ]
+    lines += ["", "| verdict | reason | cases |", "|---|---|---|"]
+    lines += [
+        f"| {verdict} | {reason} | {count} |"
+        for verdict, reasons in summary["reasons"].items()
+        for reason, count in reasons.items()
+    ]
+    return lines
 
 
 def _row(row: dict[str, Any]) -> str:

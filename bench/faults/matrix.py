@@ -13,14 +13,25 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from bench.config import Configuration
 from bench.faults.case import Workbench
-from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
-from bench.faults.instants import Instant, instants_of
+from bench.faults.catalogue import Breakage, irrelevant
+from bench.faults.combined import CATALOGUE
+from bench.faults.instants import (
+    ACCESS,
+    INTO_A_STOP,
+    START,
+    Instant,
+    dense_instants,
+    instants_of,
+    stopped_instants,
+)
 from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
 from drivers.base.machine_code import source_digest
+from sim.faults import sort_of
 
 _PR_SET_PDEATHSIG = 1
 _AT_ONCE = 12
@@ -34,6 +45,7 @@ class Skipped:
     breakage: str
     signal: str
     kind: str
+    family: str
     instant: str
     phase: str
     rule: str
@@ -47,34 +59,72 @@ class MatrixPlan:
     skipped: tuple[Skipped, ...]
 
 
+def instants_for(breakage: Breakage, profile: Profile) -> tuple[Instant, ...]:
+    """Return the instants at which `breakage` is tried."""
+    of_motion = sort_of(breakage.fault.signal) in ("valve", "encoder")
+    if breakage.family == "during a stop":
+        return stopped_instants(profile, INTO_A_STOP if of_motion else INTO_A_STOP[1::2])
+    if breakage.family == "from the start":
+        return START
+    if breakage.family == "latent pair":
+        return instants_of(profile)[:1]
+    if breakage.family == "access":
+        return ACCESS
+    dense = of_motion and breakage.fault.kind in ("stuck", "off")
+    return instants_of(profile) + (dense_instants(profile) if dense else ())
+
+
 def plan_matrix(
     profile: Profile,
     *,
     model_check: bool,
     signals: Sequence[str] = (),
     phases: Sequence[str] = (),
+    families: Sequence[str] = (),
     one_instant: bool = False,
+    every: int = 1,
 ) -> MatrixPlan:
-    """Return the cases of `profile`; `signals` (parts of names), `phases`, `one_instant` narrow them."""
-    cases, skipped = [], []
-    instants = instants_of(profile)
-    if one_instant:
-        by_phase: dict[str, list[Instant]] = {}
-        for instant in instants:
-            by_phase.setdefault(instant.phase, []).append(instant)
-        instants = tuple(of_phase[len(of_phase) // 2] for of_phase in by_phase.values())
+    """Return the cases of `profile`.
+
+    They are narrowed by `signals` (parts of names), `phases`, `families`, `one_instant` of each phase, and to
+    one case of `every`.
+    """
+    cases: list[tuple[Breakage, Instant]] = []
+    skipped = []
     for breakage in CATALOGUE:
         if signals and not any(part in breakage.name for part in signals):
             continue
+        if families and breakage.family not in families:
+            continue
+        instants = instants_for(breakage, profile)
+        if one_instant:
+            instants = _middle_ones(instants)
         for instant in instants:
             if phases and instant.phase not in phases:
                 continue
             if rule := irrelevant(breakage, instant.phase, model_check=model_check):
                 f = breakage.fault
-                skipped.append(Skipped(breakage.name, f.signal, f.kind, instant.name, instant.phase, rule))
+                skipped.append(
+                    Skipped(
+                        breakage.name, f.signal, f.kind, breakage.family, instant.name, instant.phase, rule
+                    )
+                )
             else:
                 cases.append((breakage, instant))
-    return MatrixPlan(tuple(cases), tuple(skipped))
+    return MatrixPlan(tuple(case for case in cases if _drawn(*case) % every == 0), tuple(skipped))
+
+
+def _drawn(breakage: Breakage, instant: Instant) -> int:
+    """Return a number of a case that says nothing of it, and is the same in every run."""
+    return crc32(f"{breakage.name} {instant.name}".encode())
+
+
+def _middle_ones(instants: Sequence[Instant]) -> tuple[Instant, ...]:
+    """Return the middle one of `instants` in each phase."""
+    by_phase: dict[str, list[Instant]] = {}
+    for instant in instants:
+        by_phase.setdefault(instant.phase, []).append(instant)
+    return tuple(of_phase[len(of_phase) // 2] for of_phase in by_phase.values())
 
 
 def digest_of(configuration: Configuration, profile: Profile, model_check: bool) -> str:

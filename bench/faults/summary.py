@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.faults.catalogue import FAMILIES
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
 from sim.faults import MEANINGS, sort_of
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
 """From best to worst."""
 PHASES = (
+    "start",
+    "access",
     "standing",
     "homing",
     "hold",
@@ -35,8 +39,9 @@ def summarise(
     model_check: bool,
     profile: str,
     seconds: float,
+    origin: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the summary of a matrix as a JSON-ready record."""
+    """Return the summary of a matrix as a JSON-ready record; `origin` is what it was made from."""
     rows = []
     for name in dict.fromkeys([*(o.breakage for o in outcomes), *(s.breakage for s in skipped)]):
         own, left_out = (
@@ -49,6 +54,7 @@ def summarise(
                 "breakage": name,
                 "signal": first.signal,
                 "kind": first.kind,
+                "family": first.family,
                 "meaning": MEANINGS[sort_of(first.signal)][first.kind],
                 "verdicts": dict(Counter(o.verdict for o in own)),
                 "phases": {phase: _phase(phase, own, left_out) for phase in PHASES},
@@ -64,11 +70,17 @@ def summarise(
     return {
         "schema_version": SCHEMA_VERSION,
         "profile": profile,
+        "origin": dict(origin),
         "model_check": model_check,
         "cases": len(outcomes),
         "instants": list(dict.fromkeys(o.instant for o in outcomes)),
         "left_out_by_rule": len(skipped),
         "verdicts": {verdict: sum(o.verdict == verdict for o in outcomes) for verdict in VERDICTS[1:]},
+        "families": {
+            family: {v: sum(o.verdict == v for o in outcomes if o.family == family) for v in VERDICTS[1:]}
+            for family in FAMILIES
+        },
+        "reasons": _by_reason(outcomes),
         "seconds": round(seconds, 1),
         "reaction_ticks": reaction_ticks(outcomes),
         "rows": rows,
@@ -93,6 +105,18 @@ def _reasons(own: Sequence[CaseOutcome]) -> list[str]:
     """Return each reason once, the worst first."""
     bad = sorted((o for o in own if o.reasons), key=lambda o: -VERDICTS.index(o.verdict))
     return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}" for o in bad))
+
+
+_FIGURE = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+def _by_reason(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, int]]:
+    """Return how many unsafe and undetected cases have each reason, without its figures; the most first."""
+    found: dict[str, Counter[str]] = {"unsafe": Counter(), "undetected": Counter()}
+    for outcome in outcomes:
+        if outcome.verdict in found:
+            found[outcome.verdict].update(_FIGURE.sub("…", reason) for reason in outcome.reasons)
+    return {verdict: dict(reasons.most_common()) for verdict, reasons in found.items()}
 
 
 def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float]]:

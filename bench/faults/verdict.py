@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.faults.catalogue import Breakage
+from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.watch import WatchedRun
 from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Reaction, State
@@ -31,6 +31,7 @@ class CaseOutcome:
     breakage: str
     signal: str
     kind: str
+    family: str
     phase: str
     instant: str
     verdict: str
@@ -79,7 +80,8 @@ def judge_case(
 ) -> CaseOutcome:
     """Return the outcome of `run` with `breakage` at `instant`; `healthy` is the undisturbed run."""
     cycles, loads = run.cycles, run.loads
-    detected_by, detected, reaction, reacted = _detection(run, healthy)
+    after = round(instant.delay / float(limits.plant.parameters.tick))
+    detected_by, detected, reaction, reacted = _detection(run, healthy, _own_cause(breakage), after)
     change = _change(run, healthy) if not detected_by else ""
     head_share = loads.peak_head_speed / limits.head_speed
     reasons = dangers(run.end(head_share), limits.safety)
@@ -94,11 +96,13 @@ def judge_case(
     if verdict == "undetected":
         reasons.append(change)
     cause, final = Cause(int(run.control[0]["cause"])), State(int(run.control[0]["state"]))
+    found = Cause(int(run.control[0]["latest_cause"]))
     fastest_at_stop = float(cycles["plant_head_speed"][_pressed(limits.plant, cycles)].max(initial=0.0))
     return CaseOutcome(
         breakage=breakage.name,
         signal=breakage.fault.signal,
         kind=breakage.fault.kind,
+        family=breakage.family,
         phase=instant.phase,
         instant=instant.name,
         verdict=verdict,
@@ -115,26 +119,54 @@ def judge_case(
         clearance=round(loads.lowest_clearance, 4),
         head_share=round(head_share, 4),
         rest_ticks=run.rest_tick if run.rest_tick < len(cycles) - 1 else -1,
-        operator=CAUSE_TEXT[cause] if cause else "; ".join(run.refusals) or "nothing",
+        operator="; then ".join(CAUSE_TEXT[c] for c in dict.fromkeys((cause, found)) if c)
+        or "; ".join(run.refusals)
+        or "nothing",
         record=f"{final.name}, trip {_trips(cycles, cause)}" + (f", reaction {reaction}" if reaction else ""),
         change=change,
     )
 
 
-def _detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int, str, int]:
-    """Return what detected the fault and at which tick, and the reaction and its tick; "" and -1: none."""
+_EVENT_CAUSES: dict[Event, Cause] = {
+    "stop": Cause.OPERATOR_STOP,
+    "emergency stop": Cause.EMERGENCY_STOP,
+    "guard opened": Cause.GUARD,
+}
+
+
+def _own_cause(breakage: Breakage) -> Cause:
+    """Return the cause that the case itself brings about: to latch it is no detection of the fault."""
+    if breakage.event == "stop" or breakage.family == "during a stop":
+        return _EVENT_CAUSES[breakage.event]
+    return Cause.NONE
+
+
+def _detection(run: WatchedRun, healthy: WatchedRun, own: Cause, after: int) -> tuple[str, int, str, int]:
+    """Return what detected the fault and at which tick, and the reaction and its tick; "" and -1: none.
+
+    Latching `own` is no detection. Ticks count from the fault, which came `after` ticks into the run.
+    """
     cycles = run.cycles
     ran = cycles["tick"] > 0
-    tripped = _first(ran & (cycles["trip"] != 0))
+    latest = cycles["latest_cause"]
+    tripped = _first(ran & (latest != Cause.NONE) & (latest != own))
     if tripped >= 0:
-        detected_by = Cause(int(cycles["trip"][tripped])).name
+        detected_by = Cause(int(latest[tripped])).name
     else:
         detected_by, tripped = _other_detection(run, healthy)
-    reacted = _first(ran & (cycles["reaction"] >= Reaction.COMPLETE)) if detected_by else -1
-    reaction = Reaction(int(cycles["reaction"][reacted])).name if reacted >= 0 else ""
+    severity = cycles["reaction"]
+    if own and tripped >= 0:
+        harder = (
+            np.flatnonzero((np.diff(severity) > 0) & ran[1:] & (np.arange(1, len(severity)) >= after)) + 1
+        )
+        reacted = int(harder[0]) if len(harder) and detected_by else -1
+    else:
+        reacted = _first(ran & (severity >= Reaction.COMPLETE)) if detected_by else -1
+    reaction = Reaction(int(severity[reacted])).name if reacted >= 0 else ""
     if run.device_passive >= 0 and reacted < 0:
         reaction, reacted = "PASSIVE (valve node)", run.device_passive
-    return detected_by, tripped, reaction, reacted
+    tripped = max(0, tripped - after) if tripped >= 0 else -1
+    return detected_by, tripped, reaction, max(0, reacted - after) if reacted >= 0 else -1
 
 
 def _trips(cycles: Cycles, last: Cause) -> str:

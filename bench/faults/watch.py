@@ -5,6 +5,8 @@ They are the plant's truth, not the bench's belief; what the bench reported stan
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +23,18 @@ from sim.plant import Plant
 _LATCHED = (State.FAULT, State.ESTOP)
 _CHUNK = 100
 """Ticks between two looks."""
+_INSIDE = 5.0
+"""Time for which people stay inside the guard, s."""
+_LEAVING = 3.0
+"""Time in which the guard locks behind the last person, s."""
+_LONGEST_VENT = 20.0
+"""Time at rest after which access is given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
 """Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
+
+
+_REPEATED = (Request.HOME, Request.ACCESS, Request.SWING)
+"""Requests that are put until they are accepted: what they need comes with time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +52,10 @@ class WatchedRun:
     vented_tick: int
     """Tick at which the chambers were reported empty after a fault; -1: never."""
     access_pressure: float
-    """Max chamber pressure when the guard was released, Pa absolute; NaN if it never was."""
+    """Max pressure in a chamber, or in the manifold, at a release of the guard, and in a chamber while people
+    may be inside, Pa absolute; NaN if it never was released."""
+    access_motion: float
+    """Max movement of a joint while people may be inside, rad."""
     armed_again: bool
     """Whether the robot armed after a fault without a reset."""
     refusals: tuple[str, ...]
@@ -65,6 +80,7 @@ class WatchedRun:
             head_share=head_share,
             creep=creep,
             access_pressure=None if np.isnan(self.access_pressure) else self.access_pressure,
+            access_motion=self.access_motion,
             armed_again=self.armed_again,
         )
 
@@ -77,8 +93,10 @@ class Watch:
         self.bench, self.period = bench, bench.period
         self.ticks = self.rest_tick = 0
         self.vented_tick = -1
-        self.access_pressure = float("nan")
+        self.access_pressure, self.access_motion = float("nan"), 0.0
         self.armed_again = False
+        self._inside: NDArray[np.float64] | None = None
+        self._released_at = self._left_at = 0
         self.refusals: list[str] = []
         self.device_passive = -1
 
@@ -93,9 +111,7 @@ class Watch:
         moving = np.flatnonzero((np.abs(cycles["plant_velocity"]) > _STILL).any(axis=1))
         if len(moving):
             self.rest_tick = self.ticks + int(moving[-1]) + 1
-        released = np.flatnonzero((cycles["tick"] > 0) & ~cycles["guard_lock"])
-        if len(released) and np.isnan(self.access_pressure):
-            self.access_pressure = float(cycles["plant_pressure"][released[0]].max())
+        self._watch_access(cycles)
         empty = np.flatnonzero(cycles["vented"])
         if len(empty) and self.vented_tick < 0 and self.state in _LATCHED:
             self.vented_tick = self.ticks + int(empty[0])
@@ -108,43 +124,96 @@ class Watch:
             self.device_passive = self.ticks + max(0, ticks - 1)
         self.ticks += ticks
 
-    def until_rest(self, longest: int, going_on: int, phase: str) -> None:
-        """Run until rest, at most `longest` ticks in all, with requests from `phase` on.
+    def _watch_access(self, cycles: Cycles) -> None:
+        """Note pressure and motion from a release of the guard until a person has secured it."""
+        ran = cycles["tick"] > 0
+        released = np.flatnonzero(ran & ~cycles["guard_lock"])
+        if self._inside is None and len(released):
+            first = released[0]
+            self._inside, self._released_at = cycles["plant_angle"][first].copy(), self.ticks
+            manifold = float(self.bench.plant_state["supply_pressure"][0])
+            self.access_pressure = np.fmax(self.access_pressure, manifold)
+            inside = cycles[first:]
+        else:
+            inside = cycles
+        if self._inside is not None and len(inside):
+            self.access_pressure = float(np.fmax(self.access_pressure, inside["plant_pressure"].max()))
+            moved = float(np.abs(inside["plant_angle"] - self._inside).max())
+            self.access_motion = max(self.access_motion, moved)
 
-        From standing and hold the request `going_on` is put; after a fault requests that must be refused.
+    def until_rest(self, longest: int, requests: tuple[Request, ...]) -> None:
+        """Run until rest, at most `longest` ticks in all, and put `requests` when each is due.
+
+        After a fault requests that must be refused are put instead.
         """
-        latched_at, asked, done_at = -1, False, -1
+        latched_at, done_at = -1, -1
+        left = deque(requests)
+        swings = int(self.bench.control["swings"][0]) + 1
         while self.ticks < longest:
             request: int = 0
             if self.state in _LATCHED:
                 request = Request.ARM if latched_at < 0 else Request.ACCESS  # nothing arms before a reset
                 latched_at = self.ticks if latched_at < 0 else latched_at
-            elif going_on == Request.ARM and not asked and self.state is not State.HOMING:
-                asked, request = True, Request.ARM
-            elif going_on and self._may_swing(0 if going_on == Request.ARM or phase == "hold" else 1):
-                request = Request.SWING
+                left.clear()
+            elif left and self._is_due(left[0]):
+                request = left[0]
+                if request == Request.SECURE:
+                    self._leave()
+                if request not in _REPEATED:
+                    left.popleft()
             self.advance(_CHUNK, request)
+            if left and left[0] in _REPEATED and self._is_followed(left[0], swings):
+                left.popleft()
             if latched_at >= 0 and self.state in (State.ARMED, State.SWINGING, State.HOMING):
                 self.armed_again = True
-            if not self._done(request):
+            if not self._done(request, left):
                 done_at = -1
             elif done_at < 0:
                 done_at = self.ticks
             elif self.ticks - done_at >= 3 * _CHUNK:
                 return
 
-    def _may_swing(self, swings: int) -> bool:
-        """Return whether the robot holds its address after `swings` swings."""
-        control = self.bench.control[0]
-        holds = control["phase"] == Phase.HOLD and control["state"] == State.ARMED
-        return bool(holds and control["swings"] == swings)
+    def _is_followed(self, request: Request, swings: int) -> bool:
+        """Return whether `request` was accepted; whoever is let in opens the guard."""
+        if request == Request.ACCESS:
+            if self.state is State.ACCESS:
+                self.bench.plant_state["guard_closed"] = False
+            return self.state is State.ACCESS
+        if request == Request.HOME:
+            return self.state is not State.SAFE
+        return bool(self.bench.control["swings"][0] >= swings)
 
-    def _done(self, request: int) -> bool:
-        """Return whether the robot is still and nothing more will come."""
+    def _is_due(self, request: Request) -> bool:
+        """Return whether `request` is to be put now."""
+        state, control = self.state, self.bench.control[0]
+        if request == Request.SWING:
+            return bool(control["phase"] == Phase.HOLD and state is State.ARMED)
+        if request == Request.SECURE:
+            return state is State.ACCESS and self.ticks - self._released_at >= round(_INSIDE / self.period)
+        return state in (State.SAFE, State.READY) or request == Request.DISARM
+
+    def _leave(self) -> None:
+        """Leave: close the guard and press the button beside the robot."""
+        state = self.bench.plant_state
+        state["guard_closed"] = True
+        self.advance(_CHUNK)
+        state["local_reset"] = True
+        self.advance(_CHUNK)
+        state["local_reset"] = False
+        self._inside, self._left_at = None, self.ticks
+
+    def _done(self, request: int, left: Collection[Request]) -> bool:
+        """Return whether the robot is still and nothing more will come; `left` are requests to be put."""
         if self.ticks - self.rest_tick < round(_STILL_FOR / self.period):
             return False
-        if self.state in (State.ACCESS, State.READY, State.SAFE):
-            return True
+        if self.state in (State.READY, State.SAFE):
+            waits = Request.ACCESS in left or Request.HOME in left
+            return not (waits and self.ticks - self.rest_tick < round(_LONGEST_VENT / self.period))
+        if self.state is State.ACCESS:
+            begin, longest = (
+                (self._released_at, _INSIDE) if Request.SECURE in left else (self._left_at, _LEAVING)
+            )
+            return not left or self.ticks - begin >= round((longest + 1.0) / self.period)
         if self.state is State.ARMED and self.bench.phase is Phase.HOLD and not request:
             return True
         faults = self.bench.stepper.faults
@@ -161,6 +230,7 @@ class Watch:
             rest_tick=self.rest_tick,
             vented_tick=self.vented_tick,
             access_pressure=self.access_pressure,
+            access_motion=self.access_motion,
             armed_again=self.armed_again,
             refusals=tuple(dict.fromkeys(self.refusals)),
             device_passive=self.device_passive,

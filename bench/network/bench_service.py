@@ -135,6 +135,9 @@ class BenchStatus(TypedDict):
     phase: str
     reaction: str
     cause: CauseStatus | None
+    """First cause of a stop."""
+    latest_cause: CauseStatus | None
+    """Newest cause found after it; None if there is none."""
     homed: bool
     vented: bool
     tick: int

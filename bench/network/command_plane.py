@@ -60,6 +60,7 @@ _CHANGES = (
     "phase",
     "reaction",
     "cause",
+    "latest_cause",
     "homed",
     "vented",
     "swings",

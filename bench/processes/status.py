@@ -12,6 +12,7 @@ from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.network.bench_service import (
     STATUS_VERSION,
     BenchStatus,
+    CauseStatus,
     LaunchMonitorStatus,
     LoopStatus,
     ProcessStatus,
@@ -49,13 +50,14 @@ def status_of(
     plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
-    cause = Cause(int(r["trip"]))
+    cause, latest = Cause(int(r["trip"])), Cause(int(r["latest_cause"]))
     status: dict[str, Any] = {
         "version": STATUS_VERSION,
         "state": State(int(r["state"])).name,
         "phase": Phase(int(r["phase"])).name,
         "reaction": Reaction(int(r["reaction"])).name,
-        "cause": {"name": cause.name, "text": CAUSE_TEXT[cause]} if cause else None,
+        "cause": _cause(cause),
+        "latest_cause": _cause(latest) if latest != cause else None,
         "homed": bool(r["homed"]),
         "vented": bool(r["vented"]),
         "tick": int(r["tick"]),
@@ -76,6 +78,10 @@ def status_of(
         **beside,
     }
     return cast(BenchStatus, status)
+
+
+def _cause(cause: Cause) -> CauseStatus | None:
+    return CauseStatus(name=cause.name, text=CAUSE_TEXT[cause]) if cause else None
 
 
 def _number(value: float) -> float | None:

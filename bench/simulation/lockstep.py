@@ -135,7 +135,7 @@ class Lockstep:
         self.faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
         if self.tick:  # the device has already received commands
             self.faults.device["commanded"] = True
-            self.faults.sent[:] = self.command
+            self.faults.received[:] = self.command
 
     def copy(self) -> Lockstep:
         """Return an independent bench in the same state, without faults."""

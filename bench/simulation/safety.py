@@ -27,7 +27,7 @@ class SafetyLimits:
     creep: float = 0.02
     """Movement of a joint after its chambers were reported empty, rad."""
     access_pressure: float = float("inf")
-    """Max chamber pressure when the guard is released, Pa absolute."""
+    """Max pressure when the guard is released, and in a chamber while people may be inside, Pa absolute."""
 
 
 class RunEnd(NamedTuple):
@@ -43,7 +43,9 @@ class RunEnd(NamedTuple):
     creep: float | None = None
     """Movement of a joint after its chambers were reported empty, rad."""
     access_pressure: float | None = None
-    """Max chamber pressure when the guard was released, Pa absolute."""
+    """Max pressure when the guard was released, and in a chamber while people may be inside, Pa absolute."""
+    access_motion: float = 0.0
+    """Movement of a joint while people may be inside, rad; judged as creep."""
     armed_again: bool = False
     """Whether the robot armed after a fault without a reset."""
 
@@ -66,7 +68,9 @@ def dangers(end: RunEnd, limits: SafetyLimits) -> list[str]:
     if end.rested is False:
         found.append("did not come to rest")
     if end.access_pressure is not None and not end.access_pressure <= limits.access_pressure:
-        found.append(f"the guard was released at {1e-5 * end.access_pressure:.1f} bar in a chamber")
+        found.append(f"the guard was released with {1e-5 * end.access_pressure:.1f} bar inside")
+    if not end.access_motion <= limits.creep:
+        found.append(f"moved by {end.access_motion:.2f} rad while the guard was released")
     if end.armed_again:
         found.append("armed again without a reset")
     return found

@@ -67,6 +67,7 @@ FIELDS = (
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'"),
     Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'"),
     Field("trip", "i4", "1", "cause that tripped the envelope, see enumeration 'trip'; 0 when none"),
+    Field("latest_cause", "i4", "1", "newest cause, also after `trip`, see enumeration 'trip'; 0 when none"),
     Field("encoder_count", "i8", "1", "encoder reading in counts", JOINTS),
     Field("encoder_valid", "u1", "1", "1 when the encoder reading is valid", JOINTS),
     Field("encoder_age", "f8", "s", "age of the encoder reading at this tick", JOINTS),

@@ -15,7 +15,8 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 `missed_ticks`   ticks that the loop itself skipped inside
 `continued`      the robot moved already when it begins: the record before was cut there, or nobody recorded
 `outcome`        `states`: [tick, name] at the first cycle and at each change; `cause`, `text`: first cause
-                 of a stop; `ended`: why the record ends before the robot stood, else empty
+                 of a stop; `then_found`: names of those found after it; `ended`: why the record ends before
+                 the robot stood, else empty
 `configuration`, `versions`, `real_time`, `calibrations`   as the supervisor gave them
 `profile`        `name`, `golfer`, `club`, `impact_time`, and `data`: all of the profile, see `profile_entry`
                  `correction`, where it was swung with a learned one, which is in `data`: `number`, `weights`
@@ -148,8 +149,15 @@ def _outcome(cut: Cut) -> dict[str, Any]:
         "states": [[int(cut.cycles["tick"][i]), State(int(states[i])).name] for i in changes],
         "cause": cause.name,
         "text": CAUSE_TEXT[cause],
+        "then_found": [Cause(int(code)).name for code in _later(cut.cycles["latest_cause"], cause)],
         "ended": cut.ended,
     }
+
+
+def _later(latest: np.ndarray[Any, Any], first: Cause) -> list[int]:
+    """Return the causes found after the `first` in order, each once."""
+    codes, at = np.unique(latest, return_index=True)
+    return [int(code) for code in codes[np.argsort(at)] if code not in (Cause.NONE, first)]
 
 
 def snapshot_entry(snapshot: np.ndarray[Any, Any]) -> dict[str, Any]:

@@ -93,6 +93,7 @@ class FakeDesk:
             phase=self.armed_phase if self.state is State.ARMED else "STANDING",
             reaction="NONE",
             cause=cause,
+            latest_cause=None,
             homed=self.state not in (State.ESTOP, State.SAFE),
             vented=self.state is not State.ARMED,
             tick=123456,

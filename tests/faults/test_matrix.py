@@ -22,10 +22,11 @@ from bench.commands.faults_page import matrix_page, matrix_table
 from bench.commands.session import Session
 from bench.config import load_configuration, shipped_configuration
 from bench.faults.case import Workbench
-from bench.faults.catalogue import CATALOGUE, Breakage, irrelevant
+from bench.faults.catalogue import Breakage, irrelevant
+from bench.faults.combined import CATALOGUE
 from bench.faults.hazards import hazard_table
-from bench.faults.instants import Instant, instants_of
-from bench.faults.matrix import CaseStore, MatrixPlan, digest_of, plan_matrix, run_matrix
+from bench.faults.instants import ACCESS, START, Instant, instants_of
+from bench.faults.matrix import CaseStore, MatrixPlan, digest_of, instants_for, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
 from bench.swing.profile import Profile
@@ -33,6 +34,15 @@ from sim.faults import KINDS, SIGNALS, sort_of
 
 ROOT = Path(__file__).parents[2]
 BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
+
+ORIGIN = {
+    "commit": "0123456789ab",
+    "configuration": "c",
+    "profile": "p",
+    "sources": "s",
+    "seed": 1,
+    "time_utc": "2026-01-02T03:04:05+00:00",
+}
 
 needs_speed = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
@@ -51,13 +61,15 @@ def test_every_signal_and_every_kind_is_broken_somewhere() -> None:
 
 def test_there_is_an_instant_in_every_phase(profile: Profile) -> None:
     instants = instants_of(profile)
-    assert list(dict.fromkeys(instant.phase for instant in instants)) == list(PHASES)
+    phases = dict.fromkeys(instant.phase for instant in (*START, *ACCESS, *instants))
+    assert list(phases) == list(PHASES)
     assert len({instant.name for instant in instants}) == len(instants)
 
 
 def test_a_pair_is_left_out_by_a_rule_only(profile: Profile) -> None:
     plan = plan_matrix(profile, model_check=True)
-    assert len(plan.cases) + len(plan.skipped) == len(CATALOGUE) * len(instants_of(profile))
+    assert len(plan.cases) + len(plan.skipped) == sum(len(instants_for(b, profile)) for b in CATALOGUE)
+    assert {s.family for s in plan.skipped} == {"one fault"}
     assert all(skipped.rule for skipped in plan.skipped)
     moving = [s for s in plan.skipped if sort_of(s.signal) in ("encoder", "valve", "link", "clock", "loop")]
     assert not moving
@@ -138,6 +150,7 @@ def outcome(breakage: Breakage, at: Instant, verdict: str, **changes: object) ->
         breakage.name,
         breakage.fault.signal,
         breakage.fault.kind,
+        breakage.family,
         at.phase,
         at.name,
         verdict,
@@ -170,7 +183,9 @@ def few(profile: Profile) -> tuple[MatrixPlan, list[CaseOutcome]]:
 
 def test_the_summary_counts_and_the_page_is_one_file(few: tuple[MatrixPlan, list[CaseOutcome]]) -> None:
     plan, outcomes = few
-    summary = summarise(outcomes, plan.skipped, model_check=True, profile="default", seconds=1.0)
+    summary = summarise(
+        outcomes, plan.skipped, model_check=True, profile="default", seconds=1.0, origin=ORIGIN
+    )
     assert summary["verdicts"] == {"harmless": 0, "safe": 8, "undetected": 0, "unsafe": 2}
     assert summary["left_out_by_rule"] == len(plan.skipped) == 14
     assert summary["reaction_ticks"]["switch off"]["greatest"] == 1
@@ -180,6 +195,9 @@ def test_the_summary_counts_and_the_page_is_one_file(few: tuple[MatrixPlan, list
     assert matrix_table(summary).row_count == len(summary["rows"])
     table = hazard_table(json.loads(json.dumps(summary)))
     assert "guard switches of two channels" in table
+    assert "commit 0123456789ab" in table
+    assert summary["families"]["one fault"] == summary["verdicts"]
+    assert summary["reasons"]["unsafe"] == {"wrist lower stop took … % of its rated energy": 2}
     assert "2 unsafe" in table
 
 

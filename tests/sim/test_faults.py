@@ -92,6 +92,8 @@ def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
         ("shoulder encoder", "intermittent", 1.5),
         ("shoulder valve", "slow", -1.0),
         ("supply", "stuck", nan),
+        ("arm encoder", "swapped", 3.0),
+        ("arm valve", "swapped", 0.5),
     ],
 )
 def test_what_has_no_meaning_is_refused(signal: str, kind: str, value: float) -> None:
@@ -102,6 +104,24 @@ def test_what_has_no_meaning_is_refused(signal: str, kind: str, value: float) ->
 def test_a_delay_beyond_memory_is_refused() -> None:
     with pytest.raises(ValueError, match="delay"):
         Bed(broken("shoulder encoder", "delayed", 0.1))
+
+
+def test_swapped_encoders_and_valves_change_places_from_the_onset_on() -> None:
+    faults = (broken("shoulder encoder", "swapped", 2.0, time=0.01), broken("arm valve", "swapped", 0.0))
+    bed = Bed(*faults).run(5)
+    healthy = Bed().run(5)
+    assert (bed.readings["encoder_count"] == healthy.readings["encoder_count"]).all()
+    bed.run(20)
+    healthy.run(20)
+    assert list(bed.readings["encoder_count"][0]) == list(healthy.readings["encoder_count"][0][[2, 1, 0]])
+    assert list(bed.valve) == [-0.3, 0.5, 0.1]
+
+
+@pytest.mark.parametrize("fault", [broken("arm valve", "swapped", 0.0), broken("arm valve", "offset", 0.1)])
+def test_a_valves_fault_does_not_add_up_while_no_command_arrives(fault: Fault) -> None:
+    bed = Bed(fault).run(3)
+    before = list(bed.valve)
+    assert list(bed.run(7, spoken=False).valve) == before
 
 
 @pytest.mark.slow
@@ -195,7 +215,7 @@ def test_parts_break_and_are_whole_again() -> None:
     assert p["leakage"][0, 1] == 0.05
     assert p["regulated"] == pytest.approx(0.7 * h["regulated"])
     bed.run(20)
-    assert p.tobytes() == h.tobytes()
+    assert (p == h).all()
 
 
 def test_supply_lost_and_sagging() -> None:

@@ -164,6 +164,17 @@ def test_the_first_cause_is_kept_unless_an_emergency_follows(bench: Bench) -> No
     assert s["state"] == State.ESTOP
 
 
+def test_a_lasting_cause_does_not_hide_one_found_after_it() -> None:
+    puppet = reach(State.SWINGING)
+    s = puppet.state.control[0]
+    for tick in range(3):
+        react(puppet.state, puppet.parameters, int(Cause.GUARD), TRUSTED, 1.0 + 1e-3 * tick)
+        assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.GUARD)
+    react(puppet.state, puppet.parameters, int(Cause.WRIST_AIR), TRUSTED, 1.003)
+    react(puppet.state, puppet.parameters, int(Cause.GUARD), TRUSTED, 1.004)
+    assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.WRIST_AIR)
+
+
 def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
