@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -76,19 +77,16 @@ def run(
     """
     from rich.console import Console
 
-    from bench.commands.faults_page import matrix_page, matrix_table, reasons_table
-    from bench.errors import BenchError, ExitCode
+    from bench.commands.faults_page import matrix_table, reasons_table
+    from bench.errors import ExitCode
     from bench.faults.catalogue import FAMILIES
     from bench.faults.matrix import plan_matrix
     from bench.faults.summary import PHASES, summary_text
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
-    from bench.telemetry.whole_file import whole_file
 
-    if unknown := sorted(set(phase or ()) - set(PHASES)):
-        raise BenchError("--phase", ", ".join(unknown), f"of {', '.join(PHASES)}", "Correct it.")
-    if unknown := sorted(set(family or ()) - set(FAMILIES)):
-        raise BenchError("--family", ", ".join(unknown), f"of {', '.join(FAMILIES)}", "Correct it.")
+    _must_be_known("--phase", phase or (), PHASES)
+    _must_be_known("--family", family or (), FAMILIES)
     configuration = context.ensure_object(Session).configuration()
     swing = load_profile(find_profile(profile))
     folder = output or configuration.bench.data_dir / "faults"
@@ -103,23 +101,36 @@ def run(
         every=every,
     )
     summary = _matrix(configuration, swing, folder, plan, model_check, compare, processes)
-    texts = {
-        "matrix.json": summary_text(summary),
-        "matrix.html": matrix_page(summary, summary.get("comparison")),
-    }
-    for name, text in texts.items():
-        with whole_file(folder / name) as file:
-            file.write(text.encode())
+    _write(folder, summary)
+    unsafe = summary["verdicts"]["unsafe"]
     if json_:
-        typer.echo(texts["matrix.json"], nl=False)
+        typer.echo(summary_text(summary), nl=False)
     else:
         console = Console()
         console.print(matrix_table(summary))
-        if summary["verdicts"]["unsafe"]:
+        if unsafe:
             console.print(reasons_table(summary))
         console.print(f"{folder / 'matrix.html'}", highlight=False)
-    if summary["verdicts"]["unsafe"]:
+    if unsafe:
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _write(folder: Path, summary: dict[str, Any]) -> None:
+    from bench.commands.faults_page import matrix_page
+    from bench.faults.summary import summary_text
+    from bench.telemetry.whole_file import whole_file
+
+    page = matrix_page(summary, summary.get("comparison"))
+    for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():
+        with whole_file(folder / name) as file:
+            file.write(text.encode())
+
+
+def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
+    from bench.errors import BenchError
+
+    if unknown := sorted(set(given) - set(known)):
+        raise BenchError(option, ", ".join(unknown), f"of {', '.join(known)}", "Correct it.")
 
 
 def _matrix(

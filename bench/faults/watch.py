@@ -174,7 +174,7 @@ class Watch:
                 return
 
     def _is_followed(self, request: Request, swings: int) -> bool:
-        """Return whether `request` was accepted; whoever is let in opens the guard."""
+        """Return whether `request` was accepted; who is let in opens the guard."""
         if request == Request.ACCESS:
             if self.state is State.ACCESS:
                 self.bench.plant_state["guard_closed"] = False

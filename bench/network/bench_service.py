@@ -137,7 +137,7 @@ class BenchStatus(TypedDict):
     cause: CauseStatus | None
     """First cause of a stop."""
     latest_cause: CauseStatus | None
-    """Newest cause found after it; None if there is none."""
+    """Newest cause found after it; None without one."""
     homed: bool
     vented: bool
     tick: int
