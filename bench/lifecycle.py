@@ -82,6 +82,7 @@ class Refusal(IntEnum):
     DEVICE = 13
     MANIFOLD = 14
     STOPPED = 15
+    MOVING = 16
 
 
 REFUSAL_TEXT = {
@@ -100,6 +101,7 @@ REFUSAL_TEXT = {
     Refusal.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then ask again",
     Refusal.DEVICE: "the device went passive by itself: reset first",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
+    Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
 }
 """Text for the operator, with the cure."""

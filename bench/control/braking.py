@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.states import stand
+import numpy as np
+
+from bench.control.states import is_still, stand
 from drivers.base.compiled import compiled
 
 
@@ -31,10 +33,8 @@ def brake_openings(s: Any, p: Any, e: Any) -> None:
 @compiled
 def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -> None:
     """End a stop once all joints have rested for long enough, or its time is up."""
-    p, still = parameters.control[0], trusted
-    for i in range(3):
-        still = still and abs(e.velocity[i]) <= p.still_speed[i]
-    if not still:
+    p = parameters.control[0]
+    if not (trusted and is_still(p, e)):
         s.still_since = time
     if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
         stand(s, parameters, time)
@@ -61,18 +61,35 @@ def wait_passive(state: Any, parameters: Any, trusted: bool, time: float) -> Non
 
 
 @compiled
-def brake_blind(s: Any, parameters: Any, time: float) -> None:
-    """Set the desired openings of BLIND_BRAKE: the profile's pattern, by time alone."""
+def _note_unseen(s: Any, lost_time: float, e: Any) -> None:
+    """Note the joints whose encoder gives nothing to brake by; one that comes back stays doubtful."""
+    for i in range(3):
+        seen = e.without_sample[i] < lost_time and np.isfinite(e.velocity[i] + e.acceleration[i])
+        if not seen:
+            s.unseen[i] = 1
+
+
+@compiled
+def brake_blind(state: Any, parameters: Any, time: float) -> None:
+    """Set the desired openings of BLIND_BRAKE: the profile's pattern by time alone, or BRAKE's where seen."""
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     since = time - s.reaction_start
     longest = 0.0
+    _note_unseen(s, parameters.envelope[0].lost_time, e)
     for i in range(3):
         s.desired[i] = s.feed_forward[i] = 0.0
-        if s.blind_row >= 0:
+        if s.unseen[i] == 0:
+            s.reference[i], s.reference_velocity[i] = e.angle[i], 0.0
+            s.desired[i] = brake_opening(
+                p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
+            )
+            if not abs(e.velocity[i]) <= p.still_speed[i]:
+                s.still_since = time
+        elif s.blind_row >= 0:
             duration = parameters.blind_brake[s.blind_row, 3 + i]
             longest = max(longest, duration)
             if since < duration:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
-    settle = parameters.control[0].blind_settle
-    # `still_since` is the begin of BLIND_BRAKE; the pattern may count from that of a BRAKE before.
-    if since >= longest + settle and time - s.still_since >= settle:
+    rests = time - s.still_since >= p.still_time or since >= p.brake_time
+    if since >= longest + p.blind_settle and rests:
         stand(s, parameters, time)

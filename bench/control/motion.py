@@ -17,7 +17,7 @@ from bench.control.references import (
     square_wave,
 )
 from bench.control.requests import near_address
-from bench.control.states import arrive, change_state
+from bench.control.states import arrive, begin_reaction, change_state
 from bench.lifecycle import Phase, Reaction, State
 from drivers.base.compiled import compiled
 
@@ -32,7 +32,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         indexed = state.encoder[0].indexed
         if search(s, p, e.angle, indexed, s.zero_shift, time, measured_step):
             s.homed = True
-            _begin_braking(s, time)  # no cause: to rest, then READY
+            begin_reaction(s, parameters, Reaction.BRAKE.value, time)  # no cause: to rest, then READY
     elif s.moving:
         if not follow_move(parameters, s, time) and near_address(parameters, state.estimator):
             arrive(s, parameters, time)
@@ -56,18 +56,14 @@ def _follow_swing(state: Any, parameters: Any, time: float) -> None:
         return
     s.swinging = s.tee = False
     if s.reaction == Reaction.COMPLETE:
-        _begin_braking(s, time)  # the planned braking is done; BRAKE holds until rest is proven
+        begin_reaction(
+            s, parameters, Reaction.BRAKE.value, time
+        )  # the planned braking is done; BRAKE holds until rest is proven
     else:
         reset_integral(state.pid)
         begin_move(parameters, s, e.angle, time)
         follow_move(parameters, s, time)
         change_state(s, parameters, State.RECOVERING, time)
-
-
-@compiled
-def _begin_braking(s: Any, time: float) -> None:
-    s.reaction = Reaction.BRAKE
-    s.reaction_start = s.still_since = time
 
 
 @compiled

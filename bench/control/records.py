@@ -141,6 +141,8 @@ CONTROL_STATE = np.dtype(
         ("struck", "?"),
         ("swings", "i8"),
         ("stopped_at", "f8"),
+        ("moved_at", "f8"),
+        ("unseen", "u1", (3,)),
     ],
     align=True,
 )
@@ -148,7 +150,8 @@ CONTROL_STATE = np.dtype(
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
-`stopped_at` is when a stop was last asked for (s).
+`stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s).
+`unseen` are the joints that BLIND_BRAKE brakes without their encoder.
 `lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
 did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
 ESTOP; `air` that the supply is on."""
@@ -223,6 +226,6 @@ def new_control_state(state: State = State.READY) -> ControlState:
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
     control["device_operational"] = True
-    for name in ("reset_pressed", "stopped_at", "vent_start", "still_since"):
+    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since"):
         control[name] = -np.inf
     return made

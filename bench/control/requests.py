@@ -107,6 +107,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return Refusal.SUPERVISOR
         if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
             return Refusal.STOPPED
+        # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
+        if request != Request.SWING and time - s.moved_at < p.still_time:
+            return Refusal.MOVING
     if request in (Request.ARM, Request.SWING):
         if not s.support_ready:
             return Refusal.SUPPORT

@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.control.model import model_cause
 from bench.control.requests import manifold_is_full
-from bench.control.states import change_state, disarm, latch, resting_state
+from bench.control.states import change_state, disarm, is_still, latch, resting_state
 from bench.lifecycle import Cause, State
 from drivers.base.compiled import compiled
 
@@ -33,11 +33,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
         elif pressure > p.vented_pressure:
             empty = False
     shut = not manifold_is_full(p, readings)
-    still = empty and shut
-    for i in range(3):
-        if not blind and abs(e.velocity[i]) > p.still_speed[i]:
-            still = False
-    if not still:
+    if not (empty and shut and (blind or is_still(p, e))):
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS

@@ -14,18 +14,34 @@ from drivers.base.compiled import compiled
 
 
 @compiled
+def is_still(p: Any, e: Any) -> bool:
+    """Return whether no joint is faster than `still_speed`; one whose velocity is no number may be."""
+    still = True
+    for i in range(3):
+        still = still and abs(e.velocity[i]) <= p.still_speed[i]
+    return still
+
+
+@compiled
 def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
-    """Begin `reaction` unless one as severe is under way; return whether it began."""
+    """Begin `reaction` unless one as severe is under way; return whether it began.
+
+    A pattern of BLIND_BRAKE belongs to the swing as planned: it brakes all joints, seen or not. Out of a
+    BRAKE the robot is elsewhere and slower, and the pattern would drive it on; joints that are seen then go
+    on braking by their encoders, and the others get centred spools, whose chambers no longer push.
+    """
     if reaction <= s.reaction:
         return False
     if reaction == Reaction.BLIND_BRAKE:
-        profile = parameters.profile[0]
+        profile, planned = parameters.profile[0], s.reaction != Reaction.BRAKE
         row = s.swing_sample // profile.blind_spacing
-        s.blind_row = min(row, profile.blind_rows - 1) if s.swinging else -1
-    # The pattern brakes from where BRAKE began: what BRAKE has done of it is not done again.
-    if not (reaction == Reaction.BLIND_BRAKE and s.reaction == Reaction.BRAKE):
-        s.reaction_start = time
-    s.reaction, s.still_since = reaction, time
+        s.blind_row = min(row, profile.blind_rows - 1) if s.swinging and planned else -1
+        if planned:
+            s.unseen[0] = s.unseen[1] = s.unseen[2] = 1
+    elif reaction == Reaction.BRAKE:
+        s.unseen[0] = s.unseen[1] = s.unseen[2] = 0
+    s.reaction = reaction
+    s.reaction_start = s.still_since = time
     return True
 
 
@@ -110,8 +126,8 @@ def disarm(s: Any, parameters: Any, time: float) -> None:
     if s.phase in (Phase.HOLD, Phase.STANDING) or not s.air:
         stand(s, parameters, time)
     elif s.reaction == Reaction.NONE:
-        s.reaction, s.moving = Reaction.BRAKE, False
-        s.reaction_start = s.still_since = time
+        s.moving = False
+        begin_reaction(s, parameters, Reaction.BRAKE.value, time)
         if s.state == State.ARMED:
             change_state(s, parameters, State.RECOVERING, time)
 

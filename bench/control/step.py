@@ -25,6 +25,7 @@ from bench.control.orders import carry_out
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import take_request, watch_local_reset
 from bench.control.standing import watch_standing
+from bench.control.states import is_still
 from bench.control.stops import watch_motion, watch_permission
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from drivers.base.compiled import compiled
@@ -103,6 +104,8 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         time = s.time
     interlock = interlock_cause(readings)
     watch_local_reset(s, readings, time)
+    if not is_still(parameters.control[0], state.estimator[0]):
+        s.moved_at = time
     request = take_request(state, parameters, readings, time)
     asked = Cause.NONE
     if request == Request.STOP:
@@ -123,7 +126,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
     elif s.reaction == Reaction.PASSIVE:
         wait_passive(state, parameters, s.lost == 0, time)
     elif s.reaction == Reaction.BLIND_BRAKE:
-        brake_blind(s, parameters, time)
+        brake_blind(state, parameters, time)
 
 
 @compiled

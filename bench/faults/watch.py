@@ -190,7 +190,13 @@ class Watch:
             return bool(control["phase"] == Phase.HOLD and state is State.ARMED)
         if request == Request.SECURE:
             return state is State.ACCESS and self.ticks - self._released_at >= round(_INSIDE / self.period)
+        if request == Request.ARM and not (self.bench.is_still() or self._seems_still()):
+            return False
         return state in (State.SAFE, State.READY) or request == Request.DISARM
+
+    def _seems_still(self) -> bool:
+        """Return whether the operator has seen no motion for a while, whatever the encoders say."""
+        return self.ticks - self.rest_tick >= round(0.5 * _STILL_FOR / self.period)
 
     def _leave(self) -> None:
         """Leave: close the guard and press the button beside the robot."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 import zenoh
 
 from bench.errors import BenchError, Refused
-from bench.lifecycle import ACCEPTED_IN
+from bench.lifecycle import ACCEPTED_IN, REFUSAL_TEXT, Refusal
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
     REQUESTS,
@@ -44,6 +44,12 @@ TIMEOUT = 2.0
 
 REST = 1.0
 """s at rest at the address before a swing: the air in the chambers settles later than the robot."""
+
+LONGEST_SWAY = 10.0
+"""s for which home, arm and reset wait until the robot rests: as long as a raised arm may take to sink."""
+
+_LOOK_FOR_REST = 0.1
+"""s between two requests while it sways."""
 
 LATCHED = frozenset({"ESTOP", "FAULT"})
 
@@ -309,12 +315,12 @@ class BenchClient:
     # Verbs ---------------------------------------------------------------------------------------
 
     def home(self) -> CommandAnswer:
-        """Prove the encoders' zeros."""
-        return self._ask_keyed(Verb.HOME)
+        """Prove the encoders' zeros, once the robot rests."""
+        return self._ask_at_rest(Verb.HOME)
 
     def arm(self) -> CommandAnswer:
-        """Warn, switch the air on, go to the address."""
-        return self._ask_keyed(Verb.ARM)
+        """Warn, switch the air on, go to the address, once the robot rests."""
+        return self._ask_at_rest(Verb.ARM)
 
     def disarm(self) -> CommandAnswer:
         """Disarm: vent if at rest, otherwise brake first; needs no lease."""
@@ -337,8 +343,8 @@ class BenchClient:
         return self._ask_keyed(Verb.TEE)
 
     def reset(self) -> CommandAnswer:
-        """Leave ESTOP or FAULT once the cause is cleared; never moves the robot."""
-        return self._ask_keyed(Verb.RESET)
+        """Leave ESTOP or FAULT once the cause is cleared and the robot rests; never moves the robot."""
+        return self._ask_at_rest(Verb.RESET)
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply the correction `weights` of the profile with digest `profile` to the coming swings.
@@ -373,6 +379,18 @@ class BenchClient:
             held = self._require_lease(verb)
             held.sequence += 1
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
+
+    def _ask_at_rest(self, verb: Verb) -> CommandAnswer:
+        """Ask again while a joint still moves, at most for LONGEST_SWAY."""
+        longest = time.monotonic() + LONGEST_SWAY
+        while True:
+            try:
+                return self._ask_keyed(verb)
+            except CommandRefused as refused:
+                moving = refused.answer.reason == REFUSAL_TEXT[Refusal.MOVING]
+                if not moving or time.monotonic() > longest:
+                    raise
+            time.sleep(_LOOK_FOR_REST)
 
     def _ask(self, verb: Verb, **values: Any) -> CommandAnswer:
         """Send `verb` and return the accepted answer."""

@@ -24,6 +24,8 @@ from sim.plant import Plant
 
 LONGEST_ARMING = 15.0
 """s"""
+LONGEST_SWAY = 10.0
+"""Until the standing robot rests, s."""
 LONGEST_RETURN = 10.0
 """From the end of a profile back to its address, s."""
 LONGEST_STOP = 6.0
@@ -156,14 +158,23 @@ class SwingEngine(Generic[AnyStepper]):
         parameters, estimator = self.stepper.parameters, self.stepper.state.estimator
         return self.phase is Phase.HOLD and bool(near_address(parameters, estimator))
 
+    def is_still(self) -> bool:
+        """Return whether no joint has moved for as long as counts as rest; else the bench refuses to arm."""
+        control = self.control
+        since = control["time"][0] - control["moved_at"][0]
+        return bool(since >= self.stepper.parameters.control["still_time"][0])
+
     def arm(self, *, at_rest: bool = True) -> bool:
-        """Charge the chambers and take the robot to its address, with `at_rest` until it rests there.
+        """Charge the chambers of the robot once it is still, and take it to its address.
+
+        With `at_rest` until it rests there.
 
         False if asked to stop: the robot is then brought to rest.
 
         Raises:
             Refused: the robot does not reach its address.
         """
+        self.wait_for(self.is_still, LONGEST_SWAY)
         accepted = self.request(Request.ARM)
         if accepted and self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
             return True

@@ -41,7 +41,7 @@ SNAPSHOT = np.dtype(
 
 _KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
 
-_ADDED: Mapping[str, frozenset[str]] = {"control": frozenset({"stopped_at"})}
+_ADDED: Mapping[str, frozenset[str]] = {"control": frozenset({"stopped_at", "moved_at", "unseen"})}
 """Fields that the controller's memory did not have in records of before; there they are as at power-up."""
 
 

@@ -50,6 +50,8 @@ class FakeDesk:
         """While it is clear, requests wait."""
         self.free.set()
         self.error: Exception | None = None
+        self.sways = 0
+        """Requests that are still refused because a joint moves."""
         self.armed_phase = "HOLD"
         """"RETURN" while the robot is on its way to the address."""
         self._began = time.monotonic()
@@ -61,6 +63,9 @@ class FakeDesk:
             raise self.error
         if self.state not in ACCEPTED_IN[request]:
             return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.STATE])
+        if self.sways and request in (Request.HOME, Request.ARM, Request.RESET):
+            self.sways -= 1
+            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.MOVING])
         self.state = NEXT[request]
         return Reply(True, self.state.name, "")
 

@@ -38,6 +38,7 @@ LONG = (
     "campaign_statistics",
     "reactions",
     "healthy_swings",
+    "during_stops",
     "canopen_reactions",
     "canopen_bus",
     "kills",

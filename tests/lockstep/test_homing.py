@@ -12,8 +12,8 @@ import pytest
 
 from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
-from bench.simulation.engine import LockstepEngine
+from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
+from bench.simulation.engine import LONGEST_SWAY, LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.driver import hanging_pose, joint_travel
@@ -144,6 +144,10 @@ def test_a_guard_opened_in_the_search_brakes_and_latches(make_bench: MakeBench) 
     assert not bench.state.control["homed"][0]
     bench.plant_state["guard_closed"] = True
     bench.advance(10)
+    # The brake has left the joint at rest, not the air in its chambers, which now are let out.
+    assert bench.advance(1, Request.RESET)["refusal"][0] == Refusal.MOVING
+    engine = LockstepEngine(bench)
+    assert engine.wait_for(engine.is_still, LONGEST_SWAY)
     assert bench.advance(1, Request.RESET)["answer"][0] == 1
     assert state(bench) is State.SAFE
     home(bench)

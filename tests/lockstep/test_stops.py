@@ -14,7 +14,7 @@ import pytest
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.design.check import TRIALS, SwingCheck, TrialOutcome
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Request
-from bench.simulation.engine import LockstepEngine
+from bench.simulation.engine import LONGEST_SWAY, LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
@@ -141,6 +141,8 @@ def test_the_record_tells_an_emergency_stop(
     assert cycles["supply_enable"][: last + 1].all()
     bench.plant_state["emergency_stop_clear"] = True
     assert not bench.advance(500)["supply_enable"].any()
+    engine = LockstepEngine(bench)
+    assert engine.wait_for(engine.is_still, LONGEST_SWAY)
     bench.advance(1, Request.RESET)
     assert bench.state.control["answer"][0] == Answer.ACCEPTED
     assert not bench.advance(500)["supply_enable"].any()

@@ -29,7 +29,7 @@ FROM = {
 STOPS = (Request.STOP, Request.EMERGENCY_STOP)
 NOW = 64.0
 """s; exact in binary, as all bounds here."""
-VENT_TIME, RESET_TIME = 2.0, 0.5
+VENT_TIME, RESET_TIME, STILL_TIME = 2.0, 0.5, 2.0**-4
 TOLERANCE, STILL = np.array([0.5, 0.25, 0.125]), np.array([1.0, 2.0, 4.0])
 
 
@@ -65,7 +65,7 @@ def good(template: Situation) -> Callable[[Request], Situation]:
             s[name] = True
         s["vent_start"] = 0.0
         p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
-        p["address_tolerance"], p["still_speed"] = TOLERANCE, STILL
+        p["address_tolerance"], p["still_speed"], p["still_time"] = TOLERANCE, STILL, STILL_TIME
         parameters.angle[0] = 0.0
         e["angle"] = e["velocity"] = 0.0
         return Situation(state, parameters, template.readings.copy())
@@ -134,6 +134,13 @@ CONDITIONS = (
     ),
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
+    Condition(
+        "moving",
+        Refusal.MOVING,
+        only(Request.ARM, Request.RESET, Request.HOME),
+        "control",
+        {"moved_at": NOW - 2.0**-5},
+    ),
     Condition(
         "support", Refusal.SUPPORT, only(Request.ARM, Request.SWING), "control", {"support_ready": False}
     ),
@@ -219,6 +226,16 @@ def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
     situation = good(Request.ACCESS)
     situation.readings["guard_closed"] = situation.readings["guard_locked"] = False
     assert situation.refusal(Request.ACCESS) is Refusal.NONE
+
+
+@pytest.mark.parametrize(
+    ("since", "refusal"), [(STILL_TIME, Refusal.NONE), (STILL_TIME - 2.0**-40, Refusal.MOVING)]
+)
+def test_a_robot_rests_once_it_has_been_slow_for_a_while(good: Make, since: float, refusal: Refusal) -> None:
+    for request in (Request.RESET, Request.HOME, Request.ARM):
+        situation = good(request)
+        situation.state.control["moved_at"] = NOW - since
+        assert situation.refusal(request) is refusal
 
 
 def test_a_search_of_the_index_begins_with_air(good: Make) -> None:

@@ -122,12 +122,24 @@ def test_a_blind_brake_begins_in_the_row_of_the_sample(
     assert s["blind_row"] == row
 
 
-def test_a_blind_brake_goes_on_with_what_a_brake_has_begun(bench: Bench) -> None:
+@pytest.mark.parametrize("before", [Reaction.NONE, Reaction.COMPLETE])
+def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before: Reaction) -> None:
     state, parameters = bench
     s = state.control[0]
+    s["swinging"], s["swing_sample"] = True, 32
+    begin_reaction(s, parameters, before, 1.0)
+    begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
+    assert (s["blind_row"], s["unseen"].tolist()) == (1, [1, 1, 1])
+
+
+def test_a_blind_brake_out_of_a_brake_plays_no_pattern(bench: Bench) -> None:
+    state, parameters = bench
+    s = state.control[0]
+    s["swinging"], s["swing_sample"], s["unseen"] = True, 32, 1
     begin_reaction(s, parameters, Reaction.BRAKE, 1.0)
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
-    assert (s["reaction"], s["reaction_start"], s["still_since"]) == (Reaction.BLIND_BRAKE, 1.0, 1.1)
+    assert (s["reaction"], s["reaction_start"], s["still_since"]) == (Reaction.BLIND_BRAKE, 1.1, 1.1)
+    assert (s["blind_row"], s["unseen"].tolist()) == (-1, [0, 0, 0])
     begin_reaction(s, parameters, Reaction.PASSIVE, 1.2)
     assert (s["reaction_start"], s["still_since"]) == (1.2, 1.2)
 

@@ -74,6 +74,27 @@ def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> No
     assert len(running.desk.requests) == 7
 
 
+@pytest.mark.parametrize("verb", ["reset", "home", "arm"])
+def test_a_robot_that_sways_is_waited_for(running: RunningPlane, bench: BenchClient, verb: str) -> None:
+    bench.take_lease("Ann")
+    before = {"reset": State.ESTOP, "home": State.SAFE, "arm": State.READY}
+    running.desk.state, running.desk.sways = before[verb], 3
+    assert getattr(bench, verb)().accepted
+    assert len(running.desk.requests) == 4
+
+
+def test_a_robot_that_never_rests_is_refused_in_words(
+    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.network.client.LONGEST_SWAY", 0.2)
+    bench.take_lease("Ann")
+    running.desk.sways = 1000
+    with pytest.raises(CommandRefused) as caught:
+        bench.reset()
+    assert caught.value.found == "refused in state ESTOP: a joint still moves"
+    assert caught.value.cure == "Wait until the robot rests, then ask again."
+
+
 def test_a_refusal_says_state_reason_and_cure(bench: BenchClient) -> None:
     bench.take_lease("Ann")
     with pytest.raises(CommandRefused) as caught:

@@ -1,0 +1,268 @@
+"""Stops during which a part breaks, and stops of healthy robots, which must not be escalated.
+
+    python -m tests.benchmarks during_stops [--profile tour-male] [--shift 3] [--delays 45 80 130]
+    python -m tests.benchmarks during_stops --healthy 500 [--profile tour-male]
+
+At instants over the whole swing a stop is asked for; `--delays` (ms) later a part breaks, and the robot
+is watched until it rests. A row is a kind of fault: how many of its cases end unsafe, and the worst load. The
+The table's cases are known: `--shift` (ms) moves all instants, and other delays are cases that nobody has
+looked at before. `--check off` leaves the model-based check out, `--energy` sets the ratings of the cushions
+(shoulder, right arm, wrist, J), and `--json` writes every case.
+
+With `--healthy` nothing breaks: each stop is of another plant, drawn from its seed within the tolerances of
+`healthy_swings`, at an instant drawn over the swing, and ends as the stopping table says, without another
+cause.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.control.settings import build_controller
+from bench.errors import Refused
+from bench.faults.case import Workbench
+from bench.faults.instants import Instant, instants_of
+from bench.lifecycle import Cause, Phase, Reaction, Request
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from drivers.base import JOINTS
+from sim.driver import hanging_pose
+from sim.faults import Fault, own_records
+from sim.plant import build_plant
+from tests.benchmarks.healthy_swings import drawn_plant
+from tests.benchmarks.row import Row
+
+STOPS = {
+    "operator stop": Cause.OPERATOR_STOP,
+    "emergency stop": Cause.EMERGENCY_STOP,
+    "guard opened": Cause.GUARD,
+}
+"""Stops and their causes."""
+AS_THE_TABLE_SAYS = frozenset({Reaction.NONE, Reaction.COMPLETE, Reaction.BRAKE, Reaction.VENT})
+"""Reactions of a stop during which nothing breaks."""
+DELAYS = (10, 30, 60, 100, 200)
+"""ms from the stop to the fault."""
+PHASES = ("backswing", "top", "downswing", "committed", "impact", "follow-through")
+LONGEST, STILL = 14000, 1500
+"""Ticks."""
+
+
+class Break(NamedTuple):
+    """A part that breaks, and the row of the table to which it belongs."""
+
+    kind: str
+    signal: str
+    fault: Fault
+
+
+def breaks() -> tuple[Break, ...]:
+    """Return what breaks during the stops."""
+    found = []
+    for joint in JOINTS:
+        valve, encoder = f"{joint} valve", f"{joint} encoder"
+        found += [
+            Break("valve stuck open", valve, Fault(f"{valve} stuck open", valve, "stuck", 1.0)),
+            Break(
+                "valve stuck open in reverse", valve, Fault(f"{valve} stuck reverse", valve, "stuck", -1.0)
+            ),
+            Break("valve 30 % off its centre", valve, Fault(f"{valve} offset", valve, "offset", 0.3)),
+            Break("encoder lost", encoder, Fault(f"{encoder} off", encoder, "off")),
+            Break("encoder stuck", encoder, Fault(f"{encoder} stuck", encoder, "stuck")),
+        ]
+    found.append(Break("supply valve stuck shut", "supply", Fault("supply shut", "supply", "stuck", 0.0)))
+    return tuple(found)
+
+
+class StopCase(NamedTuple):
+    """A stop with a fault in it, and its end."""
+
+    instant: str
+    stop: str
+    delay: int
+    """ms from the stop to the fault."""
+    kind: str
+    fault: str
+    stop_share: float
+    """Energy of the most loaded cushion as a share of its rating."""
+    cushion: str
+    unsafe: tuple[str, ...]
+    reactions: tuple[tuple[int, str], ...]
+    """Changes of the reaction, each with its tick."""
+
+
+def stopped(workbench: Workbench, instant: Instant, stop: str, fault: Fault | None) -> LockstepEngine:
+    """Return the bench at rest after `stop` at `instant` and `fault`; its record begins at the stop."""
+    bench = workbench.base(instant)
+    bench.stepper.plant = own_records(bench.stepper.plant)
+    if fault is not None:
+        bench.stepper.break_with((fault,), watchdog=workbench.configuration.driver.watchdog)
+    stop_and_rest(bench, stop)
+    return bench
+
+
+def stop_and_rest(bench: LockstepEngine, stop: str) -> None:
+    """Stop `bench` and run it until it rests; its record and tally begin at the stop."""
+    bench.begin_tally()
+    bench.begin_record()
+    if stop == "emergency stop":
+        bench.plant_state["emergency_stop_clear"] = False
+    elif stop == "guard opened":
+        bench.plant_state["guard_closed"] = False
+    bench.advance(1, Request.STOP if stop == "operator stop" else 0)
+    for _ in range(LONGEST // 100):
+        bench.advance(100)
+        if bench.phase is Phase.STANDING and rested(bench) >= STILL:
+            break
+
+
+def rested(bench: LockstepEngine) -> int:
+    """Return for how many ticks all joints have rested."""
+    moving = np.flatnonzero((np.abs(bench.record()["plant_velocity"]) > 0.2).any(axis=1))
+    return len(bench.record()) - 1 - (int(moving[-1]) if len(moving) else -1)
+
+
+def unsafe(bench: LockstepEngine) -> list[str]:
+    """Return why the end of a stop is unsafe; empty when it is safe."""
+    return dangers(RunEnd(bench.loads(), rested=rested(bench) >= STILL), SafetyLimits())
+
+
+def reactions(bench: LockstepEngine) -> tuple[tuple[int, str], ...]:
+    """Return the changes of the reaction in the bench's record, each with its tick."""
+    taken = bench.record()["reaction"]
+    changes = np.flatnonzero(np.diff(taken, prepend=0))
+    return tuple((int(k), Reaction(int(taken[k])).name) for k in changes)
+
+
+def named_instants(profile: Profile, shift: int) -> list[Instant]:
+    """Return the fault matrix' instants of the swing, `shift` ticks later."""
+    named = [instant for instant in instants_of(profile) if instant.phase in PHASES]
+    return [replace(instant, tick=max(instant.tick + shift, 1)) for instant in named]
+
+
+def dense_instants(profile: Profile, every: int, shift: int) -> list[Instant]:
+    """Return an instant every so many ticks from the last third of the downswing to 60 ms past the impact."""
+    downswing, committed = profile.begins[3:5]
+    first = committed - (committed - downswing) // 3 + shift
+    last = round((profile.impact_time + 0.06) / profile.period)
+    names = [Phase(int(phase)).name.lower().replace("_", "-") for phase in profile.phases]
+    return [Instant(names[tick], tick, f"at {tick} ms") for tick in range(first, last, every)]
+
+
+def cases(
+    workbench: Workbench, instants: Sequence[Instant], stops: Sequence[str], delays: Sequence[int], only: str
+) -> Iterator[StopCase]:
+    """Yield the cases whose fault has `only` in its name."""
+    wanted = [b for b in breaks() if only in b.fault.name]
+    total = len(instants) * len(stops) * len(wanted) * len(delays)
+    plan = ((i, s, b, d) for i in instants for s in stops for b in wanted for d in delays)
+    for instant, stop, broken, delay in track(
+        plan, "stopping", total=total, console=Console(stderr=True), transient=True
+    ):
+        fault = replace(broken.fault, time=1e-3 * delay)
+        bench = stopped(workbench, instant, stop, fault)
+        loads, why = bench.loads(), tuple(unsafe(bench))
+        yield StopCase(
+            instant.name, stop, delay, broken.kind, broken.fault.name,
+            round(loads.stop_share, 3), loads.stop, why, reactions(bench),
+        )  # fmt: skip
+
+
+def with_cushions(c: Configuration, energy: Sequence[float] | None) -> Configuration:
+    """Return `c` with cushions rated for `energy` (shoulder, right arm, wrist, J); None: as they are."""
+    if energy is None:
+        return c
+    shoulder, arm, wrist = (
+        replace(actuator, stop=replace(actuator.stop, energy=rating))
+        for actuator, rating in zip(c.plant.actuators, energy, strict=True)
+    )
+    return replace(c, plant=replace(c.plant, shoulder=shoulder, right_arm=arm, wrist=wrist))
+
+
+def healthy_stop(c: Configuration, profile: Profile, seed: int) -> str:
+    """Return how the stop of the robot of `seed` was escalated; empty if it was not, or did not begin."""
+    random = np.random.default_rng(seed)
+    plant = drawn_plant(c.plant, seed)
+    envelope = c.envelope.with_model_check("always")
+    parameters = build_controller(c.plant, profile, c.control, envelope, c.estimator)
+    bench = LockstepEngine(Lockstep(build_plant(plant), parameters, hanging_pose(plant)))
+    stop = list(STOPS)[seed % len(STOPS)]
+    bench.advance(200)
+    with suppress(Refused):
+        bench.arm()
+        bench.control["tee"] = seed % 4 != 3
+        bench.advance(400)
+        bench.advance(int(random.integers(1, len(profile.angle))), Request.SWING)
+    if bench.cause or bench.phase in (Phase.STANDING, Phase.HOLD):
+        return "did not begin"
+    stop_and_rest(bench, stop)
+    taken = set(bench.record()["reaction"].tolist())
+    last = Cause(int(bench.control["latest_cause"][0]))
+    return "" if taken <= AS_THE_TABLE_SAYS and last is STOPS[stop] else f"{last.name} (seed {seed})"
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Return how many stops end unsafe, by kind of fault, or how many of healthy robots are escalated."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks during_stops")
+    parser.add_argument("--configuration", default="", help="Name or path; else the shipped one.")
+    parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
+    parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
+    parser.add_argument("--delays", type=int, nargs="+", default=DELAYS, metavar="MS")
+    parser.add_argument("--shift", type=int, default=0, metavar="MS", help="Move all instants.")
+    parser.add_argument("--every", type=int, default=0, metavar="MS", help="Dense instants around the blow.")
+    parser.add_argument("--stops", nargs="+", default=list(STOPS), choices=list(STOPS))
+    parser.add_argument("--faults", default="", metavar="PART", help="Only those with it in their name.")
+    parser.add_argument("--energy", type=float, nargs=3, default=None, metavar="J")
+    parser.add_argument("--healthy", type=int, default=0, metavar="N", help="Stop N healthy robots.")
+    parser.add_argument("--first", type=int, default=0, help="Seed of the first.")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args(arguments)
+    c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
+    c = with_cushions(c, options.energy)
+    profile = load_profile(find_profile(options.profile or c.swing.profile))
+    if options.healthy:
+        return [_escalated(c, profile, range(options.first, options.first + options.healthy))]
+    workbench = Workbench(c, profile, model_check=options.check == "always")
+    instants = named_instants(profile, options.shift)
+    if options.every:
+        instants = dense_instants(profile, options.every, options.shift)
+    found = list(cases(workbench, instants, options.stops, options.delays, options.faults))
+    if options.json:
+        options.json.write_text(json.dumps([case._asdict() for case in found]))
+    return [
+        _summary(kind, [case for case in found if case.kind == kind])
+        for kind in dict.fromkeys(case.kind for case in found)
+    ]
+
+
+def _summary(kind: str, of_kind: Sequence[StopCase]) -> Row:
+    bad = [case for case in of_kind if case.unsafe]
+    worst = max(of_kind, key=lambda case: case.stop_share)
+    note = f"of {len(of_kind)}; worst load {100 * worst.stop_share:.0f} % ({worst.cushion}): {worst.fault}, "
+    note += f"{worst.delay} ms after {worst.stop}, {worst.instant}"
+    return Row("during_stops", f"unsafe after a stop with {kind}", len(bad), "stops", note)
+
+
+def _escalated(c: Configuration, profile: Profile, seeds: range) -> Row:
+    ends = [
+        healthy_stop(c, profile, seed)
+        for seed in track(seeds, "stopping", console=Console(stderr=True), transient=True)
+    ]
+    begun = [end for end in ends if end != "did not begin"]
+    escalated = [end for end in begun if end]
+    note = f"of {len(begun)} of {profile.name!r} from seed {seeds[0]}; {len(ends) - len(begun)} did not begin"
+    note += f": {', '.join(escalated[:4])}" if escalated else ""
+    return Row("during_stops", "healthy stops escalated", len(escalated), "stops", note, at_most=0)
