@@ -40,3 +40,7 @@ class Ball:
     def inertia(self) -> float:
         """Moment of inertia (kg m2)."""
         return self.inertia_factor * self.mass * self.radius**2
+
+
+REFERENCE_BALL = Ball("reference")
+"""The ball whose flights compare launches: all balls alike, no factor on the flight model."""

@@ -20,8 +20,8 @@ import numpy as np
 from drivers.base import Launch
 from drivers.base.ranges import Range, check_ranges
 
-MPH, RPM = 0.44704, pi / 30.0
-"""m/s; rad/s."""
+MPH, RPM, YARD = 0.44704, pi / 30.0, 0.9144
+"""m/s; rad/s; m."""
 HEARTBEAT, RECONNECT = 2.0, 5.0
 """Heartbeat period and reconnection period, s."""
 _PIECE = 200
@@ -44,6 +44,8 @@ class MonitorParameters:
     spin_noise: Annotated[float, Range(0.0, 0.5, "")] = 0.02
     """Standard deviation of the spin, as a share of the spin."""
     axis_noise: Annotated[float, Range(0.0, 0.5, "rad")] = 0.017
+    carry_noise: Annotated[float, Range(0.0, 0.2, "")] = 0.005
+    """Standard deviation of the carry, as a share of the carry."""
     delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.6
     """Minimum time from impact to message, s."""
     delay_spread: Annotated[float, Range(0.0, 30.0, "s")] = 0.2
@@ -91,11 +93,15 @@ class Planned(NamedTuple):
 
 
 def monitor_messages(
-    launch: Launch, number: int, p: MonitorParameters, club: ClubMotion | None = None
+    launch: Launch,
+    number: int,
+    p: MonitorParameters,
+    club: ClubMotion | None = None,
+    carry: float | None = None,
 ) -> list[Planned]:
     """Return the monitor's messages about ball `number` with `launch`, in order of time.
 
-    `club` is the club motion at impact, None if not measured.
+    `club` is the club motion at impact and `carry` (m) that of the true flight, None if not measured.
     """
     chance = np.random.default_rng([p.seed, number])
     # One draw per fault, so that enabling one fault does not change another.
@@ -108,7 +114,10 @@ def monitor_messages(
     if misread < p.misread:
         figures[0] = _misread(figures[0], kind)
     seen = _club_seen(club, number, p)
-    messages = [_message(f, 2 * number + n, p, no_spin < p.no_spin, seen) for n, f in enumerate(figures)]
+    flown = _carries_seen(carry, number, p)
+    messages = [
+        _message(f, 2 * number + n, p, no_spin < p.no_spin, seen, flown[n]) for n, f in enumerate(figures)
+    ]
     planned = [Planned(float(delays[0]), messages[0])]
     if repeated < p.repeated:
         planned.append(Planned(float(delays[1]), messages[0]))
@@ -138,6 +147,14 @@ def _club_seen(club: ClubMotion | None, number: int, p: MonitorParameters) -> Cl
     return ClubMotion(club.speed * (1.0 + p.speed_noise * a), club.attack_angle + p.angle_noise * b)
 
 
+def _carries_seen(carry: float | None, number: int, p: MonitorParameters) -> list[float | None]:
+    """Return the carry of the first and the second message, each with its own noise."""
+    if carry is None:
+        return [None, None]
+    noise = np.random.default_rng([p.seed, number, 2]).standard_normal(2)
+    return [carry * (1.0 + p.carry_noise * float(one)) for one in noise]
+
+
 def _misread(launch: Launch, kind: int) -> Launch:
     match kind:
         case 0:
@@ -149,7 +166,12 @@ def _misread(launch: Launch, kind: int) -> Launch:
 
 
 def _message(
-    launch: Launch, number: int, p: MonitorParameters, no_spin: bool, club: ClubMotion | None
+    launch: Launch,
+    number: int,
+    p: MonitorParameters,
+    no_spin: bool,
+    club: ClubMotion | None,
+    carry: float | None,
 ) -> bytes:
     def shown(value: float, digits: int) -> float | str:
         return f"{value:.{digits}f}" if p.text_numbers else round(value, digits)
@@ -167,6 +189,8 @@ def _message(
         ball |= {"TotalSpin": "0.0", back: shown(spin * cos(axis), 2), "SideSpin": shown(spin * sin(axis), 2)}
     else:
         ball |= {"TotalSpin": shown(spin, 2), "SpinAxis": shown(degrees(axis), 3)}
+    if carry is not None:
+        ball["CarryDistance"] = shown(carry / YARD, 3)
     more = {"BallData": ball}
     if club is not None:
         speed, attack = shown(club.speed / MPH, 3), shown(degrees(club.attack_angle), 3)
@@ -224,10 +248,12 @@ class SimulatedMonitor:
         """Number of messages not yet sent."""
         return len(self._waiting) + bool(self._unsent)
 
-    def see(self, launch: Launch, time: float, club: ClubMotion | None = None) -> None:
-        """Measure a ball with `launch` at `time` (s, the clock of `step`), and the `club`."""
+    def see(
+        self, launch: Launch, time: float, club: ClubMotion | None = None, carry: float | None = None
+    ) -> None:
+        """Measure a ball with `launch` at `time` (s, the clock of `step`), the `club` and the `carry` (m)."""
         self._number += 1
-        planned = monitor_messages(launch, self._number, self.parameters, club)
+        planned = monitor_messages(launch, self._number, self.parameters, club, carry)
         self._waiting += [_Outgoing(time + delay, message) for delay, message in planned]
         self._waiting.sort(key=lambda outgoing: outgoing.due)
 

@@ -11,14 +11,23 @@ from typing import Any
 
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
 from bench.campaign.campaign_plots import campaign_figures
-from bench.campaign.findings import Findings
+from bench.campaign.carry import measured_of
+from bench.campaign.equipment import (
+    EquipmentTable,
+    ball_table,
+    carry_words,
+    club_table,
+    without_simulated_balls,
+)
+from bench.campaign.findings import Findings, as_flown
 from bench.campaign.fitting import PromptKind
 from bench.campaign.mixed_model import MixedModel
 from bench.campaign.page import TABLE, figure_text, flat, page_template
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
-from bench.campaign.verdicts import NAMES
+from bench.campaign.ruling import DECISION_RULE
+from bench.campaign.verdicts import quantity_name
 from bench.shot.plot_style import COLOURS
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, Standing
@@ -108,10 +117,11 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         standing_words=_standing_words(record.standing),
         figures=campaign_figures(plan, shots, found.sections),
         colours=COLOURS,
-        quantity=NAMES[plan.analysis.quantity],
+        quantity=quantity_name(as_flown(plan, shots)),
         unit=UNITS[plan.analysis.quantity],
         confidence=f"{100 * plan.analysis.confidence:g}",
         beside=_beside,
+        decision_rule=DECISION_RULE,
         mixed_words=_mixed,
         reasons=_reasons(found),
         events=list(record.events)[:200],
@@ -124,8 +134,11 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         sources=_sources(shots),
         limits=_limits(record),
         wear=_wear(record.hits),
-        plan_entries=flat({"plan": {k: v for k, v in entry.plan.items() if k not in {"balls", "clubs"}}}),
-        configuration=flat(entry.configuration),
+        plan_entries=flat({"plan": _plan_shown(entry)}),
+        configuration=flat(
+            entry.configuration if entry.simulated else without_simulated_balls(entry.configuration)
+        ),
+        equipment=_equipment(record),
     )
 
 
@@ -143,6 +156,7 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
         ("Begun", f"{entry.date:%Y-%m-%d %H:%M} UTC"),
         ("Seed", str(entry.seed)),
         ("Plan", entry.digest),
+        ("Carry", carry_words(record.shots) or "none"),
         ("Clubs", ", ".join(plan.design.clubs)),
         ("Swings", ", ".join(plan.design.swings)),
         ("Air", ", ".join(filter(None, air)) or "not measured"),
@@ -153,6 +167,18 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
             f"{handling.conditioning_time / 3600:g} h ({_conditioned(record)})",
         ),
     ]
+
+
+def _plan_shown(entry: CampaignEntry) -> dict[str, Any]:
+    """Return the plan without balls and clubs, which have tables; on hardware without the simulation."""
+    left_out = {"balls", "clubs"} if entry.simulated else {"balls", "clubs", "simulation"}
+    return {key: value for key, value in entry.plan.items() if key not in left_out}
+
+
+def _equipment(record: CampaignRecord) -> list[EquipmentTable]:
+    entry = record.entry
+    measured = measured_of(entry.calibrations, f"campaign {entry.id}")
+    return [ball_table(record.plan, measured, simulated=entry.simulated), club_table(record.plan)]
 
 
 def _range(values: Sequence[float], digits: int, unit: str) -> str:
@@ -237,6 +263,12 @@ def _limits(record: CampaignRecord) -> list[str]:
             f"{s.spin_rpm:g} rpm. Each swing begins from the same armed instant: the robot's own "
             "scatter from swing to swing is not in it.",
         ]
+    if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
+        limits.append(
+            "Measured carry has a standard uncertainty from its coefficients, common to all shots of a ball: "
+            f"{min(errors):.2f} to {max(errors):.2f} m. It is in the rules' decisions, not in the intervals "
+            "and verdicts of comparisons, which are of the scatter only."
+        )
     if record.plan.stop.rule != "fixed":
         limits.append(
             f"The data were looked at up to {record.plan.stop.looks} times; each look has its equal share of "
@@ -266,7 +298,7 @@ def _sources(shots: Sequence[Shot]) -> list[tuple[str, str]]:
             what,
             ", ".join(dict.fromkeys(s for shot in shots if (s := getattr(shot, f"{what}_source")))) or "none",
         )
-        for what in ("delivery", "launch", "carry")
+        for what in ("delivery", "launch", "carry", "flight")
     ]
 
 

@@ -4,37 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from typing import Any
 
-import numpy as np
-
-from bench.campaign.analysis import COLUMN, SectionAnalysis, analyse, shots_still_needed
+from bench.campaign.analysis import SectionAnalysis, analyse, shots_still_needed
 from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.repeatability import Repeatability, repeatability
-from bench.campaign.rules import rule_sets
+from bench.campaign.ruling import RuleFinding, judge_rules
 from bench.campaign.sequence import sections
 from bench.campaign.verdicts import Verdict, section_verdicts
-from bench.shot.shot import Shot, ShotStatus
+from bench.shot.shot import Shot
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the JSON."""
-
-
-@dataclass(frozen=True)
-class RuleFinding:
-    """One level judged by one dated rule set."""
-
-    rule: str
-    text: str
-    level: str
-    value: float
-    """Mean in the rule's quantity; for a symmetry rule the max difference of means."""
-    at_most: float
-    holds: bool
-    source: str
 
 
 @dataclass(frozen=True)
@@ -58,6 +42,7 @@ class Findings:
 def findings(plan: CampaignPlan, shots: Sequence[Shot]) -> Findings:
     """Return all figures of the campaign's `shots`."""
     analyses, models = [], []
+    named = as_flown(plan, shots)
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]
         analyses.append(analyse(plan, mine, section.number, section.name))
@@ -67,11 +52,18 @@ def findings(plan: CampaignPlan, shots: Sequence[Shot]) -> Findings:
         Counter(str(shot.status) for shot in shots),
         tuple(analyses),
         tuple(models),
-        tuple(section_verdicts(plan, analysis) for analysis in analyses),
+        tuple(section_verdicts(named, analysis) for analysis in analyses),
         tuple(_needed(plan, analysis) for analysis in analyses),
         repeatability(shots),
-        tuple(_rules(plan, shots)),
+        tuple(judge_rules(plan, shots)),
     )
+
+
+def as_flown(plan: CampaignPlan, shots: Sequence[Shot]) -> CampaignPlan:
+    """Return the plan that names the carry its shots have: simulated balls may not have been measured."""
+    if {shot.carry_source for shot in shots if shot.carry_source} != {"simulated"}:
+        return plan
+    return replace(plan, analysis=replace(plan.analysis, carry=""))
 
 
 def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[int | None, int | None]:
@@ -79,36 +71,6 @@ def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[int | None, 
     if comparison is None or not comparison.pairs:
         return None, None
     return shots_still_needed(plan, comparison)
-
-
-def _rules(plan: CampaignPlan, shots: Sequence[Shot]) -> list[RuleFinding]:
-    known, found = rule_sets(), []
-    for name in plan.rules.apply:
-        rule = known[name]
-        column = COLUMN.get(rule.quantity, rule.quantity)
-        means: dict[str, float] = {}
-        for ball in plan.design.balls:
-            values = [
-                value
-                for shot in shots
-                if shot.ball == ball and shot.role == "test" and shot.status is ShotStatus.VALID
-                if (value := getattr(shot, column)) is not None
-            ]
-            if values:
-                means[ball] = float(np.mean(values))
-        if name == "symmetry":
-            if len(means) > 1:
-                gap = max(means.values()) - min(means.values())
-                words = " against ".join(means)
-                found.append(
-                    RuleFinding(name, rule.text, words, gap, rule.at_most, gap <= rule.at_most, rule.source)
-                )
-            continue
-        for ball, mean in means.items():
-            found.append(
-                RuleFinding(name, rule.text, ball, mean, rule.at_most, mean <= rule.at_most, rule.source)
-            )
-    return found
 
 
 def findings_record(found: Findings) -> dict[str, Any]:

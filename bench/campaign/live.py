@@ -20,13 +20,14 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from bench.campaign.carry import Measured, ShotCarry, require_carry
 from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.course import Step
 from bench.campaign.fitting import Preparation, PromptKind
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
-from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of
+from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of, reported_carry
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
@@ -46,7 +47,6 @@ from drivers.base import Launch
 from drivers.base.shared_record import SharedMemoryError
 from sim.air import Air
 from sim.ball import Ball
-from sim.flight import Flight, fly
 from sim.impact import Delivery, strike
 from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
@@ -69,12 +69,17 @@ Events = tuple[tuple[str, str], ...]
 
 
 def require_live(
-    plan: CampaignPlan, profiles: Profiles, clubs: Mapping[str, Club], status: BenchStatus
+    plan: CampaignPlan,
+    profiles: Profiles,
+    clubs: Mapping[str, Club],
+    status: BenchStatus,
+    measured: Measured | None = None,
 ) -> None:
     """Refuse a plan whose shots the running bench cannot take, even with an operator's help.
 
     Raises:
-        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity.
+        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; or
+            the plan does not name the carry it compares, or a ball's aerodynamics were not `measured`.
     """
     place, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
@@ -103,6 +108,7 @@ def require_live(
             "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
             "enabled = true.",
         )
+    require_carry(plan, measured or {})
     if plan.ball_handling.identify or not plan.ball_handling.magazine:
         raise Refused(
             f"{place}: ball_handling",
@@ -135,9 +141,10 @@ class LiveShots:
         interrupted: Callable[[], bool],
         aborted: Callable[[], bool],
         monitored: bool = False,
+        measured: Measured | None = None,
         air: Callable[[], Air | None] = lambda: None,
     ) -> None:
-        """`monitored`: ball data come from the bench's launch monitor.
+        """`monitored`: ball data come from the bench's launch monitor; `measured`: aerodynamics by ball.
 
         `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
 
@@ -151,6 +158,7 @@ class LiveShots:
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
         self._monitored = monitored
+        self._carry = ShotCarry(plan, measured or {})
         self._ball_chosen = False
         self._freshly_armed, self._stays_armed = False, True
 
@@ -454,15 +462,18 @@ class LiveShots:
                 "struck_in_the_plant": ball.name if self._ball_chosen else plant.ball.name,
             }
         air = around.air if self.simulated else self._air()
+        around = around if air is None else replace(around, air=air)
         if self._monitored:
             seen = _reported(message)
             more |= seen.metadata
         else:
             hit = delivery if self.simulated and struck else None
-            seen = self._modelled(number, hit, plant.robot.club, ball)
-        flight, doubt = None, seen.doubt
+            seen = self._modelled(number, hit, plant.robot.club, ball, around)
+        doubt, carries, told = seen.doubt, dict[str, Any](), seen.figures.get("carry_monitor_m")
         if seen.launch is not None and not doubt:
-            flight, doubt = _flown(seen.launch, around if air is None else replace(around, air=air), ball)
+            carries, doubt = self._carry.columns(
+                step.trial.arm.ball, seen.launch, around, told, ball if self.simulated else None
+            )
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt
         shot = Shot.from_measurements(
@@ -470,12 +481,12 @@ class LiveShots:
             **_air_columns(air),
             delivery=delivery,
             launch=seen.launch,
-            flight=flight,
+            flight=None,
             status=status,
             reason=reason,
             time_utc=datetime.fromisoformat(metadata["time_utc"]),
         )
-        shot = replace(shot, **seen.figures)
+        shot = replace(shot, **{**seen.figures, **carries})
         metadata |= {"record": record.path.name, **more}
         return Taken(shot, cycles, metadata, struck, events, original=record.path)
 
@@ -492,16 +503,20 @@ class LiveShots:
             raise Suspended(f"the bench swings club {mounted.name}, the plan {name}")
         return replace(plant, robot=replace(plant.robot, club=with_face_of(mounted, planned)))
 
-    def _modelled(self, number: int, delivery: Delivery | None, club: Club, ball: Ball) -> _SeenLaunch:
+    def _modelled(
+        self, number: int, delivery: Delivery | None, club: Club, ball: Ball, around: FlightConditions
+    ) -> _SeenLaunch:
         """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
         if delivery is None:
             return _SeenLaunch(None, "", {}, {})
         draws = random_of(self._plan, number).standard_normal(6)
         try:
-            launch = monitored(self._plan.simulation, strike(delivery, club, ball), draws[2:])
+            true = strike(delivery, club, ball)
         except ValueError as error:
             return _SeenLaunch(None, f"no launch: {error}", {}, {})
-        return _SeenLaunch(launch, "", {}, {})
+        carry = reported_carry(self._plan, number, true, ball, around)
+        figures = {} if carry is None else {"carry_monitor_m": carry}
+        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures, {})
 
 
 class _SeenLaunch(NamedTuple):
@@ -523,14 +538,6 @@ def _reported(message: ShotMessage | None) -> _SeenLaunch:
         return _SeenLaunch(None, message.reason, {}, {})
     metadata = {"launch": launch_to_json(message.launch)}
     return _SeenLaunch(message.launch.launch, message.reason, told_figures(message.launch), metadata)
-
-
-def _flown(launch: Launch, around: FlightConditions, ball: Ball) -> tuple[Flight | None, str]:
-    """Return the flight of `ball`, or None with the reason."""
-    try:
-        return fly(launch, around.air, ball, around.wind, around.turf), ""
-    except ValueError as error:
-        return None, f"no flight: {error}"
 
 
 def _air_columns(air: Air | None) -> dict[str, Any]:
@@ -558,7 +565,6 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
         "section": trial.section,
         "attempt": step.attempt,
         "sample": sample,
-        "carry_source": "model",
     }
 
 

@@ -11,8 +11,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from bench.calibration.aerodynamics_archive import newest_aerodynamics
 from bench.campaign.analysis import decide
 from bench.campaign.broadcast import Broadcast, Together
+from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.course import Course, course
 from bench.campaign.gate import planned_delivery
@@ -47,10 +49,12 @@ def new_entry(
     *,
     simulated: bool,
     real_time: Mapping[str, Any] | None = None,
+    measured: Measured | None = None,
 ) -> CampaignEntry:
     """Return a campaign that begins `now`; its id is name and time.
 
-    `real_time` are the facts of the running bench that takes its shots; None: lock-step.
+    `real_time` are the facts of the running bench that takes its shots; None: lock-step. `measured` are the
+    measured aerodynamics of its balls.
     """
     return CampaignEntry(
         id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
@@ -65,8 +69,15 @@ def new_entry(
         configuration=configuration.effective(),
         versions={name: version(name) for name in PACKAGES} | {"python": platform.python_version()},
         real_time=real_time or {},
-        calibrations={},
+        calibrations={"aerodynamics": {ball: one.record() for ball, one in measured.items()}}
+        if measured
+        else {},
     )
+
+
+def measured_balls(plan: CampaignPlan, store: CampaignStore, bench: str) -> Measured:
+    """Return the newest measured aerodynamics of the plan's balls that have some, as `bench` stores them."""
+    return newest_aerodynamics(store.database, bench, plan.ball_names)
 
 
 def course_of(plan: CampaignPlan, profiles: Profiles, lie: float) -> Course:
@@ -99,7 +110,9 @@ def run_simulated(
             plan,
             store,
             data_dir,
-            SimulatedShots(plan, configuration, corrections, interrupted),
+            SimulatedShots(
+                plan, configuration, corrections, interrupted, measured_of(entry.calibrations, entry.id)
+            ),
             watcher,
             operator=operator,
         )
@@ -156,6 +169,7 @@ def run_live(
             f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
             simulated=entry.simulated,
             monitored=bool(entry.real_time.get("launch_monitor")),
+            measured=measured_of(entry.calibrations, entry.id),
             interrupted=interrupted,
             aborted=aborted,
             air=air,
@@ -165,7 +179,9 @@ def run_live(
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
-def bench_facts(plan: CampaignPlan, configuration: Configuration, status: BenchStatus) -> dict[str, Any]:
+def bench_facts(
+    plan: CampaignPlan, configuration: Configuration, status: BenchStatus, measured: Measured | None = None
+) -> dict[str, Any]:
     """Return the facts a campaign records about the running bench that takes its shots.
 
     Raises:
@@ -173,7 +189,7 @@ def bench_facts(plan: CampaignPlan, configuration: Configuration, status: BenchS
     """
     settings = configuration.bench
     require_free(settings.data_dir, settings.id)
-    require_live(plan, require_swings(plan, configuration), configuration.clubs, status)
+    require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
     facts = {name: status[name] for name in ("driver", "profile", "club")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 

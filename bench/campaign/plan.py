@@ -21,6 +21,8 @@ Quantity = Literal[
 ]
 """Quantities that can be compared; angles in degrees."""
 Factor = Literal["ball", "club", "swing"]
+FLOWN = frozenset({"carry_m", "total_m", "landing_angle"})
+"""Quantities of the flight: which carry they belong to must be named on hardware."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,8 @@ class Analysis:
     """Question of the campaign, fixed before its first shot."""
 
     quantity: Quantity
+    carry: Literal["", "reference", "monitor", "measured"]
+    """Which carry `carry_m` is, see `bench.campaign.carry`; empty: the simulated ball's, none on hardware."""
     deviation: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
     difference: Annotated[float, Range(1e-9, 1e6, "")]
@@ -179,7 +183,9 @@ class Rules:
     """Dated rules for the figures."""
 
     apply: tuple[str, ...]
-    """Names of rule sets, see `bench/campaign/rules.toml`."""
+    """Names of rule sets, or of families of which the date chooses, see `bench/campaign/rules.toml`."""
+    uncertainty: dict[str, Annotated[float, Range(0.0, 1e3, "")]] = field(default_factory=dict)
+    """Quantity -> standard uncertainty of its measurement besides the scatter, SI; rules need it."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +200,8 @@ class Simulation:
     launch_angle: Annotated[float, Range(0.0, 0.2, "rad")]
     direction: Annotated[float, Range(0.0, 0.2, "rad")]
     spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
+    carry: Annotated[float, Range(0.0, 50.0, "m")]
+    """Of the launch monitor's carry, about the flight of the true launch."""
     drift: Annotated[float, Range(-0.1, 0.1, "")]
     wear: Annotated[float, Range(0.0, 10.0, "")]
     launch_missing: Annotated[float, Range(0.0, 1.0, "")]

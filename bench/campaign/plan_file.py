@@ -12,9 +12,9 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
-from bench.campaign.plan import CampaignPlan, levels
+from bench.campaign.plan import CampaignPlan, Quantity, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
 from bench.config import Configuration
@@ -195,10 +195,38 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
+    yield from _carry(plan)
     yield from _hits(plan)
+    yield from _rules(plan)
+
+
+def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error for each unknown rule, and for each stated uncertainty of an unknown quantity."""
     for name in plan.rules.apply:
         if name not in rule_names():
             yield Mistake("rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it.")
+    for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
+        wanted = ", ".join(get_args(Quantity))
+        yield Mistake(f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it.")
+
+
+def _carry(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error if the named carry cannot answer the question."""
+    a = plan.analysis
+    if a.carry == "reference" and "symmetry" in plan.rules.apply:
+        yield Mistake(
+            "analysis.carry",
+            '"reference", while symmetry is judged: one ball\'s coefficients for pole and seam are the same',
+            '"monitor" or "measured"',
+            "Take a monitor that sees the whole flight, or measure the aerodynamics of each orientation.",
+        )
+    if a.carry == "monitor" and a.quantity in {"total_m", "landing_angle"}:
+        yield Mistake(
+            "analysis.carry",
+            f'"monitor", while {a.quantity} is compared, which a launch monitor does not report here',
+            '"reference" or "measured"',
+            "Name one of them, or compare carry_m.",
+        )
 
 
 def _hits(plan: CampaignPlan) -> Iterator[Mistake]:

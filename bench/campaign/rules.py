@@ -1,38 +1,65 @@
-"""Dated rule sets of the governing bodies: limits, dates, and how certain they are."""
+"""Dated rule sets of the governing bodies: limits, set-ups, dates, and how certain they are."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 from math import radians
 from pathlib import Path
+from typing import Any
 
 FILE = Path(__file__).with_name("rules.toml")
 
 FOOT = 0.3048
+UNITS_OF_RULES: Mapping[str, float] = {"yd": 0.9144, "ft/s": FOOT}
+"""Units of rules in SI."""
+
+
+@dataclass(frozen=True)
+class RuleSetUp:
+    """Set-up of a rule: means of the control ball and the half widths of their windows."""
+
+    ball_speed: float
+    """m/s"""
+    ball_speed_window: float
+    launch_angle: float
+    """rad"""
+    launch_angle_window: float
+    spin_rpm: float
+    spin_window_rpm: float
 
 
 @dataclass(frozen=True)
 class RuleSet:
-    """One rule with its dates; SI. A set-up figure of 0 is not part of it."""
+    """One rule with its dates; SI."""
 
     name: str
+    family: str
+    """Name of the sets of which the date chooses one."""
     text: str
     begins: date
     ends: date
     quantity: str
     """Judged column of the shot table."""
+    difference: bool
+    """Whether the difference between the levels of a section is judged, not each level."""
+    unit: str
+    """Unit of the rule's text, a key of `UNITS_OF_RULES`."""
     at_most: float
-    """Limit, tolerance included; for `symmetry` of a difference."""
+    """Limit, tolerance included."""
     tolerance_included: float
-    ball_speed: float
-    """m/s"""
-    launch_angle: float
-    """rad"""
-    spin_rpm: float
+    set_up: RuleSetUp | None
+    apparatus: str
+    """Why a robot's figure is never judged; empty where it is."""
     confidence: str
     source: str
+
+    @property
+    def scale(self) -> float:
+        """The rule's unit in SI."""
+        return UNITS_OF_RULES[self.unit]
 
     def in_force(self, day: date) -> bool:
         """Return whether the rule is in force on `day`."""
@@ -42,28 +69,52 @@ class RuleSet:
 def rule_sets() -> dict[str, RuleSet]:
     """Return the shipped rule sets by name."""
     tables = tomllib.loads(FILE.read_text(encoding="utf-8"))
-    return {
-        name: RuleSet(
-            name=name,
-            text=entry["text"],
-            begins=entry["from"],
-            ends=entry["until"],
-            quantity=entry["quantity"],
-            at_most=entry["at_most"],
-            tolerance_included=entry["tolerance_included"],
-            ball_speed=entry["ball_speed"],
-            launch_angle=radians(entry["launch_angle_deg"]),
-            spin_rpm=entry["spin_rpm"],
-            confidence=entry["confidence"],
-            source=entry["source"],
-        )
-        for name, entry in tables.items()
-    }
+    return {name: _rule_set(name, entry) for name, entry in tables.items()}
+
+
+def _rule_set(name: str, entry: Mapping[str, Any]) -> RuleSet:
+    scale = UNITS_OF_RULES[entry["unit"]]
+    return RuleSet(
+        name=name,
+        family=entry["family"],
+        text=entry["text"],
+        begins=entry["from"],
+        ends=entry["until"],
+        quantity=entry["quantity"],
+        difference=entry.get("difference", False),
+        unit=entry["unit"],
+        at_most=scale * entry["at_most"],
+        tolerance_included=scale * entry["tolerance_included"],
+        set_up=_set_up(entry["set_up"]) if "set_up" in entry else None,
+        apparatus=entry.get("apparatus", ""),
+        confidence=entry["confidence"],
+        source=entry["source"],
+    )
+
+
+def _set_up(entry: Mapping[str, float]) -> RuleSetUp:
+    return RuleSetUp(
+        entry["ball_speed"],
+        entry["ball_speed_window"],
+        radians(entry["launch_angle_deg"]),
+        radians(entry["launch_angle_window_deg"]),
+        entry["spin_rpm"],
+        entry["spin_window_rpm"],
+    )
 
 
 def rule_names() -> list[str]:
-    """Return the names of the shipped rule sets."""
-    return sorted(rule_sets())
+    """Return the names that a plan can give: families and sets."""
+    known = rule_sets()
+    return sorted({*known, *(rule.family for rule in known.values())})
+
+
+def rule_on(name: str, day: date) -> RuleSet | None:
+    """Return the set called `name`, or of a family the one in force on `day`; None if none is in force."""
+    known = rule_sets()
+    if name in known:
+        return known[name]
+    return next((rule for rule in known.values() if rule.family == name and rule.in_force(day)), None)
 
 
 def control_ball_speed(restitution: float, contact_time: float) -> float:

@@ -13,6 +13,7 @@ from zlib import crc32
 
 import numpy as np
 
+from bench.campaign.carry import Measured, ShotCarry
 from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.course import Step
 from bench.campaign.fitting import PromptKind
@@ -29,14 +30,14 @@ from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingRe
 from bench.simulation.variation import Variation
 from drivers.base import Launch
 from sim.ball import Ball
-from sim.flight import Flight, fly
+from sim.flight import fly
 from sim.launch_monitor import MonitorParameters
 from sim.plant import PlantParameters
 
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 """Virtual time of a simulated campaign's first shot, fixed so that it is repeatable."""
 
-_SHOTS, _SAMPLES = 1, 2
+_SHOTS, _SAMPLES, _CARRIES = 1, 2, 3
 """Streams of random numbers."""
 
 
@@ -81,6 +82,21 @@ def monitored(s: Simulation, launch: Launch, noise: np.ndarray) -> Launch:
     )
 
 
+def reported_carry(
+    plan: CampaignPlan, number: int, launch: Launch, ball: Ball, around: FlightConditions
+) -> float | None:
+    """Return the carry (m) that the simulated launch monitor reports of shot `number`: the true one, noisy.
+
+    `launch` is the true one of `ball`; None if it does not fly.
+    """
+    noise = float(np.random.default_rng((plan.design.seed, _CARRIES, number)).standard_normal())
+    try:
+        carry = fly(launch, around.air, ball, around.wind, around.turf).carry
+    except ValueError:
+        return None
+    return max(0.0, carry + plan.simulation.carry * noise)
+
+
 class SimulatedShots:
     """The simulated bench as a campaign sees it."""
 
@@ -92,8 +108,11 @@ class SimulatedShots:
         configuration: Configuration,
         swings: CorrectedProfiles,
         stop: Callable[[], bool],
+        measured: Measured | None = None,
     ) -> None:
+        """`measured` are the aerodynamics that were measured, by ball."""
         self._plan, self._configuration, self._stop = plan, configuration, stop
+        self._carry = ShotCarry(plan, measured or {})
         self._swings = swings
         s = plan.simulation
         self._monitor = MonitorParameters(
@@ -101,6 +120,7 @@ class SimulatedShots:
             angle_noise=0.0,
             spin_noise=0.0,
             axis_noise=0.0,
+            carry_noise=0.0,
             missing=s.launch_missing,
             misread=s.launch_misread,
             double=s.launch_double,
@@ -161,7 +181,7 @@ class SimulatedShots:
         if number in s.monitor_away:
             events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
         if trouble := self._feeder_trouble(arm.ball, number, sample):
-            shot = self._shot(step, number, sample, None, None, None, ShotStatus.FAILED, trouble)
+            shot = self._shot(step, number, sample, None, ShotStatus.FAILED, trouble)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
@@ -201,24 +221,26 @@ class SimulatedShots:
     ) -> Shot:
         """Return the shot with the figures of launch monitor and flight model."""
         status, reason = result.status, result.reason
-        heard, flight = MonitorResult(None, ""), None
+        heard, carries = MonitorResult(None, ""), dict[str, Any]()
         if result.launch is not None:
             c, s = self._configuration, self._plan.simulation
             speed = None if result.delivery is None else result.delivery.speed
+            around = FlightConditions(c.air, c.wind, c.turf)
             seen = monitored(s, result.launch, noise)
+            carry = reported_carry(self._plan, number, result.launch, ball, around)
             heard = hear(
-                seen, number, speed, self._monitor, c.launch_monitor.plausible, c.launch_monitor.window
+                seen, number, speed, self._monitor, c.launch_monitor.plausible, c.launch_monitor.window, carry
             )
             if heard.reason:
                 status, reason = ShotStatus.EXCLUDED, reason or heard.reason
             elif heard.launch is not None and heard.launch.launch is not None:
-                try:
-                    flight = fly(heard.launch.launch, c.air, ball, c.wind, c.turf)
-                except ValueError as error:
-                    status, reason = ShotStatus.EXCLUDED, reason or f"no flight: {error}"
-        shot = self._shot(step, number, sample, result, None, flight, status, reason)
+                told, launch = heard.launch.carry, heard.launch.launch
+                carries, doubt = self._carry.columns(step.trial.arm.ball, launch, around, told, ball)
+                if doubt:
+                    status, reason = ShotStatus.EXCLUDED, reason or doubt
+        shot = self._shot(step, number, sample, result, status, reason)
         if heard.launch is not None:
-            shot = replace(shot, **{**told_figures(heard.launch), "launch_source": "simulated"})
+            shot = replace(shot, **{**told_figures(heard.launch), "launch_source": "simulated", **carries})
         return shot
 
     def _shot(
@@ -227,8 +249,6 @@ class SimulatedShots:
         number: int,
         sample: int,
         result: SwingResult | None,
-        launch: Launch | None,
-        flight: Flight | None,
         status: ShotStatus,
         reason: str,
     ) -> Shot:
@@ -241,8 +261,8 @@ class SimulatedShots:
             ball=trial.arm.ball,
             time_utc=self.time_of(number),
             delivery=None if result is None else result.delivery,
-            launch=launch,
-            flight=flight,
+            launch=None,
+            flight=None,
             status=status,
             reason=reason,
             swing=trial.arm.swing,

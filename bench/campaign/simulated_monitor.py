@@ -32,10 +32,14 @@ def hear(
     parameters: MonitorParameters,
     plausible: PlausibleFigures,
     window: MatchWindow,
+    carry: float | None = None,
 ) -> MonitorResult:
-    """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own."""
+    """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own.
+
+    `carry` (m) is the monitor's.
+    """
     talk, records = Conversation(plausible, 0.0), list[LaunchRecord]()
-    for delay, message in monitor_messages(launch, number, parameters):
+    for delay, message in monitor_messages(launch, number, parameters, carry=carry):
         records += talk.receive(message, delay).records
     late = window.latest + window.patience
     swing = SwingImpact(str(number), 0.0)

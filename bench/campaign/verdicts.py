@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bench.campaign.analysis import Comparison, Pair, SectionAnalysis, shots_still_needed
 from bench.campaign.page import MPH
-from bench.campaign.plan import CampaignPlan, levels
+from bench.campaign.plan import FLOWN, CampaignPlan, levels
 from bench.campaign.preview import UNITS
 from bench.campaign.repeatability import Repeatability
 
@@ -24,6 +24,19 @@ NAMES = {
 """Names of the quantities in sentences."""
 
 
+_CARRIES = {
+    "reference": " (reference ball)",
+    "monitor": " (launch monitor)",
+    "measured": " (measured aerodynamics)",
+}
+
+
+def quantity_name(plan: CampaignPlan) -> str:
+    """Return the name of the compared quantity in sentences; of a flight with whose it is."""
+    a = plan.analysis
+    return NAMES[a.quantity] + (_CARRIES.get(a.carry, "") if a.quantity in FLOWN else "")
+
+
 class Verdict(NamedTuple):
     """The answer to one comparison, in words."""
 
@@ -34,7 +47,7 @@ class Verdict(NamedTuple):
 
 def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
     """Return one answer for one pair; for more, one for all pairs and one for each resolved pair."""
-    name = NAMES[plan.analysis.quantity]
+    name = quantity_name(plan)
     if len(levels(plan)) < 2:
         level = analysis.levels[0]
         s, unit = level.spread, UNITS[plan.analysis.quantity]
@@ -79,7 +92,7 @@ def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Ver
 
 
 def _pair(plan: CampaignPlan, comparison: Comparison, pair: Pair) -> Verdict:
-    a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], NAMES[plan.analysis.quantity]
+    a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], quantity_name(plan)
     seen = (
         f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
         f"{100 * a.confidence:g} % interval {_signed(pair.low)} to {_signed(pair.high)} {unit}; "

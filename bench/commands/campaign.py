@@ -12,6 +12,7 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
+    from bench.campaign.carry import Measured
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
     from bench.campaign.runner import RunOutcome
@@ -120,15 +121,21 @@ def run(
     """
     from datetime import UTC, datetime
 
-    from bench.campaign.operate import new_entry
+    from bench.campaign.operate import measured_balls, new_entry
     from bench.commands.campaign_baseline import read_baseline
 
     plan, configuration = _checked(context, file)
-    facts = {} if sim else _bench_facts(plan, configuration)
     bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
+        measured = measured_balls(plan, store, configuration.bench.id)
+        facts = {} if sim else _bench_facts(plan, configuration, measured)
         entry = new_entry(
-            plan, configuration, datetime.now(UTC), simulated=sim or facts["driver"] == "sim", real_time=facts
+            plan,
+            configuration,
+            datetime.now(UTC),
+            simulated=sim or facts["driver"] == "sim",
+            real_time=facts,
+            measured=measured,
         )
         store.begin(entry)
         _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask)
@@ -151,6 +158,7 @@ def resume(
 
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C.
     """
+    from bench.campaign.carry import measured_of
     from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import read_baseline
@@ -165,17 +173,18 @@ def resume(
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
             return
         if entry.real_time:
-            _bench_facts(plan_from_record(entry.plan, f"campaign {entry.id}"), configuration)
+            begun = plan_from_record(entry.plan, f"campaign {entry.id}")
+            _bench_facts(begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}"))
         _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask_)
 
 
-def _bench_facts(plan: CampaignPlan, configuration: Configuration) -> dict[str, Any]:
+def _bench_facts(plan: CampaignPlan, configuration: Configuration, measured: Measured) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
     from bench.campaign.operate import bench_facts
     from bench.network.client import BenchClient
 
     with BenchClient.connect(configuration) as client:
-        return bench_facts(plan, configuration, client.status())
+        return bench_facts(plan, configuration, client.status(), measured)
 
 
 def _run(

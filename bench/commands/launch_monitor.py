@@ -13,6 +13,8 @@ from bench.commands.session import Session
 from bench.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
+    from bench.shot.recorded_shot import FlightConditions
+    from drivers.base import Launch
     from sim.launch_monitor import MonitorParameters
     from sim.plant import PlantParameters
 
@@ -84,6 +86,7 @@ def launch_monitor(
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
     from bench.processes.bench_folder import bench_folder
+    from bench.shot.recorded_shot import FlightConditions
     from sim.launch_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()
@@ -93,6 +96,7 @@ def launch_monitor(
         angle_noise=noise * usual.angle_noise,
         spin_noise=noise * usual.spin_noise,
         axis_noise=noise * usual.axis_noise,
+        carry_noise=noise * usual.carry_noise,
         delay=delay,
         missing=missing,
         dropped=tuple(drop or ()),
@@ -113,6 +117,7 @@ def launch_monitor(
     play(
         parameters,
         c.plant,
+        FlightConditions(c.air, c.wind, c.turf),
         folder or bench_folder(c.bench.id),
         address,
         lambda text: typer.echo(text, err=True),
@@ -122,6 +127,7 @@ def launch_monitor(
 def play(
     parameters: MonitorParameters,
     plant: PlantParameters,
+    around: FlightConditions,
     folder: Path,
     address: tuple[str, int],
     say: Callable[[str], None],
@@ -132,11 +138,13 @@ def play(
         NoPlant: the plant there is of other code.
     """
     from bench.interrupt import stop_on_signals
+    from drivers.base import Launch
     from drivers.base.shared_record import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
     from sim.live.contact_watch import ContactWatch, warm_up
 
     warm_up()
+    _carry(Launch(60.0, 0.2, 0.0, 250.0, 0.0), folder, plant, around)
     watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
     where = f"{address[0]} port {address[1]}"
     place = plant.site.ball_x, plant.site.ball_y
@@ -153,7 +161,8 @@ def play(
                     balls += 1
                     launch = contact.launch
                     came = contact.delivery(plant.robot, place)
-                    monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle))
+                    carry = _carry(launch, folder, plant, around)
+                    monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle), carry)
                     say(f"ball {balls}: {launch.speed:.2f} m/s, {'told' if monitor.waiting else 'not told'}")
                 monitor.step(now)
                 if (standing := (watch.attached, monitor.connected)) != told:
@@ -167,3 +176,19 @@ def play(
     finally:
         monitor.close()
         watch.close()
+
+
+def _carry(launch: Launch, folder: Path, plant: PlantParameters, around: FlightConditions) -> float | None:
+    """Return the carry of the ball on the plant's tee with `launch`, None if it does not fly."""
+    from drivers.base.shared_record import SharedMemoryError
+    from sim.flight import fly
+    from sim.live.surroundings import chosen_ball
+
+    try:
+        ball = chosen_ball(folder) or plant.ball
+    except SharedMemoryError:
+        ball = plant.ball
+    try:
+        return fly(launch, around.air, ball, around.wind, around.turf).carry
+    except ValueError:
+        return None

@@ -25,6 +25,7 @@ from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
 from sim.air import Air
+from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import Flight, Wind, fly
 from sim.impact import Delivery, delivery_from_plane, strike
 from sim.kinematics import forward_kinematics
@@ -158,7 +159,10 @@ def shot_to_json(shot: Shot) -> dict[str, Any]:
 
 
 def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:
-    """Return the flight of the launch in `shot`; None without a launch that can be flown."""
+    """Return the flight of the launch in `shot`; None without a launch that can be flown.
+
+    A simulated ball is the plant's; on hardware it is the reference ball's flight.
+    """
     given = (
         shot.ball_speed_mps,
         shot.launch_angle_deg,
@@ -170,7 +174,9 @@ def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> F
         return None
     speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
     launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
-    return _flown(launch, plant, around)
+    if shot.carry_source in {"", "simulated", "model"} or shot.flight_source == "simulated":
+        return _flown(launch, plant.ball, around)
+    return _flown(launch, REFERENCE_BALL, around)
 
 
 def shot_of_cycles(
@@ -188,7 +194,7 @@ def shot_of_cycles(
             launch = strike(delivery, plant.robot.club, plant.ball)
         except ValueError:
             launch = None
-        flight = None if launch is None else _flown(launch, plant, around)
+        flight = None if launch is None else _flown(launch, plant.ball, around)
     reason = "" if delivery is not None else "no swing through the ball's place"
     if len(trips) and Cause(int(trips[0])) is not Cause.POWER_UP:
         reason = CAUSE_TEXT[Cause(int(trips[0]))]
@@ -250,8 +256,8 @@ def ball_struck(cycles: Cycles) -> bool:
     return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
 
 
-def _flown(launch: Launch, plant: PlantParameters, around: FlightConditions) -> Flight | None:
+def _flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:
     try:
-        return fly(launch, around.air, plant.ball, around.wind, around.turf)
+        return fly(launch, around.air, ball, around.wind, around.turf)
     except ValueError:
         return None

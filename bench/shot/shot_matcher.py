@@ -1,7 +1,7 @@
 """Matching of swings and launches of a running bench: pure, time is an argument.
 
 A launch finds its swing by time (`drivers.launch_monitor.matching`); what comes of a match is a shot whose
-club is measured by the encoders and whose ball by the monitor. Its flight is the model's.
+club is measured by the encoders and whose ball by the monitor. Its flight is the reference ball's.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from bench.shot.swing_watch import FinishedSwing
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
 from drivers.launch_monitor.record import LaunchRecord
+from sim.ball import REFERENCE_BALL
 from sim.flight import Flight, fly
 from sim.plant import PlantParameters
 
@@ -43,13 +44,15 @@ class Told(NamedTuple):
 
 def told_figures(launch: LaunchRecord) -> dict[str, Any]:
     """Return the columns of the shot table that `launch` knows; without spin the other columns."""
-    known = {
+    known: dict[str, tuple[float | None, float]] = {
         "ball_speed_mps": (launch.speed, 1.0),
         "launch_angle_deg": (launch.launch_angle, degrees(1)),
         "direction_deg": (launch.direction, degrees(1)),
         "spin_rpm": (launch.spin, 30 / pi),
         "spin_axis_deg": (launch.spin_axis, degrees(1)),
     }
+    if launch.carry is not None:
+        known["carry_monitor_m"] = launch.carry, 1.0
     figures = {name: scale * value for name, (value, scale) in known.items() if value is not None}
     return {**figures, "launch_source": launch.source} if figures else {}
 
@@ -124,7 +127,7 @@ class LaunchBook:
         if launch is not None and launch.launch is not None and not launch.doubts:
             try:
                 flight = fly(
-                    launch.launch, self._around.air, plant.ball, self._around.wind, self._around.turf
+                    launch.launch, self._around.air, REFERENCE_BALL, self._around.wind, self._around.turf
                 )
             except ValueError as error:
                 reason = reason or f"no flight: {error}"
@@ -145,7 +148,8 @@ class LaunchBook:
             flight=flight,
             status=status,
             reason=why,
-            carry_source="model",
+            carry_source="reference",
+            carry_reference_m=None if flight is None else flight.carry,
         )
         if launch is not None:
             shot = replace(shot, **told_figures(launch))

@@ -129,10 +129,12 @@ BALL = np.dtype(
         ("inertia_factor", "f8"),
         ("restitution_factor", "f8"),
         ("friction", "f8"),
+        ("drag_factor", "f8"),
+        ("lift_factor", "f8"),
     ],
     align=True,
 )
-"""Fields of a `sim.ball.Ball` for the impact, same names; all zero for the plan's ball."""
+"""Fields of a `sim.ball.Ball`, same names; all zero for the plan's ball."""
 
 PLANT_SURROUNDINGS = np.dtype(
     [

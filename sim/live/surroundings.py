@@ -14,6 +14,23 @@ from sim.live.exchange import BALL, PLANT_SURROUNDINGS, SURROUNDINGS_FILE
 _QUIET = {"emergency_stop_clear": True, "guard_closed": True, "encoder_valid": 1}
 
 
+def chosen_ball(folder: Path) -> Ball | None:
+    """Return the ball that the tee of the plant in `folder` supplies; None for the plan's ball.
+
+    Raises:
+        SharedMemoryError: there is no plant, or one of other code.
+    """
+    record = np.zeros(1, PLANT_SURROUNDINGS)
+    shared = SharedRecord.open(folder / SURROUNDINGS_FILE, PLANT_SURROUNDINGS)
+    try:
+        if not shared.read(record):
+            return None
+    finally:
+        shared.close()
+    fields = dict(zip(BALL.names or (), record["ball"][0].item(), strict=True))
+    return Ball("surroundings", **fields) if any(fields.values()) else None
+
+
 class SurroundingsWriter:
     """The single writer of the surroundings; values of an earlier writer remain until changed."""
 

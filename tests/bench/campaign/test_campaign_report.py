@@ -76,7 +76,7 @@ def test_the_verdict_comes_before_any_table_or_picture(text: str) -> None:
     verdict = text.index("pole has")
     assert verdict < text.index("<table")
     assert verdict < text.index("<svg")
-    assert "m more carry than seam" in text
+    assert "m more carry (launch monitor) than seam" in text
 
 
 def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
@@ -201,7 +201,7 @@ def test_a_browser_shows_it_without_a_word_of_complaint_and_prints_it(
     assert pdf.read_bytes().startswith(b"%PDF")
     assert "CONSOLE" not in done.stderr
     shown = _browse(tool("chromium"), tmp_path, "--dump-dom", page).stdout
-    assert "m more carry than seam" in shown
+    assert "m more carry (launch monitor) than seam" in shown
 
 
 def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.CompletedProcess[Any]:

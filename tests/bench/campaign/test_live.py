@@ -115,7 +115,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
         assert {shots[1].ball, shots[2].ball} == {"tour", "range"}
         assert shots[0].time_utc < shots[1].time_utc < shots[2].time_utc
         for shot, stored in zip(shots[1:], store.shots(entry.id)[1:], strict=True):
-            assert (shot.delivery_source, shot.carry_source) == ("encoders+model", "model")
+            assert (shot.delivery_source, shot.carry_source) == ("encoders+model", "simulated")
             assert (shot.club_speed_mps or 0.0) > 40.0
             cycles, metadata = read_swing(data_dir / stored.file)
             assert len(cycles) > 1000

@@ -58,7 +58,7 @@ def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: FinishedSwi
     assert (shot.status, shot.launch_source, shot.carry_source) == (
         ShotStatus.VALID,
         "launch monitor",
-        "model",
+        "reference",
     )
     assert (shot.ball_speed_mps, shot.delivery_source) == (52.0, "encoders+model")
     assert 120.0 < (shot.carry_m or 0.0) < 200.0

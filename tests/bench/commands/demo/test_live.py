@@ -59,7 +59,7 @@ def test_a_demo_leaves_report_recording_table_and_swings_and_no_process(tmp_path
     valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
     assert {shot.ball for shot in valid} == {"tour", "range"}
     assert {(s.delivery_source, s.launch_source, s.carry_source) for s in valid} == {
-        ("encoders+model", "simulated", "model")
+        ("encoders+model", "simulated", "monitor")
     }
     files = sorted(out.glob("bench/campaigns/*/swings/*.parquet"))
     assert len(files) == len(shots)

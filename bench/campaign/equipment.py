@@ -1,0 +1,87 @@
+"""Balls and clubs of a campaign as tables of its report.
+
+On hardware a ball is what was measured of it: the plan's factors of restitution, drag and lift say what a
+simulated ball is and do not appear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import degrees
+from typing import Any, NamedTuple
+
+from bench.campaign.carry import Measured
+from bench.campaign.plan import CampaignPlan
+from bench.shot.shot import Shot
+
+FLIGHT_OF: Mapping[str, str] = {
+    "reference": "flown from the measured launch with the reference ball's aerodynamics, all balls alike: it "
+    "compares launches, not flights",
+    "monitor": "as the launch monitor reported it",
+    "measured": "flown from the measured launch with the aerodynamics measured on each ball",
+    "simulated": "flown with the simulated ball's own aerodynamics",
+    "model": "flown with the plan's own factors by an older golfbench: it says nothing of a real ball",
+}
+"""Meaning of each source of carry and flight."""
+
+
+class EquipmentTable(NamedTuple):
+    """A table of the report."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def ball_table(plan: CampaignPlan, measured: Measured, *, simulated: bool) -> EquipmentTable:
+    """Return the balls that are hit, with their measured aerodynamics."""
+    head = ["ball", "role"]
+    if simulated:
+        head += ["mass, g", "diameter, mm", "restitution", "friction", "drag", "lift"]
+    head.append("measured aerodynamics")
+    rows = []
+    for name in plan.ball_names:
+        row = [name, "control" if name not in plan.design.balls else "compared"]
+        if simulated:
+            ball = plan.balls[name]
+            row += [f"{1e3 * ball.mass:.2f}", f"{2e3 * ball.radius:.2f}", f"{ball.restitution_factor:g}"]
+            row += [f"{ball.friction:g}", f"{ball.drag_factor:g}", f"{ball.lift_factor:g}"]
+        row.append(measured[name].text if name in measured else "none")
+        rows.append(tuple(row))
+    caption = "Balls" + (
+        "; restitution, drag and lift as factors of the simulation on those of club and flight model"
+        if simulated
+        else "; what they are is measured, nothing of it comes from the plan"
+    )
+    return EquipmentTable(f"{caption}.", tuple(head), tuple(rows))
+
+
+def club_table(plan: CampaignPlan) -> EquipmentTable:
+    """Return the clubs."""
+    rows = tuple(
+        (
+            name,
+            f"{degrees(club.loft):.2f}",
+            f"{degrees(club.lie):.2f}",
+            f"{degrees(club.face_angle):.2f}",
+            f"{club.length_to_face:.4f}",
+            f"{1e3 * club.head_mass:.1f}",
+        )
+        for name, club in plan.clubs.items()
+    )
+    head = ("club", "loft, °", "lie, °", "face angle, °", "length to the face, m", "head mass, g")
+    return EquipmentTable("Clubs, as plan and configuration have them.", head, rows)
+
+
+def carry_words(shots: Sequence[Shot]) -> str:
+    """Return which carry the shots have; empty without one."""
+    sources = dict.fromkeys(shot.carry_source for shot in shots if shot.carry_source)
+    return "; ".join(f"{source} – {FLIGHT_OF.get(source, 'unknown')}" for source in sources)
+
+
+def without_simulated_balls(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the configuration of a real bench for the report: without the balls of its simulation."""
+    kept = {key: value for key, value in configuration.items() if key != "balls"}
+    if isinstance(plant := kept.get("plant"), Mapping):
+        kept["plant"] = {key: value for key, value in plant.items() if key != "ball"}
+    return kept
