@@ -35,7 +35,10 @@ from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000
 """Max number of shots with a row each; of more, only those not valid or flagged."""
-_MOST_ROWS = 500
+_MAX_ROWS = 1000
+"""Max number of shots in the table."""
+_MAX_LINES = 200
+"""Max number of events, and of lines of manual work."""
 
 LIMITS = (
     "Comparisons use valid shots only. A shot is excluded for its delivery or a fault, never for where its "
@@ -94,9 +97,8 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
     plan, entry, shots = record.plan, record.entry, record.shots
     flagged = {shot for section in found.sections for shot, _ in section.outliers}
     all_rows = len(shots) <= _ALL_ROWS
-    rows = [s for s in shots if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged][
-        : _MOST_ROWS * 2
-    ]
+    listed = [s for s in shots if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged]
+    rows, handwork = listed[:_MAX_ROWS], _handwork(record.prompts)
     filters: dict[str, Callable[..., Any]] = {
         "number": _number,
         "signed": _signed,
@@ -124,10 +126,13 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         decision_rule=DECISION_RULE,
         mixed_words=_mixed,
         reasons=_reasons(found),
-        events=list(record.events)[:200],
-        handwork=_handwork(record.prompts),
+        events=record.events[:_MAX_LINES],
+        more_events=max(0, len(record.events) - _MAX_LINES),
+        handwork=handwork[:_MAX_LINES],
+        more_handwork=max(0, len(handwork) - _MAX_LINES),
         table=TABLE,
         all_rows=all_rows,
+        listed=len(listed),
         rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in rows],
         many_clubs=len(plan.design.clubs) > 1,
         many_swings=len(plan.design.swings) > 1,
@@ -205,7 +210,7 @@ def _handwork(prompts: Sequence[Prompt]) -> list[str]:
         if prompt.by != "simulation":
             done = f"{prompt.by}, {prompt.answered:%H:%M:%S}" if prompt.answered else "not done yet"
             words.append(f"before shot {prompt.before_shot}, {prompt.asked:%H:%M:%S}: {prompt.text} {done}")
-    return words[:200]
+    return words
 
 
 def _standing_words(standing: Standing) -> str:

@@ -160,6 +160,10 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 cure = did_you_mean(name, known, f"Add [{key.split('.')[1]}.{name}].")
                 yield Mistake(key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure)
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
+        for name in names:
+            if not name or name != name.strip() or not name.isprintable():
+                wanted = "a name of printable characters, without spaces at its ends"
+                yield Mistake(f"design.{key}", format_value(name), wanted, "Reports and prompts show it.")
         if not names or len(set(names)) < len(names):
             yield Mistake(
                 f"design.{key}", format_value(list(names)), "at least one, each once", "Correct it."

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-from typing import Any
+import warnings
+from typing import Any, cast
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, get_font
+from matplotlib.text import Text
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 """Okabe and Ito's colours: safe for colour-blind readers; each ball has its own marker, too."""
@@ -47,7 +50,11 @@ STYLE: Any = {
 def to_svg(figure: Figure, name: str) -> str:
     """Return `figure` as an SVG element for a page; `name` keeps its ids apart from other figures'."""
     stream = io.StringIO()
-    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "path"}):
+    # Glyphs that the font lacks are left to the fonts of whoever reads the page.
+    form = "none" if (foreign := _lacks_glyphs(figure)) else "path"
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": form}), warnings.catch_warnings():
+        if foreign:
+            warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     svg = stream.getvalue()
     svg = svg[svg.index("<svg") :]
@@ -55,6 +62,13 @@ def to_svg(figure: Figure, name: str) -> str:
     svg = re.sub(r'\bid="', f'id="{name}-', svg)
     svg = re.sub(r'((?:xlink:)?href="|url\()#', rf"\1#{name}-", svg)
     return svg.replace("<svg ", '<svg aria-hidden="true" focusable="false" ', 1)
+
+
+def _lacks_glyphs(figure: Figure) -> bool:
+    """Return whether a text of `figure` has a character that the font of the style lacks."""
+    known = get_font(findfont(STYLE["font.family"])).get_charmap()
+    drawn = {character for text in figure.findobj(Text) for character in cast(Text, text).get_text()}
+    return any(ord(character) not in known for character in drawn - {"\n"})
 
 
 def styled(height: float) -> Figure:

@@ -1,13 +1,15 @@
 """The shot table as CSV (RFC 4180): comma, CRLF, UTF-8, decimal point, one header row.
 
 Floats are written in positional notation with the fewest digits that read back to the same float; an
-absent figure is an empty cell; times are UTC in ISO 8601.
+absent figure is an empty cell; times are UTC in ISO 8601. A text that a spreadsheet would take for a formula
+has an apostrophe in front, which reading removes.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import isfinite
@@ -54,6 +56,10 @@ def read_shot_table(path: Path) -> list[Shot]:
         raise BenchError(str(path), str(error), "a shot table (CSV, UTF-8)", "check the file") from error
 
 
+_FORMULA = re.compile("'*[=+\\-@\t\r]")
+"""Beginning of a text that a spreadsheet would take for a formula, with apostrophes put in front already."""
+
+
 def _to_cell(value: object) -> str:
     """Return `value` as the text of a cell."""
     if value is None:
@@ -62,6 +68,8 @@ def _to_cell(value: object) -> str:
         return value.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
     if isinstance(value, float):
         return np.format_float_positional(value, unique=True, trim="0")
+    if isinstance(value, str) and _FORMULA.match(value):
+        return f"'{value}"
     return str(value)
 
 
@@ -99,6 +107,8 @@ def _to_value(column: ShotColumn, cell: str | None) -> object:
         return number
     if column.kind is datetime:
         return datetime.fromisoformat(cell)
+    if column.kind is str and _FORMULA.match(cell):
+        return cell.removeprefix("'")
     return column.kind(cell)
 
 

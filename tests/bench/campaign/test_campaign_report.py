@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -131,6 +132,35 @@ def test_one_level_and_no_shots() -> None:
     assert "tour: club speed 42.9" in page
     with pytest.raises(ValueError, match="at least one shot"):
         render_campaign_report(replace(record, shots=[]), findings(record.plan, []))
+
+
+def test_long_lists_say_what_they_leave_out(record: CampaignRecord) -> None:
+    events = [Event(NOW, n, "guard", f"guard opened, number {n}.") for n in range(1, 251)]
+    prompts = [Prompt(n, n, "club", f"Mount it, number {n}.", {}, NOW, NOW, "erika") for n in range(1, 203)]
+    invalid = [
+        replace(shot, shot=n, status=ShotStatus.EXCLUDED, reason="lost")
+        for n, shot in enumerate(record.shots[:11] * 100, 1)
+    ]
+    many = replace(record, shots=invalid, events=events, prompts=prompts)
+    page = _words(render_campaign_report(many, findings(record.plan, record.shots)))
+    assert "number 200." in page
+    assert "and 50 more" in page
+    assert "and 2 more" in page
+    assert "The first 1000 of 1100 of these" in page
+    short = _words(render_campaign_report(record, findings(record.plan, record.shots)))
+    assert " more" not in short.split("Events")[1].split("Limits")[0]
+
+
+def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -> None:
+    balls = {"pole": "飛び", "seam": "공 ①"}
+    shots = [replace(shot, ball=balls.get(shot.ball, shot.ball)) for shot in record.shots]
+    design = replace(record.plan.design, balls=tuple(balls.values()))
+    plan = replace(record.plan, design=design)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        page = render_campaign_report(replace(record, plan=plan, shots=shots), findings(plan, shots))
+    pictures = re.findall(r"<svg.*?</svg>", page, flags=re.S)
+    assert sum("飛び</text>" in picture for picture in pictures) >= 2
 
 
 def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:

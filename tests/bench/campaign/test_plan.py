@@ -93,6 +93,10 @@ def test_the_six_examples_are_there() -> None:
         (('ball = "tour"', 'ball = "tour"\n[rules]\napply = ["ods-1066"]'), "rules.apply", "ods-1066"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "y"'), "balls.x.like", "y"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "tour"\nmass = 3'), "balls.x.mass", "3"),
+        (('"range"]\nblocks = 4', '""]\nblocks = 4\n[balls.""]\nlike = "tour"'), "design.balls", '""'),
+        (('"range"]\nblocks = 4', '" "]\nblocks = 4\n[balls." "]\nlike = "tour"'), "design.balls", '" "'),
+        (('"range"]\nblocks = 4', '"a "]\nblocks = 4\n[balls."a "]\nlike = "tour"'), "design.balls", '"a "'),
+        (("blocks = 4", 'blocks = 4\nclubs = [""]\n[clubs.""]\nlike = "driver"'), "design.clubs", '""'),
     ],
 )
 def test_a_mistake_is_told_with_its_place(

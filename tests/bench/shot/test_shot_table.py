@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,21 @@ def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Pa
     assert text.count("\r\n") == text.count("\n") == 2
     assert '"the ""old"" one","A, soft"' in text
     assert ",0.0000001,212.0," in text
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+A", "-A", "@A", "\tA", "'=A", "''=A"])
+def test_no_text_becomes_a_formula_in_a_spreadsheet(tmp_path: Path, name: str) -> None:
+    shot = replace(SHOT, ball=name, status=ShotStatus.EXCLUDED, reason=name)
+    write_shot_table(tmp_path / "shots.csv", [shot])
+    with (tmp_path / "shots.csv").open(encoding="utf-8", newline="") as stream:
+        row = next(csv.DictReader(stream))
+    assert row["ball"] == row["reason"] == f"'{name}"
+    assert read_shot_table(tmp_path / "shots.csv") == [shot]
+
+
+def test_a_negative_figure_stays_a_number(tmp_path: Path) -> None:
+    write_shot_table(tmp_path / "shots.csv", [replace(SHOT, club_path_deg=-1.5)])
+    assert b",-1.5," in (tmp_path / "shots.csv").read_bytes()
 
 
 def test_times_are_written_in_utc(tmp_path: Path) -> None:
