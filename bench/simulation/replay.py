@@ -76,6 +76,7 @@ DECIDED = frozenset(
         "phase",
         "reaction",
         "trip",
+        "latest_cause",
         "angle",
         "velocity",
         "angle_variance",

@@ -116,6 +116,9 @@ FIELDS = (
 """The schema of one cycle, in storage order. Vectors over joints follow `drivers.base.JOINTS`; those over
 actuators carry the name of the joint that the actuator moves."""
 
+_ADDED = {"latest_cause": "trip"}
+"""Columns that records of this schema from before do not have, and the column that says the same there."""
+
 CYCLE = np.dtype([(f.name, f.dtype, f.shape) for f in FIELDS], align=True)
 """One cycle as a numpy record: the form of the loop, the ring and compiled code."""
 
@@ -150,13 +153,15 @@ def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
 def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
     """Return the records of CYCLE in `table`, bit for bit those given to `to_arrow`.
 
-    Raises KeyError naming the first missing column.
+    A column of `_ADDED` may be missing. Raises KeyError naming the first other one that is.
     """
+    present = set(table.column_names)
     cycles = np.zeros(table.num_rows, CYCLE)
     for field in FIELDS:
         target = cycles[field.name].reshape(table.num_rows, len(field.columns))
         for index, column in enumerate(field.columns):
-            target[:, index] = table.column(column).to_numpy()
+            stored = column if column in present else _ADDED.get(column, column)
+            target[:, index] = table.column(stored).to_numpy()
     return cycles
 
 
