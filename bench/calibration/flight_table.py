@@ -57,6 +57,13 @@ def read_flights(path: Path, points: Path | None = None) -> list[MeasuredFlight]
     for line, row in _rows(path):
         number = row.pop("flight", None)
         place = f"{path}, line {line}"
+        if "carry_source" in row:
+            raise BenchError(
+                str(path),
+                "a campaign's shot table, whose apex and carry are computed",
+                "flights as a device measured them",
+                "Give the export of the full-flight monitor or indoor range.",
+            )
         figures = _figures(row, place)
         missing = [name for name in _NEEDED if name not in figures]
         if missing:

@@ -244,6 +244,8 @@ def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked]) -> No
     for verdicts in found.verdicts:
         for verdict in verdicts:
             typer.echo(f"{verdict.headline}\n  {verdict.detail}")
+    for rule in found.rules:
+        typer.echo(rule.words)
     for check in checks:
         typer.echo(f"{'holds' if check.holds else 'OUTSIDE'}  {check}")
 

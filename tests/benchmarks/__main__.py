@@ -36,6 +36,7 @@ LONG = (
     "frame_fuzz",
     "launch_monitor_fuzz",
     "campaign_statistics",
+    "carry_and_rules",
     "reactions",
     "healthy_swings",
     "during_stops",

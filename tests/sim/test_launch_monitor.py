@@ -48,6 +48,24 @@ def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[Lau
     return records
 
 
+def test_a_carry_is_reported_with_its_own_noise_and_changes_no_other() -> None:
+    noisy, exact = MonitorParameters(seed=3), replace(EXACT, carry_noise=0.0)
+    assert told(STRUCK, 1, exact)[0].carry is None
+    for launch, parameters, carry, tolerance in ((STRUCK, exact, 190.0, 1e-3), (STRUCK, noisy, 190.0, 5.0)):
+        messages = monitor_messages(launch, 1, parameters, carry=carry)
+        (record,) = [read_message(one.message, one.delay) for one in messages]
+        assert isinstance(record, LaunchRecord)
+        assert record.carry == pytest.approx(carry, abs=tolerance)
+        assert record.launch == told(launch, 1, parameters)[0].launch
+    carries = []
+    for number in range(200):
+        for one in monitor_messages(STRUCK, number, noisy, carry=200.0):
+            record = read_message(one.message, 0.0)
+            assert isinstance(record, LaunchRecord)
+            carries.append(record.carry or 0.0)
+    assert np.std(carries) == pytest.approx(1.0, rel=0.2)
+
+
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("spelling", [False, True])
 def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: bool) -> None:

@@ -196,6 +196,7 @@ def test_a_table_of_flights_is_read(tmp_path: Path) -> None:
     [
         ("ball_speed_mps,launch_angle_deg,spin_rpm,carry_m\n60,11,many,190\n", "line 2, spin_rpm"),
         ("ball_speed_mps,launch_angle_deg,carry_m\n60,11,190\n", "no spin"),
+        ("ball_speed_mps,launch_angle_deg,spin_rpm,carry_m,carry_source\n60,11,2500,190,x\n", "shot table"),
         ("ball_speed_mps,launch_angle_deg,spin_rpm,relative_humidity\n60,11,2500,55\n", "relative_humidity"),
     ],
 )

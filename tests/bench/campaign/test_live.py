@@ -42,6 +42,7 @@ from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing
+from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
@@ -261,6 +262,10 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
         require(driver="canopen")
     with pytest.raises(Refused, match=r"magazine 0"):  # its launch monitor tells of the balls
         require(driver="canopen", launch_monitor={"present": True})
+    with pytest.raises(Refused, match=r"carry_m is compared"):
+        require(of_carry(plan, ""), driver="canopen", launch_monitor={"present": True})
+    with pytest.raises(Refused, match=r"no aerodynamics of tour, range"):
+        require(of_carry(plan, "measured"), driver="canopen", launch_monitor={"present": True})
     by_hand = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
     with pytest.raises(Refused, match=r"magazine 0"):
         require(by_hand, driver="canopen")
@@ -358,9 +363,11 @@ def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
         assert found == Hindrance("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
 
 
-def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: CampaignPlan, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launch]:
+    """Return the record of a swing that struck the ball, and the launch."""
     c = load_configuration(Path("shipped"))
-    profile = require_swings(plan, c)["default", "driver"]
+    profile = require_swings(load_plan(Path("two-balls"), c), c)["default", "driver"]
     robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
     swing = simulate_swing(robot, Ball())
     assert swing.launch is not None
@@ -371,20 +378,58 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(plan: CampaignPla
         "lost_records": 0,
         "time_utc": "2026-11-21T12:00:00+00:00",
     }
-    record = SwingRecord(tmp_path / "swing.parquet", swing.cycles, json.loads(json.dumps(metadata)))
-    told = ShotMessage(
-        "1", None, MatchOutcome.MATCHED, LaunchRecord(1.0, "monitor", 1, **swing.launch._asdict()), ""
-    )
+    path = tmp_path_factory.mktemp("record") / "swing.parquet"
+    return SwingRecord(path, swing.cycles, json.loads(json.dumps(metadata))), swing.launch
+
+
+def reported(launch: Launch, carry: float | None) -> ShotMessage:
+    """Return what the bench's launch monitor says of a ball."""
+    told = LaunchRecord(1.0, "monitor", 1, **launch._asdict(), carry=carry)
+    return ShotMessage("1", None, MatchOutcome.MATCHED, told, "")
+
+
+def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:
+    """Return `plan` that compares this carry."""
+    return replace(plan, analysis=replace(plan.analysis, carry=carry))
+
+
+def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(
+    plan: CampaignPlan, record: tuple[SwingRecord, Launch]
+) -> None:
+    c, (swing, launch) = load_configuration(Path("shipped")), record
     carries, temperatures = [], []
     for air in (None, c.air, Air(263.15)):
-        source = shots_of(plan, StandingBench(), simulated=False, monitored=True, air=air)
-        shot = source._taken(a_step(), 1, 1, record, told, ()).shot
+        bench = StandingBench()
+        source = shots_of(of_carry(plan, "reference"), bench, simulated=False, monitored=True, air=air)
+        shot = source._taken(a_step(), 1, 1, swing, reported(launch, None), ()).shot
         assert shot.carry_m is not None
         carries.append(shot.carry_m)
         temperatures.append(shot.air_temperature_k)
     assert temperatures == [None, c.air.temperature, 263.15]
     assert carries[0] == carries[1]
     assert carries[2] < carries[1]  # cold air is dense
+
+
+def test_a_real_shot_has_no_carry_of_the_plans_ball(
+    plan: CampaignPlan, record: tuple[SwingRecord, Launch]
+) -> None:
+    swing, launch = record
+    shots = []
+    for drag in (1.0, 0.5):
+        balls = {name: replace(ball, drag_factor=drag) for name, ball in plan.balls.items()}
+        source = shots_of(replace(plan, balls=balls), StandingBench(), simulated=False, monitored=True)
+        shots.append(source._taken(a_step(), 1, 1, swing, reported(launch, 187.5), ()).shot)
+    assert shots[0] == shots[1]
+    (shot, _) = shots
+    assert (shot.carry_m, shot.carry_monitor_m, shot.carry_source) == (187.5, 187.5, "monitor")
+    assert shot.carry_reference_m is not None
+    assert (shot.carry_measured_m, shot.total_m, shot.flight_source) == (None, None, "")
+    source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
+    silent = source._taken(a_step(), 1, 1, swing, reported(launch, None), ()).shot
+    assert (silent.status, silent.reason) == (
+        ShotStatus.EXCLUDED,
+        "no carry: the launch monitor reported none",
+    )
 
 
 LOW_SUPPLY = """
