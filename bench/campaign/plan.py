@@ -176,6 +176,10 @@ class SetUp:
     control_ball_speed: Annotated[float, Range(0.0, 120.0, "m/s")]
     """0: not checked."""
     tolerance: Annotated[float, Range(0.0, 20.0, "m/s")]
+    control_restitution: Annotated[float, Range(0.0, 1.0, "")]
+    """Of the control ball at 143.8 ft/s: with its contact time it sets a rule's ball speed; 0: unknown."""
+    control_contact_time: Annotated[float, Range(0.0, 0.002, "s")]
+    """Its contact time there."""
 
 
 @dataclass(frozen=True)

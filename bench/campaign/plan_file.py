@@ -209,6 +209,10 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     for name in plan.rules.apply:
         if name not in rule_names():
             yield Mistake("rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it.")
+    s = plan.set_up
+    if bool(s.control_restitution) != bool(s.control_contact_time):
+        missing = "control_contact_time" if s.control_restitution else "control_restitution"
+        yield Mistake(f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it.")
     for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
         wanted = ", ".join(get_args(Quantity))
         yield Mistake(f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it.")

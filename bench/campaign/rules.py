@@ -29,6 +29,14 @@ class RuleSetUp:
     launch_angle_window: float
     spin_rpm: float
     spin_window_rpm: float
+    by_control_ball: bool
+    """Whether the control ball's restitution and contact time give the ball speed, where they are known."""
+
+    def ball_speed_by(self, restitution: float, contact_time: float) -> float:
+        """Return the ball speed (m/s) for a control ball with these figures, 0 where they are not known."""
+        if self.by_control_ball and restitution and contact_time:
+            return control_ball_speed(restitution, contact_time)
+        return self.ball_speed
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,7 @@ def _rule_set(name: str, entry: Mapping[str, Any]) -> RuleSet:
     )
 
 
-def _set_up(entry: Mapping[str, float]) -> RuleSetUp:
+def _set_up(entry: Mapping[str, Any]) -> RuleSetUp:
     return RuleSetUp(
         entry["ball_speed"],
         entry["ball_speed_window"],
@@ -100,6 +108,7 @@ def _set_up(entry: Mapping[str, float]) -> RuleSetUp:
         radians(entry["launch_angle_window_deg"]),
         entry["spin_rpm"],
         entry["spin_window_rpm"],
+        entry.get("by_control_ball", False),
     )
 
 

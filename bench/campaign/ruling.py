@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from bench.campaign.plan import FLOWN, CampaignPlan, levels
+from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels
 from bench.campaign.rules import RuleSet, rule_on
 from bench.campaign.sequence import Role, Section, sections
 from bench.shot.shot import Shot, ShotStatus
@@ -134,7 +134,8 @@ def _finding(
     try:
         means = {name: _mean(rule, group) for name, group in groups.items()}
         value = _value(rule, means) / rule.scale
-        _require_set_up(rule, [s for s in shots if s.role == Role.CONTROL and s.status is ShotStatus.VALID])
+        controls = [s for s in shots if s.role == Role.CONTROL and s.status is ShotStatus.VALID]
+        _require_set_up(rule, plan.set_up, controls)
         _require_source(rule, [shot for group in groups.values() for shot in group])
         error, freedom = _combined(plan, rule, list(means.values()))
         coverage = float(stats.t.ppf((1 + COVERAGE) / 2, freedom))
@@ -199,7 +200,7 @@ def _value(rule: RuleSet, means: dict[str, _Mean]) -> float:
     return max(values) - min(values)
 
 
-def _require_set_up(rule: RuleSet, controls: Sequence[Shot]) -> None:
+def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot]) -> None:
     """Raise _Unjudged unless the control ball was launched as the rule's set-up says."""
     if rule.apparatus:
         raise _Unjudged(rule.apparatus)
@@ -207,9 +208,10 @@ def _require_set_up(rule: RuleSet, controls: Sequence[Shot]) -> None:
         return
     if not controls:
         raise _Unjudged("no control ball shows that the set-up is the rule's")
+    speed = wanted.ball_speed_by(given.control_restitution, given.control_contact_time)
     wrong = []
     for name, column, unit, middle, window, digits in (
-        ("ball speed", "ball_speed_mps", "m/s", wanted.ball_speed, wanted.ball_speed_window, 1),
+        ("ball speed", "ball_speed_mps", "m/s", speed, wanted.ball_speed_window, 1),
         (
             "launch angle",
             "launch_angle_deg",

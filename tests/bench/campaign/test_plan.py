@@ -91,6 +91,16 @@ def test_the_six_examples_are_there() -> None:
         (('ball = "tour"', 'ball = "tour"\n[gate]\nclub_speed = nan'), "gate.club_speed", "nan"),
         (('ball = "tour"', 'ball = "tour"\n[warm_up]\nat_most = 0'), "gate.centre", "warm-up"),
         (('ball = "tour"', 'ball = "tour"\n[rules]\napply = ["ods-1066"]'), "rules.apply", "ods-1066"),
+        (
+            ('ball = "tour"', 'ball = "tour"\n[set_up]\ncontrol_restitution = 0.8'),
+            "set_up.control_contact_time",
+            "0",
+        ),
+        (
+            ('ball = "tour"', 'ball = "tour"\n[rules.uncertainty]\ncarry = 1.0'),
+            "rules.uncertainty.carry",
+            "no quantity",
+        ),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "y"'), "balls.x.like", "y"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "tour"\nmass = 3'), "balls.x.mass", "3"),
         (('"range"]\nblocks = 4', '""]\nblocks = 4\n[balls.""]\nlike = "tour"'), "design.balls", '""'),

@@ -14,7 +14,7 @@ import pytest
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.rules import rule_names, rule_on, rule_sets
+from bench.campaign.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.ruling import Decision, RuleFinding, decide_by_limit, judge_rules
 from bench.config import Configuration, load_configuration
 from bench.shot.shot import Shot, ShotStatus
@@ -211,6 +211,16 @@ def test_the_initial_velocity_is_the_apparatus(distance: CampaignPlan) -> None:
     found = _only(judge_rules(_with_rules(distance, "initial-velocity"), _shots(ODS, _scatter(300.0))))
     assert (found.decision, found.unit) == (Decision.NOT_JUDGED, "ft/s")
     assert "43.83 m/s" in found.words
+
+
+def test_the_control_balls_own_figures_set_the_ball_speed(distance: CampaignPlan) -> None:
+    own = replace(distance.set_up, control_restitution=0.82, control_contact_time=430e-6)
+    plan = replace(_with_rules(distance, "ods"), set_up=own)
+    assert control_ball_speed(0.82, 430e-6) == pytest.approx(80.17, abs=0.01)
+    slow = _only(judge_rules(plan, _shots(ODS, _scatter(300.0))))
+    assert "ball speed 78.7 m/s, rule 80.2 ± 0.5 m/s" in slow.words
+    right = _only(judge_rules(plan, _shots((80.2, 10.0, 2520.0), _scatter(300.0))))
+    assert right.decision is Decision.CONFORMS
 
 
 def test_one_ball_hit_often_is_that_ball_only(distance: CampaignPlan) -> None:
