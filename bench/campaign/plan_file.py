@@ -142,7 +142,7 @@ class Mistake(NamedTuple):
 
 
 def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
-    d, stop, analysis = plan.design, plan.stop, plan.analysis
+    d = plan.design
     if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
         yield Mistake(
             "campaign.name",
@@ -180,6 +180,20 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 f"a club of {', '.join(d.clubs)}",
                 "Add it to design.clubs.",
             )
+    yield from _stop(plan)
+    if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
+        yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
+    if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
+        found = str(plan.warm_up.at_most)
+        yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
+    yield from _carry(plan)
+    yield from _hits(plan)
+    yield from _rules(plan)
+
+
+def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error if the stopping rule lacks what it needs."""
+    stop, d = plan.stop, plan.design
     if stop.rule != "fixed" and stop.blocks_at_least > d.blocks:
         yield Mistake(
             "stop.blocks_at_least", str(stop.blocks_at_least), f"up to design.blocks, {d.blocks}", "Lower it."
@@ -190,18 +204,10 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         )
     if stop.rule == "width" and not stop.width:
         yield Mistake("stop.width", "0", "a half width above 0 for the rule width", "Set it.")
-    if stop.rule == "equivalence" and not analysis.margin:
+    if stop.rule == "equivalence" and not plan.analysis.margin:
         yield Mistake("analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it.")
     if stop.rule != "fixed" and len(levels(plan)) < 2:
         yield Mistake("stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it.")
-    if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
-        yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
-    if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
-        found = str(plan.warm_up.at_most)
-        yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
-    yield from _carry(plan)
-    yield from _hits(plan)
-    yield from _rules(plan)
 
 
 def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
