@@ -1,8 +1,13 @@
 """Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
 Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
-the plan says so; the other way stands beside it, and so does a mixed model. Holm's step-down holds the error
-of all pairs of a section together; two one-sided tests (TOST), Holm-adjusted too, say "the same".
+the plan says so, and the delivery by the plan's covariates; the other way stands beside it, and so does a
+mixed model. Balls are random where a model had more than one, and each level has a scatter of its own
+(`bench.campaign.unit_errors`): what is said of a difference holds for balls that were not hit, or for "this
+ball" where there was one only. All pairs of a section err together with the plan's level (the distribution of
+the largest |t|, single step: a pair differs exactly if its joint interval leaves out 0); two one-sided tests
+(TOST), adjusted by Holm, say "the same". Before the plan's end a look has its share of the error
+(`bench.campaign.looks`).
 """
 
 from __future__ import annotations
@@ -17,10 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from bench.campaign.block_model import Array, BlockFit, Contrast, fit_blocks, holm
+from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
+from bench.campaign.looks import Look, look_now
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
-from bench.campaign.power import power_of_difference, shots_for_equivalence, shots_needed
+from bench.campaign.power import power_of_shift, same_power_of_error
+from bench.campaign.repeatability import variance_components
+from bench.campaign.scatter import ScatterRatio, scatter_ratios
 from bench.campaign.sequence import Role
+from bench.campaign.unit_errors import Together, UnitErrors, UnitLayout, together, units_of
 from bench.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
@@ -31,9 +40,12 @@ OUTLIER = 3.5
 
 
 class Spread(NamedTuple):
-    """Mean and standard deviation of a figure, with intervals; NaN with too few shots."""
+    """Mean and standard deviation of one shot, with intervals that hold for other balls; NaN with too few."""
 
     n: int
+    """Number of shots."""
+    balls: int
+    """Number of balls; with one only, the figures are those of this ball."""
     mean: float
     low: float
     high: float
@@ -67,21 +79,37 @@ class Pair:
     freedom: float
     low: float
     high: float
-    """Interval of this pair alone."""
+    """Interval of this pair alone, at the comparison's `confidence`."""
     low_together: float
     high_together: float
-    """Interval that holds together with all pairs' (Bonferroni)."""
+    """Interval that holds together with all pairs'; without 0 exactly if they are called different."""
     p: float
     p_adjusted: float
-    """Holm."""
+    """Of all pairs together."""
     p_same: float | None
     """TOST, Holm-adjusted; None without a margin."""
     shots: int
     """Valid shots of the level with fewer."""
+    balls: int
+    """Balls of the level with fewer."""
+    models: bool
+    """Whether it holds for the models; else for these specimens only: one ball of a level, or clubs."""
     power: float
     """Power to find the difference worth finding, with the measured scatter."""
     verdict: str
     """"different", "same", "both" (different, but by less than the margin), "not enough shots" or "open"."""
+
+
+class Covariates(NamedTuple):
+    """What the plan's covariates, the delivery of the club, explain."""
+
+    names: tuple[str, ...]
+    slopes: tuple[float, ...]
+    """Effect of one unit of each."""
+    share: float
+    """Share of the variance of one shot within blocks that they explain."""
+    missing: int
+    """Valid shots left out because one of them was not measured."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +117,23 @@ class Comparison:
     """Result of one model for one section."""
 
     method: str
+    confidence: float
+    """True level of each pair's interval: that of this look."""
     deviation: float
-    """Standard deviation of one shot, other effects removed."""
+    """Standard deviation of one shot, other effects and that between balls removed."""
+    ball_deviation: float | None
+    """Between balls of one model, the levels' mean; None if no ball was hit twice."""
     freedom: float
+    """Of the residuals; each pair has its own."""
+    single: float
+    """Error level of one pair."""
     pairs: tuple[Pair, ...]
     drift: float | None
     """Drift of the quantity per shot, from the control ball; None if it is not in the model."""
     drift_error: float | None
+    covariates: Covariates | None
+    scatter: tuple[ScatterRatio, ...]
+    """Ratios of the levels' standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -109,20 +147,29 @@ class SectionAnalysis:
     confirmatory: Comparison | None
     beside: Comparison | None
     """The same analysis without, or with, the drift correction."""
+    look: Look
+    """How much of the plan is done, and the error level it leaves."""
+    values: tuple[float, ...]
+    """Valid values of a section's only level, in order; empty where levels are compared."""
     outliers: tuple[tuple[int, float], ...]
     """(shot, robust z) of outliers among valid shots; never removed."""
 
 
-def analyse(plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str) -> SectionAnalysis:
-    """Return the analysis of one section's `shots`."""
+def analyse(
+    plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, looks: Sequence[int] | None = None
+) -> SectionAnalysis:
+    """Return the analysis of one section's `shots`; `looks` as `bench.campaign.looks.look_now` takes them."""
     mine = [shot for shot in shots if shot.role != Role.WARM_UP]
     tests = [shot for shot in mine if shot.role == Role.TEST]
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
+    look = look_now(plan, shots, looks)
     names, factor = levels(plan), plan.design.compare
-    raw, fit = _compared(plan, tests, [], "raw")
+    raw, fit = _compared(plan, tests, [], "raw", look.alpha)
     corrected = None
     if controls_per_block(plan):
-        corrected, corrected_fit = _compared(plan, tests, controls, "drift removed by the control ball")
+        corrected, corrected_fit = _compared(
+            plan, tests, controls, "drift removed by the control ball", look.alpha
+        )
         fit = corrected_fit or fit
     first, second = (corrected, raw) if plan.analysis.drift == "linear" and corrected else (raw, corrected)
     return SectionAnalysis(
@@ -132,6 +179,8 @@ def analyse(plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str) -
         _level(plan, f"{plan.control.ball} (control)", controls) if controls else None,
         first,
         second,
+        look,
+        tuple(map(float, values_of(plan, tests)[1])) if len(names) < 2 else (),
         _outliers(fit),
     )
 
@@ -143,126 +192,231 @@ def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Ar
     return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
 
 
-def alpha_of(plan: CampaignPlan) -> float:
-    """Return the error level of one look at the data."""
-    looks = plan.stop.looks if plan.stop.rule != "fixed" else 1
-    return (1 - plan.analysis.confidence) / looks
-
-
 class _Fit(NamedTuple):
     fit: BlockFit
     shots: list[Shot]
 
 
+class _Data(NamedTuple):
+    """Shots of one model as arrays."""
+
+    shots: list[Shot]
+    y: Array
+    level: Codes
+    block: Codes
+    ball: Codes
+    time: Array | None
+    delivery: Array | None
+    """(n, covariates)"""
+    missing: int
+
+
+def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -> _Data:
+    """Return the shots of a model; `controls` are a level of their own, after the others."""
+    names, wanted = levels(plan), plan.analysis.covariates
+    every, values = values_of(plan, [*tests, *controls])
+    delivered = [[getattr(s, name) for name in wanted] for s in every]
+    chosen = [index for index, row in enumerate(delivered) if None not in row]
+    kept = [every[index] for index in chosen]
+    index = {name: code for code, name in enumerate(names)}
+    factor = plan.design.compare
+    level = np.array([len(names) if s.role == Role.CONTROL else index[getattr(s, factor)] for s in kept], int)
+    # The compared balls are nested in their levels. Clubs and swings share balls in an order drawn by lot,
+    # which spreads them like shots.
+    ball = np.array([s.sample if factor == "ball" else n for n, s in enumerate(kept)], int)
+    return _Data(
+        kept,
+        values[chosen],
+        level,
+        np.array([s.block for s in kept], int),
+        ball,
+        np.array([s.shot for s in kept], dtype=float) if controls else None,
+        np.array([delivered[index] for index in chosen], dtype=float) if wanted else None,
+        len(every) - len(kept),
+    )
+
+
 def _compared(
-    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str
+    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
 ) -> tuple[Comparison | None, _Fit | None]:
     """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
-    names = levels(plan)
-    kept, y = values_of(plan, [*tests, *controls])
-    if len(kept) < 3:
+    names, data = levels(plan), _data(plan, tests, controls)
+    if len(data.shots) < 3:
         return None, None
-    index = {name: code for code, name in enumerate(names)}
-    level = np.array(
-        [len(names) if s.role == Role.CONTROL else index[getattr(s, plan.design.compare)] for s in kept]
-    )
-    block, time = np.array([s.block for s in kept]), np.array([s.shot for s in kept], dtype=float)
-    fit = fit_blocks(y, level, block, len(names) + bool(controls), time if controls else None)
-    pairs = []
-    present = {int(code) for code in level}
+    count = len(names) + bool(controls)
+    fit = fit_blocks(data.y, data.level, data.block, count, data.time, data.delivery)
+    kept = _Fit(fit, data.shots)
+    units = units_of(data.level, data.ball, count)
+    if fit.freedom < 1:
+        return None, kept
+    errors = UnitLayout(fit, units).estimate(fit.residuals)
+    hits = np.bincount(data.level, minlength=count)
+    found = []
     for one, two in combinations(range(len(names)), 2):
-        contrast = fit.contrast(one, two) if {one, two} <= present else None
+        contrast = errors.contrast(fit, one, two) if min(hits[one], hits[two]) else None
         if contrast is not None:
-            fewer = min(int((level == one).sum()), int((level == two).sum()))
-            pairs.append((names[one], names[two], contrast, fewer))
+            found.append((one, two, contrast))
+    if not found and len(names) > 1:
+        return None, kept
+    joint = together(errors, [(one, two) for one, two, _ in found], fit.freedom)
+    models = plan.design.compare == "ball"
+    described = [
+        _Described(
+            names[one],
+            names[two],
+            contrast,
+            int(min(hits[one], hits[two])),
+            int(min(units.balls[one], units.balls[two])) if models else 0,
+            models and bool(min(units.balls[one], units.balls[two]) > 1),
+        )
+        for one, two, contrast in found
+    ]
     slope = slope_error = None
-    if controls and fit.freedom >= 1:
-        slope = float(fit.effects[-1])
-        slope_error = fit.deviation * sqrt(max(float(fit.inverse[-1, -1]), 0.0))
-    judged = _judged(plan, pairs, fit) if pairs else ()
-    if not judged and len(names) > 1:
-        return None, _Fit(fit, kept)
-    return Comparison(method, fit.deviation, fit.freedom, judged, slope, slope_error), _Fit(fit, kept)
+    if controls:
+        slope = float(fit.effects[count])
+        slope_error = fit.deviation * sqrt(max(float(fit.inverse[count - 1, count - 1]), 0.0))
+    deviation, between = _deviations(errors, units.balls, hits, fit, len(names))
+    return (
+        Comparison(
+            method,
+            1 - alpha,
+            deviation,
+            between,
+            fit.freedom,
+            joint.single(alpha),
+            _judged(plan, described, joint, alpha),
+            slope,
+            slope_error,
+            _explained(plan, data, fit, count),
+            _scatter(plan, data, fit, names),
+        ),
+        kept,
+    )
 
 
-def shots_still_needed(plan: CampaignPlan, comparison: Comparison) -> tuple[int | None, int | None]:
-    """Return how many valid shots of each level would suffice, with the measured scatter.
+def _deviations(
+    errors: UnitErrors, balls: Codes, hits: Codes, fit: BlockFit, count: int
+) -> tuple[float, float | None]:
+    """Return the standard deviations of one shot and between balls, means of the compared levels."""
+    again = balls[:count] < hits[:count]
+    if not (again & (balls[:count] > 1)).any():
+        return fit.deviation, None
+    variance = float(np.average(errors.variances[:count], weights=np.maximum(hits[:count], 1e-9)))
+    return sqrt(max(variance, 0.0)), sqrt(max(variance * errors.ratio, 0.0))
 
-    The first finds the difference worth finding, the second calls equal levels the same; each with the wished
-    power. None: too many to name, or not asked.
-    """
-    a, count, controls = plan.analysis, len(levels(plan)), controls_per_block(plan)
-    single = alpha_of(plan) / max(len(comparison.pairs), 1)
-    deviation = comparison.deviation
-    same = shots_for_equivalence(a.margin, deviation, single, a.power, count, controls) if a.margin else None
-    return shots_needed(a.difference, deviation, single, a.power, count, controls), same
+
+def _explained(plan: CampaignPlan, data: _Data, fit: BlockFit, count: int) -> Covariates | None:
+    """Return what the covariates explain; None without any."""
+    if data.delivery is None:
+        return None
+    without = fit_blocks(data.y, data.level, data.block, count, data.time)
+    share = 1 - (fit.deviation / without.deviation) ** 2 if without.deviation else 0.0
+    slopes = fit.effects[len(fit.effects) - len(plan.analysis.covariates) :]
+    return Covariates(plan.analysis.covariates, tuple(map(float, slopes)), max(share, 0.0), data.missing)
+
+
+def _scatter(
+    plan: CampaignPlan, data: _Data, fit: BlockFit, names: Sequence[str]
+) -> tuple[ScatterRatio, ...]:
+    """Return the ratios of all levels' scatter, what time and delivery explain taken off."""
+    if len(names) < 2:
+        return ()
+    explained = [column for column in (data.time, data.delivery) if column is not None]
+    values = data.y
+    if explained:
+        columns = np.column_stack(explained)
+        values = values - columns @ fit.effects[len(fit.effects) - columns.shape[1] :]
+    return scatter_ratios(fit.block, values, data.level, data.ball, names, plan.analysis.confidence)
+
+
+class _Described(NamedTuple):
+    first: str
+    second: str
+    contrast: Contrast
+    shots: int
+    balls: int
+    models: bool
 
 
 def _judged(
-    plan: CampaignPlan, pairs: Sequence[tuple[str, str, Contrast, int]], fit: BlockFit
+    plan: CampaignPlan, found: Sequence[_Described], joint: Together, alpha: float
 ) -> tuple[Pair, ...]:
     """Adjust all pairs together and put each into one word."""
-    a, alpha, count = plan.analysis, alpha_of(plan), len(pairs)
-    contrasts = [contrast for _, _, contrast, _ in pairs]
-    adjusted = holm([c.p for c in contrasts])
-    same: Sequence[float | None] = [None] * count
+    a, single = plan.analysis, joint.single(alpha)
+    same: Sequence[float | None] = [None] * len(found)
     if a.margin:
-        same = list[float | None](holm([c.p_same(a.margin) for c in contrasts]))
-    single = alpha / count
-    found = []
-    for (first, second, _, shots), contrast, p, equal in zip(pairs, contrasts, adjusted, same, strict=True):
-        power = _power(a.difference, contrast, fit, single)
-        found.append(
+        same = list[float | None](holm([pair.contrast.p_same(a.margin) for pair in found]))
+    pairs = []
+    for pair, equal in zip(found, same, strict=True):
+        c = pair.contrast
+        adjusted = joint.adjusted(c.p)
+        power = power_of_shift(a.difference / c.error, c.freedom, single) if c.error else 1.0
+        enough = power >= a.power and (
+            not a.margin or same_power_of_error(a.margin, c.error, c.freedom, alpha / len(found)) >= a.power
+        )
+        pairs.append(
             Pair(
-                first,
-                second,
-                contrast.estimate,
-                contrast.error,
-                contrast.freedom,
-                *contrast.interval(1 - alpha),
-                *contrast.interval(1 - single),
-                contrast.p,
-                p,
+                pair.first,
+                pair.second,
+                c.estimate,
+                c.error,
+                c.freedom,
+                *c.interval(1 - alpha),
+                *c.interval(1 - single),
+                c.p,
+                adjusted,
                 equal,
-                shots,
+                pair.shots,
+                pair.balls,
+                pair.models,
                 power,
-                _verdict(p < alpha, equal is not None and equal < alpha, power >= a.power, bool(a.margin)),
+                _verdict(adjusted < alpha, equal is not None and equal < alpha, enough),
             )
         )
-    return tuple(found)
+    return tuple(pairs)
 
 
-def _power(difference: float, contrast: Contrast, fit: BlockFit, alpha: float) -> float:
-    if not contrast.error:
-        return 1.0
-    blocks = 2 * (fit.deviation / contrast.error) ** 2  # number of complete blocks with the same information
-    return power_of_difference(difference, fit.deviation, blocks, contrast.freedom, alpha)
-
-
-def _verdict(different: bool, same: bool, enough: bool, asked_same: bool) -> str:
+def _verdict(different: bool, same: bool, enough: bool) -> str:
     if different:
         return "both" if same else "different"
     if same:
         return "same"
-    return "open" if enough and not asked_same else "not enough shots"
+    return "open" if enough else "not enough shots"
 
 
-def spread(values: Array, confidence: float = 0.95) -> Spread:
-    """Return mean and standard deviation with Student's and the chi-square interval."""
+def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
+    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
+
+    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
+    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
+    """
     n, nan = len(values), float("nan")
+    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
+    balls = int(codes.max()) + 1 if n else 0
     if n < 2:
-        return Spread(n, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
-    mean, deviation, freedom = float(values.mean()), float(values.std(ddof=1)), n - 1
-    half = float(stats.t.ppf((1 + confidence) / 2, freedom)) * deviation / sqrt(n)
-    tails = [(1 + confidence) / 2, (1 - confidence) / 2]
-    low, high = deviation * np.sqrt(freedom / stats.chi2.ppf(tails, freedom))
-    return Spread(n, mean, mean - half, mean + half, deviation, float(low), float(high))
+        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
+    mean = float(values.mean())
+    if 1 < balls < n:
+        hits = np.bincount(codes)
+        sums = np.bincount(codes, values - mean)
+        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
+        variance, freedom = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
+        _, whole = variance_components(values, codes, confidence)
+        deviation = (whole.deviation, whole.low, whole.high)
+        freedom = min(freedom, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else freedom
+    else:
+        variance, freedom = float(values.var(ddof=1)) / n, float(n - 1)
+        whole = variance_components(values, np.zeros(n, int), confidence)[1]
+        deviation = (whole.deviation, whole.low, whole.high)
+    half = float(stats.t.ppf((1 + confidence) / 2, max(freedom, 1.0))) * sqrt(variance)
+    return Spread(n, balls, mean, mean - half, mean + half, *deviation)
 
 
 def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
     by = Counter(shot.status for shot in shots)
     reasons = Counter(_kind(shot.reason) for shot in shots if shot.reason)
-    _, values = values_of(plan, shots)
+    kept, values = values_of(plan, shots)
+    balls = np.array([shot.sample for shot in kept], int)
     return Level(
         name,
         by[ShotStatus.VALID] + by[ShotStatus.EXCLUDED],
@@ -270,7 +424,7 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
         by[ShotStatus.EXCLUDED],
         by[ShotStatus.FAILED],
         dict(reasons.most_common()),
-        spread(values, plan.analysis.confidence),
+        spread(values, balls, plan.analysis.confidence),
     )
 
 
@@ -299,7 +453,7 @@ def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
 
 def decide(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
     """Return why a section's `shots` are enough by the plan's stopping rule; empty if they are not."""
-    result = analyse(plan, shots, 1, "").confirmatory
+    result = analyse(plan, shots, 1, "", ()).confirmatory
     count = len(levels(plan))
     if result is None or len(result.pairs) < count * (count - 1) // 2:
         return ""

@@ -50,7 +50,7 @@ class BlockFit(NamedTuple):
     """A fitted model."""
 
     effects: Array
-    """Effects of levels 0, 1, ... relative to level 0, then of time."""
+    """Effects of levels 0, 1, ... relative to level 0, then of time, then of covariates."""
     inverse: Array
     """(X'X)^-1 of the same; level 0 is left out."""
     deviation: float
@@ -59,6 +59,10 @@ class BlockFit(NamedTuple):
     residuals: Array
     estimable: Array
     """Projection onto what can be estimated."""
+    design: Array
+    """(n, columns): levels but the first, then what else was fitted, less their blocks' means."""
+    block: Codes
+    """Block of each shot, from 0."""
 
     def contrast(self, first: int, second: int) -> Contrast | None:
         """Return level `first` less level `second`; None if no blocks connect the two."""
@@ -72,11 +76,20 @@ class BlockFit(NamedTuple):
         return Contrast(float(self.effects[first] - self.effects[second]), error, self.freedom)
 
 
-def fit_blocks(y: Array, level: Codes, block: Codes, levels: int, time: Array | None = None) -> BlockFit:
-    """Fit y (n,) on `level` (0 ... levels - 1), `block` (any codes) and, if given, `time` (n,)."""
+def fit_blocks(
+    y: Array,
+    level: Codes,
+    block: Codes,
+    levels: int,
+    time: Array | None = None,
+    covariates: Array | None = None,
+) -> BlockFit:
+    """Fit y (n,) on `level` (0 ... levels - 1), `block` (any codes), `time` (n,) and `covariates` (n, m)."""
     columns = [(level == index).astype(float) for index in range(1, levels)]
     if time is not None:
         columns.append(np.asarray(time, dtype=float))
+    if covariates is not None:
+        columns += list(np.asarray(covariates, dtype=float).T)
     design = np.column_stack(columns) if columns else np.zeros((len(y), 0))
     _, codes = np.unique(block, return_inverse=True)
     counts = np.bincount(codes)
@@ -100,9 +113,8 @@ def fit_blocks(y: Array, level: Codes, block: Codes, levels: int, time: Array | 
     spanned = right[kept] * scale
     projection = np.linalg.pinv(spanned) @ spanned if kept.any() else np.zeros_like(inverse)
     effects = np.concatenate([[0.0], slopes])
-    return BlockFit(
-        effects, inverse, sqrt(variance) if variance >= 0 else float("nan"), freedom, residuals, projection
-    )
+    deviation = sqrt(variance) if variance >= 0 else float("nan")
+    return BlockFit(effects, inverse, deviation, freedom, residuals, projection, reduced, codes)
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -27,7 +27,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.preview import UNITS
 from bench.campaign.ruling import DECISION_RULE
-from bench.campaign.verdicts import quantity_name
+from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import COLOURS
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, Standing
@@ -43,8 +43,9 @@ _MAX_LINES = 200
 LIMITS = (
     "Comparisons use valid shots only. A shot is excluded for its delivery or a fault, never for where its "
     "ball went.",
-    "Intervals are for independent shots with normal scatter that is the same for all; blocks are fixed. The "
-    "plan fixed quantity, margin and analysis before the first shot.",
+    "Intervals are for normal scatter, of each level its own; a ball's hits belong together, so that a model "
+    "is judged by its balls, blocks are fixed. The plan fixed quantity, margin and analysis before the first "
+    "shot.",
     "The drift correction is linear within a block, from the control ball and all others together; what "
     "differs between blocks is taken out by the blocks.",
     "In a tilted swing plane attack angle and club path are coupled, and the two strike figures are "
@@ -102,6 +103,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
     filters: dict[str, Callable[..., Any]] = {
         "number": _number,
         "signed": _signed,
+        "level": confidence_words,
         "chance": _chance,
         "digits": _digits,
         "zip": zip,
@@ -276,8 +278,9 @@ def _limits(record: CampaignRecord) -> list[str]:
         )
     if record.plan.stop.rule != "fixed":
         limits.append(
-            f"The data were looked at up to {record.plan.stop.looks} times; each look has its equal share of "
-            "the error (Bonferroni), so that all together keep the confidence."
+            f"The plan's rule looks at the data up to {record.plan.stop.looks} times. Each look, of the rule "
+            "or of a person, has its share of the error (alpha spending like O'Brien and Fleming's), so that "
+            "all together keep the confidence."
         )
     return limits
 

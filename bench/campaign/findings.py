@@ -8,13 +8,14 @@ from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from typing import Any
 
-from bench.campaign.analysis import SectionAnalysis, analyse, shots_still_needed
+from bench.campaign.analysis import SectionAnalysis, analyse
 from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.ruling import RuleFinding, judge_rules
 from bench.campaign.sequence import sections
-from bench.campaign.verdicts import Verdict, section_verdicts
+from bench.campaign.series import Series, series_needed
+from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
 from bench.shot.shot import Shot
 
 SCHEMA = 2
@@ -32,28 +33,36 @@ class Findings:
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
     """For each section."""
-    needed: tuple[tuple[int | None, int | None], ...]
-    """For each section: valid shots of each level to find a difference, and to call them the same."""
+    needed: tuple[tuple[Series | None, Series | None], ...]
+    """For each section: balls and hits of each level to find a difference, and to call them the same."""
+    notes: tuple[tuple[str, ...], ...]
+    """For each section: looks, covariates and what more shots would do, in sentences."""
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """For each (swing, club)."""
     rules: tuple[RuleFinding, ...]
 
 
-def findings(plan: CampaignPlan, shots: Sequence[Shot]) -> Findings:
-    """Return all figures of the campaign's `shots`."""
+def findings(plan: CampaignPlan, shots: Sequence[Shot], looks: Sequence[int] | None = None) -> Findings:
+    """Return all figures of the campaign's `shots`.
+
+    `looks` are the numbers of shots after which somebody looked before; None: not known, then an unfinished
+    campaign counts as looked at after each block.
+    """
     analyses, models = [], []
     named = as_flown(plan, shots)
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]
-        analyses.append(analyse(plan, mine, section.number, section.name))
+        analyses.append(analyse(plan, mine, section.number, section.name, looks))
         models.append(mixed_model(plan, mine))
+    needed = tuple(_needed(plan, analysis) for analysis in analyses)
     return Findings(
         len(shots),
         Counter(str(shot.status) for shot in shots),
         tuple(analyses),
         tuple(models),
-        tuple(section_verdicts(named, analysis) for analysis in analyses),
-        tuple(_needed(plan, analysis) for analysis in analyses),
+        tuple(section_verdicts(named, *each) for each in zip(analyses, needed, strict=True)),
+        needed,
+        tuple(section_notes(named, *each) for each in zip(analyses, needed, strict=True)),
         repeatability(shots),
         tuple(judge_rules(plan, shots)),
     )
@@ -66,11 +75,11 @@ def as_flown(plan: CampaignPlan, shots: Sequence[Shot]) -> CampaignPlan:
     return replace(plan, analysis=replace(plan.analysis, carry=""))
 
 
-def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[int | None, int | None]:
+def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Series | None, Series | None]:
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         return None, None
-    return shots_still_needed(plan, comparison)
+    return series_needed(plan, comparison.deviation, comparison.ball_deviation or 0.0)
 
 
 def findings_record(found: Findings) -> dict[str, Any]:
@@ -84,10 +93,11 @@ def findings_record(found: Findings) -> dict[str, Any]:
             | {
                 "mixed": None if mixed is None else _plain(asdict(mixed)),
                 "verdicts": [verdict._asdict() for verdict in verdicts],
-                "shots_needed": {"different": needed[0], "same": needed[1]},
+                "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
+                "notes": list(notes),
             }
-            for analysis, mixed, verdicts, needed in zip(
-                found.sections, found.mixed, found.verdicts, found.needed, strict=True
+            for analysis, mixed, verdicts, needed, notes in zip(
+                found.sections, found.mixed, found.verdicts, found.needed, found.notes, strict=True
             )
         ],
         "repeatability": [

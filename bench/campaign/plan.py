@@ -23,6 +23,16 @@ Quantity = Literal[
 Factor = Literal["ball", "club", "swing"]
 FLOWN = frozenset({"carry_m", "total_m", "landing_angle"})
 """Quantities of the flight: which carry they belong to must be named on hardware."""
+Delivered = Literal[
+    "club_speed_mps",
+    "attack_angle_deg",
+    "club_path_deg",
+    "face_angle_deg",
+    "dynamic_loft_deg",
+    "strike_x_mm",
+    "strike_y_mm",
+]
+"""Figures of the delivery that can be covariates."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +169,12 @@ class Analysis:
     """Which carry `carry_m` is, see `bench.campaign.carry`; empty: the simulated ball's, none on hardware."""
     deviation: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
+    ball_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
+    covariates: tuple[Delivered, ...]
+    """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
+    explained: Annotated[float, Range(0.0, 0.9999, "")]
+    """Expected share of `deviation` squared that the covariates explain."""
     difference: Annotated[float, Range(1e-9, 1e6, "")]
     """Difference worth finding."""
     margin: Annotated[float, Range(0.0, 1e6, "")]

@@ -29,7 +29,14 @@ def power_of_difference(
     """Return the chance to find a true `difference`, two-sided at `alpha` (noncentral t, exact)."""
     if freedom <= 0:
         return 0.0
-    shift = abs(difference) / (deviation * sqrt(2 / blocks))
+    return power_of_shift(difference / (deviation * sqrt(2 / blocks)), freedom, alpha)
+
+
+def power_of_shift(shift: float, freedom: float, alpha: float) -> float:
+    """Return the chance to find a difference of `shift` true standard errors, two-sided at `alpha`."""
+    if alpha <= 0 or freedom <= 0:
+        return 0.0
+    shift = abs(shift)
     limit = stats.t.ppf(1 - alpha / 2, freedom)
     # Beyond that the other tail is nothing, and scipy's noncentral t loses its footing.
     lower = stats.nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0
@@ -43,9 +50,17 @@ def power_of_equivalence(
 
     Exact: the normal probability of the estimate, averaged over the distribution of the deviation seen.
     """
-    if freedom <= 0 or margin <= 0:
+    return same_power_of_error(margin, deviation * sqrt(2 / blocks), freedom, alpha, difference)
+
+
+def same_power_of_error(
+    margin: float, error: float, freedom: float, alpha: float, difference: float = 0.0
+) -> float:
+    """Return the same for a difference whose true standard error is `error`."""
+    if freedom <= 0 or margin <= 0 or alpha <= 0:
         return 0.0
-    error = deviation * sqrt(2 / blocks)
+    if error <= 0:
+        return float(abs(difference) < margin)
     steps = (np.arange(500) + 0.5) / 500
     seen = np.sqrt(stats.chi2.ppf(steps, freedom) / freedom)
     half = margin - stats.t.ppf(1 - alpha, freedom) * error * seen

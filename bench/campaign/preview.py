@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, groupby
+from math import sqrt
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bench.campaign.plan import CampaignPlan, controls_per_block, levels
-from bench.campaign.power import (
-    block_freedom,
-    power_of_difference,
-    power_of_equivalence,
-    resolution,
-    shots_needed,
-)
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
+from bench.campaign.series import Series, alpha_at_end, foreseen, series_needed
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",
@@ -31,6 +26,17 @@ UNITS: Mapping[str, str] = {
     "spin_rpm": "rpm",
 }
 """Units of the quantities that can be compared."""
+
+COVARIATES: Mapping[str, str] = {
+    "club_speed_mps": "club speed",
+    "attack_angle_deg": "attack angle",
+    "club_path_deg": "club path",
+    "face_angle_deg": "face angle",
+    "dynamic_loft_deg": "dynamic loft",
+    "strike_x_mm": "strike heel to toe",
+    "strike_y_mm": "strike low to high",
+}
+"""Names of the covariates in sentences."""
 
 _SHOWN = 3
 """Number of blocks printed of each section without --all."""
@@ -52,6 +58,10 @@ class Outlook:
     """Difference that is found with the planned power."""
     needed: int | None
     """Valid shots of each level for the planned power."""
+    balls: int | None
+    """Balls of each level that they are hit with; 0 where the level is no ball."""
+    without: int | None
+    """Valid shots of each level that it would take without the covariates; None without any."""
     same: float | None
     """Probability to call equal levels the same."""
 
@@ -59,24 +69,26 @@ class Outlook:
 def outlook(plan: CampaignPlan) -> Outlook:
     """Return the resolution of a section of `plan` after all its blocks, with all shots valid."""
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
-    pairs = len(list(combinations(range(count), 2)))
-    controls = controls_per_block(plan)
-    drift = bool(controls) and a.drift == "linear"
-    freedom = block_freedom(count, blocks, controls, drift)
-    looks = plan.stop.looks if plan.stop.rule != "fixed" else 1
-    alpha = (1 - a.confidence) / max(pairs, 1) / looks
-    if not a.deviation or not pairs:
-        return Outlook(count, pairs, blocks, freedom, alpha, None, None, None, None)
+    pairs, alpha = len(list(combinations(range(count), 2))), alpha_at_end(plan)
+    deviation = a.deviation * sqrt(1 - (a.explained if a.covariates else 0.0))
+    known = foreseen(plan, deviation or 1.0, a.ball_deviation)
+    if known is None or not a.deviation:
+        freedom = known.freedom if known else 0.0
+        return Outlook(count, pairs, blocks, freedom, alpha / max(pairs, 1), *[None] * 6)
+    needed, _ = series_needed(plan, deviation, a.ball_deviation)
+    plain, _ = series_needed(plan, a.deviation, a.ball_deviation) if a.covariates else (None, None)
     return Outlook(
         count,
         pairs,
         blocks,
-        freedom,
-        alpha,
-        power_of_difference(a.difference, a.deviation, blocks, freedom, alpha),
-        resolution(a.deviation, blocks, freedom, alpha, a.power),
-        shots_needed(a.difference, a.deviation, alpha, a.power, count, controls),
-        power_of_equivalence(a.margin, a.deviation, blocks, freedom, alpha) if a.margin else None,
+        known.freedom,
+        known.single,
+        known.power(a.difference),
+        known.resolution(a.power),
+        needed and needed.shots,
+        needed and needed.balls,
+        plain and plain.shots,
+        known.same(a.margin, alpha) if a.margin else None,
     )
 
 
@@ -156,15 +168,31 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
         return ["One level only: it is described, nothing is compared."]
     if not a.deviation:
         return ["No standard deviation is stated (analysis.deviation): what can be resolved is not known."]
-    together = f", {found.pairs} pairs together (Holm)" if found.pairs > 1 else ""
+    together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
+    between = f" and {a.ball_deviation:g} {unit} between balls" if a.ball_deviation else ""
+    needed = None if found.needed is None else Series(found.balls or 0, found.needed)
     lines = [
-        f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot, a difference of "
+        f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot{between}, a difference of "
         f"{_figure(found.resolution)} {unit} is found with a chance of {100 * a.power:.0f} %"
         f" at {100 * a.confidence:g} % confidence{together}.",
         f"A difference of {a.difference:g} {unit} is found with a chance of "
         f"{100 * (found.power or 0):.0f} %; "
-        f"{found.needed} valid shots of each would make it {100 * a.power:.0f} %.",
+        f"{series_words(needed)} would make it {100 * a.power:.0f} %.",
     ]
+    if a.covariates:
+        lines.append(
+            f"Corrected by {', '.join(COVARIATES[name] for name in a.covariates)}, expected to explain "
+            f"{100 * a.explained:.0f} % of a shot's variance; without it would take "
+            f"{found.without or 'too many'} valid shots of each."
+        )
+    if plan.design.compare == "ball":
+        balls = min(plan.ball_handling.samples, plan.design.blocks)
+        lines.append(
+            "One ball of each: what is found holds for these balls, not for their models."
+            if balls == 1
+            else f"Each model is judged by its balls: {balls} of each, hit {plan.design.blocks / balls:.3g} "
+            f"times on average; differences have {found.freedom:.0f} degrees of freedom."
+        )
     if found.same is not None:
         lines.append(
             f"If they are truly equal, they are called the same (within {a.margin:g} {unit}) with a chance "
@@ -173,6 +201,15 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     if (found.power or 0) < a.power:
         lines.append("Not enough shots for what is asked: take more blocks, or ask for less.")
     return lines
+
+
+def series_words(series: Series | None) -> str:
+    """Return a size in words."""
+    if series is None:
+        return "too many valid shots to name"
+    if not series.balls or series.balls == series.shots:
+        return f"{series.shots} valid shots of each" + (", each with another ball" if series.balls else "")
+    return f"{series.shots} valid shots of each, with {series.balls} balls of each"
 
 
 def _figure(value: float | None) -> str:

@@ -1,8 +1,10 @@
-"""Repeatability of the delivery: within a block, and over the whole campaign.
+"""Repeatability of the delivery: from shot to shot, and over the whole campaign (ISO 5725).
 
-Repeatability is the scatter between shots of one block; reproducibility adds what differs between blocks
-(one-way random effects, as ISO 5725-2 has it, blocks in the place of laboratories). Intervals: chi-square for
-the first, Satterthwaite's approximation for the second.
+Repeatability is the scatter between shots of one block; intermediate precision adds what differs between the
+blocks of one bench (one-way random effects). It is not reproducibility, which takes other laboratories. Where
+no block has two shots, repeatability is that of successive shots (von Neumann's mean squared successive
+difference), which a slow drift does not enter. Intervals: chi-square for the first, Satterthwaite's
+approximation for the second.
 """
 
 from __future__ import annotations
@@ -50,8 +52,10 @@ class Repeatability:
     blocks: int
     mean: float
     within: Scatter
+    successive: bool
+    """Whether `within` is from successive shots, no block having two."""
     overall: Scatter
-    """Reproducibility: within and between blocks."""
+    """Intermediate precision: within and between blocks."""
     smallest: float
     largest: float
 
@@ -72,6 +76,9 @@ def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot
     values = np.array([value for value, _ in found], dtype=float)
     _, codes = np.unique([block for _, block in found], return_inverse=True)
     within, overall = variance_components(values, codes)
+    successive = int(codes.max()) + 1 == len(values) > 2
+    if successive:
+        within = successive_scatter(values)
     return Repeatability(
         column,
         name,
@@ -81,6 +88,7 @@ def _figure(column: str, name: str, unit: str, digits: int, shots: Sequence[Shot
         int(codes.max()) + 1,
         float(values.mean()),
         within,
+        successive,
         overall,
         float(values.min()),
         float(values.max()),
@@ -108,6 +116,13 @@ def variance_components(values: Array, group: Codes, confidence: float = 0.95) -
         parts = (share * between_square) ** 2 / between + ((1 - share) * mean_square) ** 2 / inside
         freedom = total**2 / parts
     return _interval(mean_square, inside, confidence), _interval(total, freedom, confidence)
+
+
+def successive_scatter(values: Array, confidence: float = 0.95) -> Scatter:
+    """Return the scatter from each value to the next one (n at least 3)."""
+    n = len(values)
+    variance = float((np.diff(values) ** 2).sum()) / (2 * (n - 1))
+    return _interval(variance, 2 * (n - 1) ** 2 / (3 * n - 4), confidence)
 
 
 def _interval(variance: float, freedom: float, confidence: float) -> Scatter:

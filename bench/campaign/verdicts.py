@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from math import ceil, log10, sqrt
 from typing import NamedTuple
 
-from bench.campaign.analysis import Comparison, Pair, SectionAnalysis, shots_still_needed
+import numpy as np
+
+from bench.campaign.analysis import Comparison, Covariates, Pair, SectionAnalysis
 from bench.campaign.page import MPH
 from bench.campaign.plan import FLOWN, CampaignPlan, levels
-from bench.campaign.preview import UNITS
-from bench.campaign.repeatability import Repeatability
+from bench.campaign.preview import COVARIATES, UNITS, series_words
+from bench.campaign.repeatability import Repeatability, successive_scatter
+from bench.campaign.series import Series, series_needed
 
 NAMES = {
     "carry_m": "carry",
@@ -37,6 +41,10 @@ def quantity_name(plan: CampaignPlan) -> str:
     return NAMES[a.quantity] + (_CARRIES.get(a.carry, "") if a.quantity in FLOWN else "")
 
 
+_LIMIT = 2.8
+"""Repeatability limit over standard deviation: 1.96 times the square root of 2."""
+
+
 class Verdict(NamedTuple):
     """The answer to one comparison, in words."""
 
@@ -45,91 +53,204 @@ class Verdict(NamedTuple):
     detail: str
 
 
-def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Verdict, ...]:
-    """Return one answer for one pair; for more, one for all pairs and one for each resolved pair."""
-    name = quantity_name(plan)
+Needed = tuple[Series | None, Series | None]
+"""Series that finds a difference, and that calls equal levels the same."""
+
+
+def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed) -> tuple[Verdict, ...]:
+    """Return one answer for one pair, one for all pairs of more."""
     if len(levels(plan)) < 2:
-        level = analysis.levels[0]
-        s, unit = level.spread, UNITS[plan.analysis.quantity]
-        if s.n < 2:
-            return (Verdict(False, f"Too few valid shots to describe {level.name}.", f"{s.n} valid shots."),)
-        return (
-            Verdict(
-                True,
-                f"{level.name}: {name} {s.mean:.2f} {unit}, one shot scatters by {s.deviation:.2f} {unit}.",
-                f"95 % interval of the mean {s.low:.2f} to {s.high:.2f}, of the standard deviation "
-                f"{s.deviation_low:.2f} to {s.deviation_high:.2f} {unit}; {s.n} valid shots. One level only: "
-                "nothing is compared.",
-            ),
-        )
+        return (_one_level(plan, analysis),)
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         text = "Each needs valid shots in at least two blocks that it shares with another."
         return (Verdict(False, f"Too few valid shots to compare {plan.design.compare}s.", text),)
     if len(comparison.pairs) == 1:
-        return (_pair(plan, comparison, comparison.pairs[0]),)
-    count = Counter(pair.verdict for pair in comparison.pairs)
-    different = count["different"] + count["both"]
-    headline = f"{different} of {len(comparison.pairs)} pairs differ in {name}"
-    if count["same"]:
-        headline += f", {count['same']} are the same within {_margin(plan)}"
-    open_ = count["not enough shots"] + count["open"]
-    if open_:
-        headline += f", for {open_} there are not enough shots"
+        return (_pair(plan, analysis, comparison, comparison.pairs[0], needed),)
+    return (_all_pairs(plan, analysis, comparison, needed),)
+
+
+def section_notes(plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed) -> tuple[str, ...]:
+    """Return what stands under a section's pairs: its look, its covariates, what more shots would do."""
+    comparison, a, unit = analysis.confirmatory, plan.analysis, UNITS[plan.analysis.quantity]
+    if comparison is None or not comparison.pairs:
+        return ()
+    notes = []
+    if comparison.covariates is not None:
+        notes.append(_covariate_words(plan, comparison, comparison.covariates, needed[0]))
+    if needed[0] is not None:
+        words = (
+            f"With this scatter {series_words(needed[0])} find a difference of {a.difference:g} {unit} with "
+            f"a chance of {100 * a.power:.0f} %"
+        )
+        if needed[1] is not None:
+            words += f", {series_words(needed[1])} call equal ones the same within {_margin(plan)}"
+        notes.append(f"{words}.")
+    else:
+        notes.append(f"With this scatter it takes too many shots to find {a.difference:g} {unit}.")
+    return tuple(notes)
+
+
+def confidence_words(confidence: float) -> str:
+    """Return a level in percent with as many digits as it needs; never rounded up to 100."""
+    error = 100 * (1 - confidence)
+    if error < 1e-6:
+        return "> 99.999999"
+    digits = max(1, ceil(-log10(error)) + 1)
+    return f"{100 - error:.{digits}f}".rstrip("0").rstrip(".")
+
+
+def _one_level(plan: CampaignPlan, analysis: SectionAnalysis) -> Verdict:
+    name, unit, level = quantity_name(plan), UNITS[plan.analysis.quantity], analysis.levels[0]
+    s, levels_ = level.spread, confidence_words(plan.analysis.confidence)
+    if s.n < 2:
+        return Verdict(False, f"Too few valid shots to describe {level.name}.", f"{s.n} valid shots.")
+    whose = f"with {s.balls} balls" if s.balls > 1 else "with one ball, for which it holds"
+    detail = (
+        f"{levels_} % interval of the mean {s.low:.2f} to {s.high:.2f}, of the standard deviation "
+        f"{s.deviation_low:.2f} to {s.deviation_high:.2f} {unit}; {s.n} valid shots {whose}."
+    )
+    if len(analysis.values) > 2:
+        found = successive_scatter(np.array(analysis.values), plan.analysis.confidence)
+        detail += (
+            f" Repeatability from shot to shot: standard deviation {found.deviation:.3f} {unit} ({levels_} % "
+            f"interval {found.low:.3f} to {found.high:.3f}); two successive shots differ by less than "
+            f"{_LIMIT * found.deviation:.3f} {unit} 95 times in 100 (repeatability limit, ISO 5725-6)."
+        )
+    return Verdict(
+        True,
+        f"{level.name}: {name} {s.mean:.2f} {unit}, one shot scatters by {s.deviation:.2f} {unit}.",
+        f"{detail} One level only: nothing is compared.",
+    )
+
+
+def _all_pairs(
+    plan: CampaignPlan, analysis: SectionAnalysis, comparison: Comparison, needed: Needed
+) -> Verdict:
+    name, unit = quantity_name(plan), UNITS[plan.analysis.quantity]
+    count, pairs = Counter(pair.verdict for pair in comparison.pairs), len(comparison.pairs)
+    same, open_ = count["same"] + count["both"], count["open"] + count["not enough shots"]
+    things = f"{plan.design.compare}s"
+    if same == pairs:
+        headline = f"All {len(levels(plan))} {things} are the same in {name}, within {_margin(plan)}"
+        if count["both"]:
+            headline += f" ({_of(count['both'], pairs)} {_differ(count['both'])}, by less than that)"
+    else:
+        headline = f"{_of(count['different'], pairs)} {_differ(count['different'])} in {name}"
+        if same:
+            headline += f", {same} {'are' if same > 1 else 'is'} the same within {_margin(plan)}"
+        if count["open"]:
+            what = "neither different nor the same" if plan.analysis.margin else "not seen to differ"
+            headline += f", {count['open']} {'are' if count['open'] > 1 else 'is'} {what}"
+        if count["not enough shots"]:
+            headline += f", for {count['not enough shots']} there are not enough shots"
     means = sorted((level.spread.mean, level.name) for level in analysis.levels if level.spread.n)
     (least, last), (most, first) = means[0], means[-1]
     detail = (
-        f"Most has {first}, {most:.2f} {UNITS[plan.analysis.quantity]}, least {last}, {least:.2f} "
-        f"{UNITS[plan.analysis.quantity]}. All pairs together at {100 * plan.analysis.confidence:g} % (Holm)"
+        f"Most has {first}, {most:.2f} {unit}, least {last}, {least:.2f} {unit}. "
+        f"{_size(plan, comparison.pairs)} All pairs together at {confidence_words(comparison.confidence)} %"
     )
-    needed, _ = shots_still_needed(plan, comparison)
-    if open_ and needed:
+    if count["not enough shots"] and needed[0]:
         detail += (
-            f"; a difference of {plan.analysis.difference:g} {UNITS[plan.analysis.quantity]} would need "
-            f"{needed} valid shots of each"
+            f"; a difference of {plan.analysis.difference:g} {unit} would need {series_words(needed[0])}"
         )
-    return (Verdict(not open_, f"{headline}.", f"{detail}. Every pair is in the table below."),)
+    detail = f"{detail.rstrip(',')}. {_validity(plan, comparison.pairs)}{_look(analysis)}"
+    return Verdict(not open_, f"{headline}.", f"{detail}Every pair is in the table below.")
 
 
-def _pair(plan: CampaignPlan, comparison: Comparison, pair: Pair) -> Verdict:
+def _of(number: int, pairs: int) -> str:
+    return f"{'None' if not number else number} of {pairs} pairs"
+
+
+def _differ(number: int) -> str:
+    return "differs" if number == 1 else "differ"
+
+
+def _size(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
+    """Return the number of shots, and of balls, of the level with fewest."""
+    shots, balls = min(pair.shots for pair in pairs), min(pair.balls for pair in pairs)
+    if plan.design.compare != "ball":
+        return f"At least {shots} valid shots of each."
+    return f"At least {shots} valid shots of each with {balls} ball{'s' if balls > 1 else ''}."
+
+
+def _validity(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
+    """Return for what a verdict holds, if not for the models."""
+    if plan.design.compare == "club":
+        return "It holds for these clubs, one of each: others of their models were not hit. "
+    if plan.design.compare == "ball" and not all(pair.models for pair in pairs):
+        some = "" if not any(pair.models for pair in pairs) else "Where a level has one ball: "
+        return f"{some or 'One ball of a level: '}it holds for this ball, not for its model. "
+    return ""
+
+
+def _look(analysis: SectionAnalysis) -> str:
+    look = analysis.look
+    if look.share >= 1:
+        return f"Look no. {look.number}, those before it allowed for. " if look.number > 1 else ""
+    return (
+        f"Before the plan's end, after {100 * look.share:.0f} % of its shots (look no. {look.number}): the "
+        f"error level is {100 * look.alpha:.2g} %, so that all looks together keep the plan's. "
+    )
+
+
+def _pair(
+    plan: CampaignPlan, analysis: SectionAnalysis, comparison: Comparison, pair: Pair, needed: Needed
+) -> Verdict:
     a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], quantity_name(plan)
+    between = comparison.ball_deviation
     seen = (
         f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
-        f"{100 * a.confidence:g} % interval {_signed(pair.low)} to {_signed(pair.high)} {unit}; "
-        f"at least {pair.shots} valid shots of each, one shot scatters by {comparison.deviation:.2f} {unit} "
-        "(SD)."
+        f"{confidence_words(comparison.confidence)} % interval {_signed(pair.low)} to {_signed(pair.high)} "
+        f"{unit}. {_size(plan, [pair])} One shot scatters by {comparison.deviation:.2f} {unit} (SD)"
     )
+    seen += "" if between is None else f", balls of one model by {between:.2f} {unit}"
     match pair.verdict:
         case "different" | "both":
             ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
             less = f", though by less than {_margin(plan)}" if pair.verdict == "both" else ""
             headline = f"{ahead} has {abs(pair.difference):.2f} {unit} more {name} than {behind}{less}."
-            return Verdict(True, headline, seen)
         case "same":
             headline = f"{pair.first} and {pair.second} are the same in {name}, within {_margin(plan)}."
-            return Verdict(True, headline, seen)
         case "open":
-            return Verdict(
-                True,
-                f"No difference in {name} between {pair.first} and {pair.second} was found.",
-                f"{seen} One of {a.difference:g} {unit} would have been seen with a chance of "
-                f"{100 * pair.power:.0f} %.",
+            headline = f"No difference in {name} between {pair.first} and {pair.second} was found."
+            if a.margin:
+                headline = f"{headline[:-1]}, nor that they are the same within {_margin(plan)}."
+            seen += (
+                f". One of {a.difference:g} {unit} would have been seen with a chance of "
+                f"{100 * pair.power:.0f} %"
             )
         case _:
+            headline = f"Not enough shots to tell whether {pair.first} and {pair.second} differ in {name}."
+            different, same = needed
             outlook = []
-            different, same = shots_still_needed(plan, comparison)
             if different:
                 outlook.append(
-                    f"about {different} valid shots of each to find a difference of {a.difference:g} {unit}"
+                    f"about {series_words(different)} to find a difference of {a.difference:g} {unit}"
                 )
             if same:
-                outlook.append(f"about {same} to call them the same within {_margin(plan)}")
-            wanted = " and ".join(outlook)
-            return Verdict(
-                False,
-                f"Not enough shots to tell whether {pair.first} and {pair.second} differ in {name}.",
-                f"{seen} With this scatter it takes {wanted} ({100 * a.power:.0f} % chance).",
-            )
+                outlook.append(f"about {series_words(same)} to call them the same within {_margin(plan)}")
+            wanted = " and ".join(outlook) or "too many shots to name"
+            seen += f". With this scatter it takes {wanted} ({100 * a.power:.0f} % chance)"
+    detail = f"{seen}. {_validity(plan, [pair])}{_look(analysis)}".strip()
+    return Verdict(pair.verdict != "not enough shots", headline, detail)
+
+
+def _covariate_words(
+    plan: CampaignPlan, comparison: Comparison, found: Covariates, needed: Series | None
+) -> str:
+    unit = UNITS[plan.analysis.quantity]
+    names = ", ".join(COVARIATES[name] for name in found.names)
+    words = f"Corrected by {names}, as planned: it explains {100 * found.share:.0f} % of a shot's variance"
+    plain = comparison.deviation / sqrt(max(1 - found.share, 1e-6))
+    without, _ = series_needed(plan, plain, comparison.ball_deviation or 0.0)
+    if needed is not None and without is not None:
+        words += (
+            f"; without it {without.shots} valid shots of each, not {needed.shots}, would be needed for "
+            f"{plan.analysis.difference:g} {unit}"
+        )
+    missed = f" {found.missing} valid shots without it are left out." if found.missing else ""
+    return f"{words}.{missed}"
 
 
 def _margin(plan: CampaignPlan) -> str:

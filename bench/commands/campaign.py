@@ -196,6 +196,7 @@ def _run(
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.fitting import PromptKind
+    from bench.campaign.look_events import note_look
     from bench.campaign.operate import run_live, run_simulated
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
@@ -216,7 +217,7 @@ def _run(
         operator = TerminalOperator(bar, entry.id, asked_for)
         outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator)
     record = load_record(store, entry)
-    found = findings(plan, record.shots)
+    found = findings(plan, record.shots, note_look(store, record, "end of a run"))
     figures = findings_record(found)
     checks = check_baseline(figures, outputs.baseline)
     if outputs.report and record.shots:
@@ -269,16 +270,18 @@ def report(
 
     from bench.campaign.campaign_report import load_record, write_campaign_report
     from bench.campaign.findings import findings, findings_record
+    from bench.campaign.look_events import note_look
     from bench.campaign.operate import find_campaign
     from bench.errors import Refused
 
     configuration = context.ensure_object(Session).configuration()
     with _store(configuration) as store:
         record = load_record(store, find_campaign(store, campaign))
-    entry = record.entry
-    if not record.shots:
-        raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
-    found = findings(record.plan, record.shots)
+        entry = record.entry
+        if not record.shots:
+            raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
+        looks = note_look(store, record, "report")
+    found = findings(record.plan, record.shots, looks)
     if json_:
         typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
         return

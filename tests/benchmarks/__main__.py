@@ -37,6 +37,7 @@ LONG = (
     "launch_monitor_fuzz",
     "campaign_statistics",
     "carry_and_rules",
+    "campaign_verdicts",
     "reactions",
     "healthy_swings",
     "during_stops",

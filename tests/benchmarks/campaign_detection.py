@@ -21,8 +21,8 @@ from bench.campaign.course import Step
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.plan_file import load_plan
-from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import all_trials
+from bench.campaign.series import foreseen
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
@@ -85,11 +85,12 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     _, pilot = values_of(equal, [s for n in range(4) for s in swings.shots(equal, PILOT + n)])
     deviation = float(np.std(pilot, ddof=1))
 
-    freedom = block_freedom(2, BLOCKS)
-    alpha = 1 - unlike.analysis.confidence
-    power = power_of_difference(difference, deviation, BLOCKS, freedom, alpha)
+    ahead = foreseen(unlike, deviation, 0.0)
+    if ahead is None:
+        raise RuntimeError("nothing is foreseen")
+    power = ahead.power(difference)
     margin = 1.3 * difference
-    same_power = power_of_equivalence(margin, deviation, BLOCKS, freedom, alpha)
+    same_power = ahead.same(margin, 1 - unlike.analysis.confidence)
     equal = replace(equal, analysis=replace(equal.analysis, margin=margin, difference=difference))
     found = sum(_verdict(unlike, swings.shots(unlike, SEED + n)) == "different" for n in range(count))
     same = sum(

@@ -19,8 +19,8 @@ import numpy as np
 from bench.campaign.analysis import analyse
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
-from bench.campaign.power import block_freedom, power_of_difference, power_of_equivalence
 from bench.campaign.sequence import Role, block_trials, sections
+from bench.campaign.series import foreseen
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
@@ -158,12 +158,14 @@ def survey(campaigns: int) -> list[Row]:
     rate("two balls, equal: interval covers the truth", null.covered, null.pairs, 0.95)
     rate("two balls, equal: called different", null.found, null.campaigns, 0.05)
     a = two.analysis
-    freedom = block_freedom(2, 12, 3, True)
-    same = power_of_equivalence(a.margin, 2.0, 12, freedom, 0.05)
+    ahead = foreseen(two, 2.0, 0.0)
+    if ahead is None:
+        raise RuntimeError("nothing is foreseen")
+    same = ahead.same(a.margin, 0.05)
     foretold("two balls, equal: called the same (TOST)", null.same, null.campaigns, same)
     real = _tally(two, replace(drifting, difference=a.difference), campaigns, campaigns)
     rate("two balls, different: interval covers the truth", real.covered, real.pairs, 0.95)
-    power = power_of_difference(a.difference, 2.0, 12, freedom, 0.05)
+    power = ahead.power(a.difference)
     foretold("two balls, different: found", real.found, real.campaigns, power)
     rate("two balls, at the margin: called the same", real.same, real.campaigns, 0.05)
     raw = replace(two, analysis=replace(two.analysis, drift="none"))
@@ -174,7 +176,7 @@ def survey(campaigns: int) -> list[Row]:
     rate("four balls, equal: interval covers the truth", many.covered, many.pairs, 0.95, errors=campaigns)
     error = Row(
         "campaign statistics",
-        "four balls, equal: any pair called different (Holm)",
+        "four balls, equal: any pair called different",
         many.any_found / many.campaigns,
         "",
         f"of {many.campaigns}, at most 0.05",

@@ -25,6 +25,7 @@ from bench.campaign.repeatability import repeatability, variance_components
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
+from tests.benchmarks.campaign_verdicts import Case, cases, rows_of
 
 # Montgomery, Design and Analysis of Experiments, vascular grafts: four extrusion pressures (rows) in six
 # batches of resin. Published: SS treatments 178.17, blocks 192.25, error 109.89 with 15 degrees of freedom,
@@ -193,7 +194,8 @@ def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> Non
     (verdict,) = found.verdicts[0]
     needed, _ = found.needed[0]
     assert "Not enough shots" in verdict.headline
-    assert f"about {needed} valid shots" in verdict.detail
+    assert needed is not None
+    assert f"about {needed.shots} valid shots" in verdict.detail
 
 
 def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan) -> None:
@@ -272,6 +274,13 @@ def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
     (figure,) = repeatability(shots)["s", "c"]
     assert figure.n == 16
     assert figure.blocks == 4
+
+
+@pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
+def test_verdicts_keep_their_promise(case: Case) -> None:
+    """A glance at each row of `python -m tests.benchmarks campaign_verdicts`."""
+    for row in rows_of(case, 15 if len(case.plan.design.balls) > 5 or case.looks else 60, slack=3.5):
+        assert row.holds, row
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
         "scipy",
         "drift removed by the control",
         "Mixed model",
-        "reproducibility SD",
+        "intermediate precision SD",
         "ball tour",
         "plan.design",
     ):

@@ -1,0 +1,282 @@
+"""Verdicts on known truth: false "different", coverage and power of designs as they are really hit.
+
+Shots are drawn, not swung: balls hit again, one ball of each, unequal scatter, missing cells, drift, looks
+before the end, three to ten levels. Seeds are fixed: SEED, the row and the campaign's number. Options:
+`--campaigns N` of each row, `--rows WORD` for those whose name contains it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from math import sqrt
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from bench.campaign.analysis import Pair, SectionAnalysis, analyse, decide
+from bench.campaign.course import looks_after
+from bench.campaign.plan import CampaignPlan, levels
+from bench.campaign.plan_file import load_plan
+from bench.campaign.sequence import Role, block_trials, sections
+from bench.campaign.series import foreseen, series_needed
+from bench.config import load_configuration
+from bench.shot.shot import Shot, ShotStatus
+from tests.benchmarks.row import Row
+
+SEED = 20261122
+CAMPAIGNS = 10_000
+TITLE = "campaign verdicts"
+BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is true of the shots of a row, in metres of carry."""
+
+    deviation: float = 2.0
+    """Of one shot, club speed left out."""
+    scale: tuple[float, ...] = ()
+    """Each level's deviation as a multiple; empty: all 1."""
+    ball: float = 0.0
+    """Between balls of one model."""
+    block: float = 1.5
+    drift: float = 0.0
+    """A shot."""
+    missing: float = 0.0
+    """Share of shots without a valid result."""
+    speed: float = 0.0
+    """Standard deviation of club speed, m/s."""
+    per_speed: float = 3.0
+    """Carry for each m/s."""
+
+
+class Case(NamedTuple):
+    """A row: a plan and what is true."""
+
+    name: str
+    plan: CampaignPlan
+    known: Known
+    pair: tuple[int, int] | None = None
+    """Levels whose interval is looked at beside all others."""
+    looks: bool = False
+    """Looked at after each block."""
+
+
+def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[str, float]]:
+    """Return a campaign's shots, the first level `difference` above all others, and each level's truth."""
+    plan, known = case.plan, case.known
+    random = np.random.default_rng((SEED, crc32(case.name.encode()), number))
+    plan = replace(plan, design=replace(plan.design, seed=int(random.integers(2**31))))
+    names, section = levels(plan), sections(plan)[0]
+    trials = [t for b in range(1, plan.design.blocks + 1) for t in block_trials(plan, section, b)]
+    count, samples = len(trials), plan.ball_handling.samples
+    noise, blocks = random.normal(size=count), known.block * random.normal(size=plan.design.blocks + 1)
+    own = known.ball * random.normal(size=(len(names) + 1, samples))
+    speeds = 43.0 + known.speed * random.normal(size=count)
+    valid = random.random(count) >= known.missing
+    hits, shots = dict.fromkeys(range(len(names) + 1), 0), []
+    for index, trial in enumerate(trials):
+        code = len(names) if trial.role is Role.CONTROL else names.index(trial.arm.ball)
+        sample = hits[code] % samples
+        hits[code] += 1
+        scale = known.scale[code] if known.scale and code < len(names) else 1.0
+        carry = 180.0 + difference * (code == 0) + own[code, sample] + blocks[trial.block]
+        carry += known.drift * index + scale * known.deviation * noise[index]
+        carry += known.per_speed * (speeds[index] - 43.0)
+        shots.append(
+            Shot(
+                index + 1,
+                trial.block,
+                trial.position,
+                trial.arm.club,
+                trial.arm.ball,
+                ShotStatus.VALID if valid[index] else ShotStatus.FAILED,
+                "" if valid[index] else "no ball on the tee",
+                carry_m=float(carry),
+                club_speed_mps=float(speeds[index]),
+                swing=trial.arm.swing,
+                role=str(trial.role),
+                section=trial.section,
+                sample=sample + 1,
+                attempt=plan.design.repeats + 1,
+                time_utc=BEGIN,
+            )
+        )
+    single = samples == 1  # then the truth is that of these balls
+    truth = {n: difference * (c == 0) + (own[c, 0] if single else 0.0) for c, n in enumerate(names)}
+    return shots, truth
+
+
+@dataclass
+class Counts:
+    """How often what happened."""
+
+    campaigns: int = 0
+    wrong: int = 0
+    """Campaigns with a pair called different whose truth is equal."""
+    pairs: int = 0
+    covered: int = 0
+    watched: int = 0
+    """Of the pair that is looked at: covered."""
+    found: int = 0
+    """First pair called different."""
+    models: int = 0
+    """First pair's verdict is of the models."""
+
+
+def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
+    """Return the analyses that somebody sees: at the rule's stop, after each block, or at the end."""
+    plan, counts = case.plan, len(shots)
+    ends = [max(s.shot for s in shots if s.block == b) for b in range(1, plan.design.blocks + 1)]
+    if case.looks:
+        for number, end in enumerate(ends, 1):
+            yield analyse(plan, shots[:end], 1, "", ends[:number])
+        return
+    for number in sorted(looks_after(plan)):
+        if decide(plan, shots[: ends[number - 1]]):
+            counts = ends[number - 1]
+            break
+    yield analyse(plan, shots[:counts], 1, "", ())
+
+
+def tally(case: Case, difference: float, campaigns: int, first: int = 0) -> Counts:
+    """Return what `campaigns` campaigns give."""
+    found, names = Counts(), levels(case.plan)
+    watched = None if case.pair is None else (names[case.pair[0]], names[case.pair[1]])
+    for number in range(first, first + campaigns):
+        shots, truth = drawn(case, difference, number)
+        wrong = right = False
+        pairs: tuple[Pair, ...] = ()
+        for analysis in _looked(case, shots):
+            pairs = analysis.confirmatory.pairs if analysis.confirmatory else ()
+            called = [p for p in pairs if p.verdict in {"different", "both"}]
+            wrong |= any(abs(truth[p.first] - truth[p.second]) < 1e-12 for p in called)
+            right |= any((p.first, p.second) == (names[0], names[1]) for p in called)
+        found.campaigns += 1
+        found.wrong += wrong
+        found.found += right
+        for pair in pairs:
+            true = truth[pair.first] - truth[pair.second]
+            covered = pair.low <= true <= pair.high
+            found.pairs += 1
+            found.covered += covered
+            found.watched += covered and (pair.first, pair.second) == watched
+            found.models += pair.models and (pair.first, pair.second) == (names[0], names[1])
+    return found
+
+
+def cases() -> list[Case]:
+    """Return all rows."""
+    configuration = load_configuration(Path("shipped"))
+    ten, symmetry = (load_plan(Path(name), configuration) for name in ("ten-balls", "symmetry"))
+    ten = replace(ten, design=replace(ten.design, swings=("default",)))
+
+    def plan(count: int, blocks: int, balls: int, control: bool = False, **analysis: Any) -> CampaignPlan:
+        names = tuple("abcdefghij"[:count])
+        return replace(
+            ten,
+            design=replace(ten.design, balls=names, blocks=blocks),
+            control=replace(ten.control, ball="tour" if control else ""),
+            ball_handling=replace(ten.ball_handling, samples=balls),
+            analysis=replace(ten.analysis, margin=0.0, deviation=2.0, **analysis),
+        )
+
+    uneven = Known(scale=(3.0, 1.0), missing=0.15, ball=1.0)
+    driven = Known(deviation=2 * sqrt(0.2), speed=2 * sqrt(0.8) / 3)
+    holes, some = Known(ball=1.0, drift=0.05, missing=0.1), Known(ball=1.0, drift=0.02, missing=0.05)
+    half, whole, big = Known(ball=1.0), Known(ball=2.0), (4.0, 4.0) + (1.0,) * 8
+    speed: dict[str, Any] = {"covariates": ("club_speed_mps",), "explained": 0.8}
+    return [
+        Case("2 levels, 12 balls x 8 hits, ball SD half the shot's", plan(2, 96, 12), half),
+        Case("2 levels, 12 balls x 8 hits, ball SD as the shot's", plan(2, 96, 12), whole),
+        Case("2 levels, one ball of each x 20", plan(2, 20, 1), Known()),
+        Case("2 levels, one ball of each x 20, balls differ", plan(2, 20, 1), whole),
+        Case("symmetry as shipped, ball SD half the shot's", symmetry, half),
+        Case("symmetry as shipped, ball SD as the shot's", symmetry, whole),
+        Case("2 levels, 5 blocks", plan(2, 5, 12), Known()),
+        Case("2 levels, control ball, drift", plan(2, 16, 12, control=True), Known(ball=1.0, drift=0.05)),
+        Case("2 levels, one 3 times as scattered, cells missing", plan(2, 24, 12), uneven),
+        Case("2 levels, looked at after each of 20 blocks", plan(2, 20, 20), Known(), looks=True),
+        Case("2 levels, club speed as covariate", plan(2, 12, 12, **speed), driven),
+        Case("3 levels, control ball, drift, cells missing", plan(3, 16, 12, control=True), holes),
+        Case("4 levels, 10 blocks", plan(4, 10, 12), Known()),
+        Case("5 levels, balls hit twice, ball SD as the shot's", plan(5, 24, 12), whole),
+        Case("10 levels, two 4 times as scattered", plan(10, 20, 20), Known(scale=big), pair=(0, 1)),
+        Case("10 levels, 12 balls, ball SD half the shot's", plan(10, 20, 12), half),
+        Case("10 levels as shipped, drift, cells missing", plan(10, 20, 12, control=True), some),
+    ]
+
+
+def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
+    """Return a row's figures; `slack` binomial standard errors are allowed beyond the promise."""
+    plan, known = case.plan, case.known
+    several = len(levels(plan)) > 2
+
+    def row(what: str, count: int, of: int, promise: tuple[float, float], independent: int = 0) -> Row:
+        rate, low, high = count / max(of, 1), *promise
+        middle = (low + high) / 2
+        error = sqrt(middle * (1 - middle) / max(independent or of, 1))
+        note = f"of {of}, binomial error {error:.4f}, promised {low:.3f} to {high:.3f}"
+        return Row(TITLE, f"{case.name}: {what}", rate, "", note, low - slack * error, high + slack * error)
+
+    null = tally(case, 0.0, campaigns)
+    rows = []
+    fixed = not looks_after(plan)
+    if not (plan.ball_handling.samples == 1 and known.ball):  # else no two balls are equal
+        promise = (0.04, 0.06) if fixed and not case.looks else (0.0, 0.06)
+        what = 'false "different"' + (", any pair" if several else "")
+        rows.append(row(what, null.wrong, null.campaigns, promise))
+    if fixed and not case.looks:  # intervals at a stop are those of that look
+        rows.append(row("interval covers", null.covered, null.pairs, (0.94, 0.96), null.campaigns))
+    if case.pair:
+        rows.append(row("interval of the scattered pair covers", null.watched, null.campaigns, (0.94, 0.96)))
+    if plan.ball_handling.samples == 1:
+        rows.append(row("said of the models", null.models, null.campaigns, (0.0, 0.0)))
+    elif fixed and not known.scale and not known.missing and not case.looks:
+        ahead = foreseen(plan, known.deviation, known.ball)
+        if ahead is None:
+            raise RuntimeError("nothing is foreseen")
+        difference = ahead.resolution(0.8)
+        real = tally(case, difference, campaigns, campaigns)
+        note = row(f"{difference:.2f} m found", real.found, real.campaigns, (0.77, 0.83))
+        rows.append(note._replace(note=f"{note.note}, foretold 0.800"))
+    return rows
+
+
+def _covariate_rows() -> list[Row]:
+    """Return the shots that club speed as a covariate saves."""
+    case = next(c for c in cases() if c.plan.analysis.covariates)
+    rows = []
+    for share in (0.52, 0.8, 0.95):
+        plain, _ = series_needed(replace_covariates(case.plan), 2.0, 0.0)
+        with_it, _ = series_needed(case.plan, 2.0 * sqrt(1 - share), 0.0)
+        if plain is None or with_it is None:
+            raise RuntimeError("too many shots")
+        note = (
+            f"without it {plain.shots}; SD 2 m, {case.plan.analysis.difference:g} m, each with another ball"
+        )
+        name = f"shots of each with club speed as covariate that explains {100 * share:.0f} %"
+        rows.append(Row(TITLE, name, float(with_it.shots), "", note, at_most=float(plain.shots)))
+    return rows
+
+
+def replace_covariates(plan: CampaignPlan) -> CampaignPlan:
+    """Return the plan without covariates, with as many balls as shots."""
+    analysis = replace(plan.analysis, covariates=(), explained=0.0)
+    return replace(plan, analysis=analysis)
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Run all rows; 10,000 campaigns each take about an hour."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="of each row")
+    parser.add_argument("--rows", default="", help="part of a row's name")
+    options = parser.parse_args(arguments)
+    wanted: Callable[[Case], bool] = lambda case: options.rows in case.name  # noqa: E731
+    rows = [row for case in filter(wanted, cases()) for row in rows_of(case, options.campaigns)]
+    return [*rows, *_covariate_rows()]
