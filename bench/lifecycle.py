@@ -83,6 +83,8 @@ class Refusal(IntEnum):
     MANIFOLD = 14
     STOPPED = 15
     MOVING = 16
+    SENSOR = 17
+    VENT = 18
 
 
 REFUSAL_TEXT = {
@@ -100,6 +102,8 @@ REFUSAL_TEXT = {
     Refusal.READ_ONLY: "this bench was started to observe only",
     Refusal.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then ask again",
     Refusal.DEVICE: "the device went passive by itself: reset first",
+    Refusal.SENSOR: "a fitted pressure sensor gives no believable value: `golfbench status` names it",
+    Refusal.VENT: "a vent does not follow its command: `golfbench status` names it",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
@@ -201,6 +205,15 @@ class Cause(IntEnum):
     ARM_SENSOR = 50
     WRIST_SENSOR = 51
     MANIFOLD = 52
+    SUPPLY_SENSOR = 53
+    SHOULDER_A_SENSOR = 54
+    SHOULDER_B_SENSOR = 55
+    ARM_A_SENSOR = 56
+    ARM_B_SENSOR = 57
+    WRIST_A_SENSOR = 58
+    WRIST_B_SENSOR = 59
+    VENT_1 = 60
+    VENT_2 = 61
 
 
 CAUSE_TEXT = {
@@ -257,6 +270,15 @@ CAUSE_TEXT = {
     Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
     Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
     Cause.MANIFOLD: "the manifold holds pressure with the supply shut: shut it off and vent it by hand",
+    Cause.SUPPLY_SENSOR: "supply sensor without believable value: check cable and sensor at the manifold",
+    Cause.SHOULDER_A_SENSOR: "sensor of shoulder chamber A without believable value: check cable and sensor",
+    Cause.SHOULDER_B_SENSOR: "sensor of shoulder chamber B without believable value: check cable and sensor",
+    Cause.ARM_A_SENSOR: "sensor of arm chamber A without believable value: check cable and sensor",
+    Cause.ARM_B_SENSOR: "sensor of arm chamber B without believable value: check cable and sensor",
+    Cause.WRIST_A_SENSOR: "sensor of wrist chamber A without believable value: check cable and sensor",
+    Cause.WRIST_B_SENSOR: "sensor of wrist chamber B without believable value: check cable and sensor",
+    Cause.VENT_1: "vent 1 does not follow its command: check valve and position switch",
+    Cause.VENT_2: "vent 2 does not follow its command: check valve and position switch",
 }
 """Text for the operator, with the cure where one is known."""
 

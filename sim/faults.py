@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from drivers.base import CHAMBERS, COMMAND, JOINTS, READINGS
+from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
-from sim.plant import Plant
+from sim.plant import OPEN, SHUT, Plant
 from sim.random_stream import uniform
 from sim.sensors import sense
 
@@ -58,6 +58,10 @@ SIGNALS = (
     "recorder",
     "lease",
     "launch monitor",
+    "vent 1",
+    "vent 2",
+    "vent 1 feedback",
+    "vent 2 feedback",
 )
 """Signals and parts that can fail."""
 
@@ -113,6 +117,9 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "off": "de-energised: they open after their delay",
         "stuck": "stay shut (`value` 1) or open (0)",
     },
+    "vent": {
+        "stuck": "this one of the two stays shut (`value` 1) or open (0)",
+    },
     "switch": {
         "off": "reads as de-energised",
         "stuck": "stays as it is, or at `value` (1 or 0)",
@@ -165,7 +172,16 @@ MEANINGS: dict[str, dict[Kind, str]] = {
 """Meaning of each kind, by sort of signal; a missing pair is invalid."""
 
 _SORTS = dict.fromkeys(
-    ("emergency stop", "guard closed", "guard locked", "local reset", "ball sensor"), "switch"
+    (
+        "emergency stop",
+        "guard closed",
+        "guard locked",
+        "local reset",
+        "ball sensor",
+        "vent 1 feedback",
+        "vent 2 feedback",
+    ),
+    "switch",
 ) | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
 
 
@@ -175,6 +191,8 @@ def sort_of(signal: str) -> str:
         return "encoder"
     if signal.endswith(" valve"):
         return "valve"
+    if signal in ("vent 1", "vent 2"):
+        return "vent"
     if signal != "ball sensor" and signal.endswith(" sensor"):
         return "pressure"
     return _SORTS.get(signal, signal)
@@ -225,7 +243,11 @@ class Fault:
             raise ValueError("value: a share, 0 to 1")
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
             raise ValueError("value: at least 0 s")
-        if self.signal in ("supply", "vents") and self.kind == "stuck" and isnan(self.value):
+        if (
+            self.signal in ("supply", "vents", "vent 1", "vent 2")
+            and self.kind == "stuck"
+            and isnan(self.value)
+        ):
             raise ValueError("value: 1 or 0")
 
     @property
@@ -305,6 +327,7 @@ _CHAMBER = 15
 _HEAD, _LINK, _CLOCK, _LOOP = 21, 22, 23, 24
 SUPERVISOR, RECORDER, LEASE = 25, 26, 27
 """Numbers of the signals whose faults the bench applies."""
+_VENT, _VENT_FEEDBACK = 29, 31
 
 _INTERLOCKS_LOST = 0.06
 """Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
@@ -529,11 +552,18 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
             r.ball_present = _switched(f, m, r.ball_present, now, p.tick)
         elif f.signal == _SUPPLY_SENSOR:
             wrong = _wrong(f, m, r.supply_pressure, 0.0, 2.0 * p.regulated, False, now, p.tick)
-            r.supply_pressure = np.nan if _is_out(f, m) else wrong
+            # No reading of a sensor that is fitted; of one that is not, nothing changes.
+            if np.isfinite(r.supply_pressure):
+                r.supply_pressure = INVALID if _is_out(f, m) else wrong
         elif _CHAMBER <= f.signal < _CHAMBER + 6:
             i = f.signal - _CHAMBER
             wrong = _wrong(f, m, r.chamber_pressure[i], 0.0, 2.0 * p.regulated, False, now, p.tick)
-            r.chamber_pressure[i] = np.nan if _is_out(f, m) else wrong
+            if np.isfinite(r.chamber_pressure[i]):
+                r.chamber_pressure[i] = INVALID if _is_out(f, m) else wrong
+        elif _VENT_FEEDBACK <= f.signal < _VENT_FEEDBACK + 2:
+            i = f.signal - _VENT_FEEDBACK
+            if np.isfinite(r.vent_open[i]):
+                r.vent_open[i] = 1.0 if _switched(f, m, r.vent_open[i] > 0.5, now, p.tick) else 0.0
 
 
 @compiled
@@ -550,6 +580,8 @@ def _copy_readings(source: Any, target: Any) -> None:
         a.guard_closed,
         a.guard_locked,
     )
+    for k in range(2):
+        b.vent_open[k] = a.vent_open[k]
     b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
     for i in range(6):
         b.chamber_pressure[i] = a.chamber_pressure[i]
@@ -670,6 +702,8 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
         if f.kind == _LEAKING:
             i = f.signal - _VALVE
             p.leakage[i] = f.value if m.active else h.leakage[i]
+        elif _VENT <= f.signal < _VENT + 2:
+            p.vent_stuck[f.signal - _VENT] = 0 if not m.active else SHUT if f.value > 0.5 else OPEN
         elif f.signal == _SUPPLY and f.kind == _OFF:
             p.regulated = h.atmosphere if m.active else h.regulated
         elif f.signal == _SUPPLY and f.kind == _SCALE:

@@ -34,8 +34,10 @@ from sim.tee import find_contact, strike_ball
 
 __all__ = [
     "HISTORY",
+    "OPEN",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "SHUT",
     "Encoders",
     "Plant",
     "PlantParameters",
@@ -155,6 +157,8 @@ class PlantParameters:
     encoders: Encoders = field(default_factory=Encoders)
     pressure_sensors: bool = True
     """Whether the chambers have pressure sensors; the supply always has one."""
+    vent_feedback: bool = True
+    """Whether each of the two vents reports its position."""
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
@@ -170,6 +174,9 @@ class PlantParameters:
         """Actuators in the order of drivers.base.ACTUATORS."""
         return self.shoulder, self.right_arm, self.wrist
 
+
+OPEN, SHUT = 1, 2
+"""Where a vent is stuck, in `vent_stuck` of PLANT_PARAMETERS; 0: it obeys."""
 
 PLANT_PARAMETERS = np.dtype(
     [
@@ -214,6 +221,8 @@ PLANT_PARAMETERS = np.dtype(
         ("jitter", "f8"),
         ("noise", "f8"),
         ("pressure_sensors", "?"),
+        ("vent_feedback", "?"),
+        ("vent_stuck", "i8", (2,)),
         ("flexible", "?"),
         ("head_mass", "f8"),
         ("head_stiffness", "f8"),
@@ -244,6 +253,7 @@ PLANT_STATE = np.dtype(
         ("spool_speed", "f8", (3,)),
         ("supply_level", "f8"),
         ("vent_timer", "f8"),
+        ("vent_open", "u1", (2,)),
         ("effort", "f8", (3,)),
         ("head", "f8", (6,)),
         ("stop_work", "f8", (3,)),
@@ -378,6 +388,7 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
         "jitter": encoders.jitter,
         "noise": encoders.noise,
         "pressure_sensors": parameters.pressure_sensors,
+        "vent_feedback": parameters.vent_feedback,
         "flexible": shaft.flexible,
         "head_mass": club.head_mass,
         "head_stiffness": club.head_mass * omega**2,
@@ -456,7 +467,11 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     s.supply_level = min(s.supply_level + p.tick / p.soft_start_time, 1.0) if c.supply_enable else 0.0
     s.vent_timer = 0.0 if c.exhaust_closed else s.vent_timer + p.tick
     feed = p.feed_conductance * s.supply_level
-    vent = p.vent_conductance if s.vent_timer > p.vent_delay else 0.0
+    opens = s.vent_timer > p.vent_delay
+    for k in range(2):
+        s.vent_open[k] = p.vent_stuck[k] == OPEN or (opens and p.vent_stuck[k] != SHUT)
+    # The vents stand in parallel behind each chamber's throttle, which alone limits the flow.
+    vent = p.vent_conductance if s.vent_open[0] or s.vent_open[1] else 0.0
 
     for i in range(3):
         y[i], y[3 + i], y[15 + i] = s.angle[i], s.speed[i], s.stop_work[i]

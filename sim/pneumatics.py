@@ -140,7 +140,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Supply:
-    """Regulator, manifold, dump valve, and the throttled, normally open chamber vents."""
+    """Regulator, manifold, dump valve, and the chambers' throttles behind two normally open vents."""
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
     """Regulated pressure, Pa absolute."""
@@ -153,7 +153,7 @@ class Supply:
     soft_start_time: Annotated[float, Range(0.001, 30.0, "s")] = 0.3
     """Time from closed to fully open, s."""
     vent_conductance: Conductance = 5.0e-9
-    """Conductance of one chamber vent, m3/(s Pa)."""
+    """Conductance of one chamber's throttle behind the two vents, either of which opens it, m3/(s Pa)."""
     vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
     """Delay from loss of power to open vents (pneumatic timer), s."""
     relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6

@@ -51,5 +51,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
     out.supply_pressure = s.supply_pressure
     out.local_reset = s.local_reset
     out.ball_present = s.ball_present
+    for k in range(2):
+        out.vent_open[k] = float(s.vent_open[k]) if p.vent_feedback else ABSENT
     for i in range(6):
         out.chamber_pressure[i] = s.pressure[i] if p.pressure_sensors else ABSENT

@@ -103,6 +103,8 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
         ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
+        ("vents", _vents(status["vents_open"])),
+        ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
         (
             "loop",
             f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "
@@ -126,6 +128,12 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     if status["read_only"]:
         rows.append(("read only", Text("observes and sends nothing but safe outputs", "yellow")))
     return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
+
+
+def _vents(positions: list[bool | None]) -> str:
+    """Return the positions of the vents."""
+    words = {True: "open", False: "shut", None: "no feedback"}
+    return ", ".join(f"{number} {words[position]}" for number, position in enumerate(positions, start=1))
 
 
 def _flags(*flags: tuple[str, bool, str]) -> Text:

@@ -126,6 +126,35 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
             wanted,
             "Wire the button and set the key to true.",
         )
-    if c.driver.name == "daq" and not any(c.daq.chamber_pressures) and not c.daq.vent_proof:
-        wanted = "a sensor in each chamber, or daq.vent_proof: time alone does not prove that vents open"
-        yield "daq.chamber_pressures", "no sensor", wanted, "Fit sensors, or name the device that proves it."
+    yield from _vent_proof(c)
+
+
+def _vent_proof(c: Configuration) -> Iterator[Mistake]:
+    """Yield what a real robot's air would be proven by time alone.
+
+    Time proves no vent: one stuck shut leaves the chambers full. A sensor in each chamber shows the pressure
+    itself; two vents with feedback, of which either suffices, are the redundant and monitored dump of ISO
+    13849-1, category 3. The manifold has no such vents: only a sensor shows it.
+    """
+    if not c.is_machine or c.driver.name not in ("daq", "canopen"):
+        return
+    node = c.canopen.valve_node
+    settings = c.daq if c.driver.name == "daq" else node
+    if settings.vent_proof:
+        return
+    if c.driver.name == "daq":
+        section, fed_back = "daq", all(c.daq.vent_feedback)
+    else:
+        section = "canopen.valve_node"
+        fed_back = node.inputs.vent_1_open >= 0 and node.inputs.vent_2_open >= 0
+    cure = "Fit sensors, or name the device that proves it."
+    if not settings.supply_pressure:
+        wanted = f"a sensor, or {section}.vent_proof: nothing else shows what the manifold holds"
+        yield f"{section}.supply_pressure", "no sensor", wanted, cure
+    if not all(settings.chamber_pressures) and not fed_back:
+        found = "no sensor" if not any(settings.chamber_pressures) else "a chamber without sensor"
+        wanted = (
+            f"a sensor in each chamber, the feedback of both vents, or {section}.vent_proof: time alone does "
+            "not prove that vents open"
+        )
+        yield f"{section}.chamber_pressures", found, wanted, cure

@@ -116,6 +116,8 @@ def observe(
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
+        # One missing value must not stay in the observer for ever.
+        whole = whole and np.isfinite(m.air[6 + a] + m.air[6 + b])
         if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):
                 m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]

@@ -52,6 +52,9 @@ CONTROL_PARAMETERS = np.dtype(
         ("vent_time", "f8"),
         ("vented_still", "f8"),
         ("vented_blind", "f8"),
+        ("vent_delay", "f8"),
+        ("lowest_pressure", "f8"),
+        ("highest_pressure", "f8"),
         ("local_reset", "?"),
         ("local_reset_time", "f8"),
         ("series", "?"),
@@ -143,6 +146,13 @@ CONTROL_STATE = np.dtype(
         ("stopped_at", "f8"),
         ("moved_at", "f8"),
         ("unseen", "u1", (3,)),
+        ("sensor_seen", "u1", (7,)),
+        ("sensor_shown", "f8", (7,)),
+        ("sensor_doubt", "f8", (7,)),
+        ("sensor_dead", "u1", (7,)),
+        ("vent_fitted", "u1", (2,)),
+        ("vent_agreed", "f8", (2,)),
+        ("vent_wrong", "u1", (2,)),
     ],
     align=True,
 )
@@ -152,6 +162,9 @@ CONTROL_STATE = np.dtype(
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s).
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.
+`sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
+such value (Pa), for how long it has been in doubt (s), whether it is dead; whether a vent has feedback, when
+it last agreed with its command (s), whether it is wrong.
 `lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
 did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
 ESTOP; `air` that the supply is on."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.air_watch import air_cause
 from bench.control.envelope import interlock_cause
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.compiled import compiled
@@ -67,8 +68,10 @@ def manifold_is_full(p: Any, readings: Any) -> bool:
 
 
 @compiled
-def _not_vented(p: Any, readings: Any) -> int:
-    """Return the refusal that names where the pressure may be."""
+def _not_vented(p: Any, s: Any, readings: Any) -> int:
+    """Return the refusal that names where the pressure may be, or whose sensor could tell."""
+    if Cause.SUPPLY_SENSOR <= air_cause(s) < Cause.VENT_1:
+        return Refusal.SENSOR.value
     return Refusal.MANIFOLD.value if manifold_is_full(p, readings) else Refusal.NOT_VENTED.value
 
 
@@ -92,7 +95,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if request == Request.ACCESS:
         if interlock_cause(readings) == Cause.EMERGENCY_STOP:
             return Refusal.EMERGENCY_STOP
-        return Refusal.NONE if s.vented else _not_vented(p, readings)
+        return Refusal.NONE if s.vented else _not_vented(p, s, readings)
     if request == Request.SECURE:
         if not readings[0].guard_closed:
             return Refusal.GUARD
@@ -105,6 +108,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return Refusal.READINGS
         if not s.supervisor_alive:
             return Refusal.SUPERVISOR
+        failing = air_cause(s)
+        if failing != 0:
+            return Refusal.VENT if failing >= Cause.VENT_1 else Refusal.SENSOR
         if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
             return Refusal.STOPPED
         # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
@@ -119,9 +125,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if not s.vented:
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:
-            return _not_vented(p, readings)
+            return _not_vented(p, s, readings)
         if request == Request.RESET and time - s.vent_start >= p.vent_time:
-            return _not_vented(p, readings)
+            return _not_vented(p, s, readings)
     if request == Request.RESET and not _is_confirmed(p, s, time):
         return Refusal.LOCAL_RESET
     return Refusal.NONE

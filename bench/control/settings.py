@@ -455,6 +455,10 @@ def _control_record(
         lower, upper = joint_travel(plant)
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
+    record["vent_delay"] = plant.supply.vent_delay
+    # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.
+    record["lowest_pressure"] = 0.1 * plant.supply.atmosphere
+    record["highest_pressure"] = 2.0 * max(actuator.pressure_rating for actuator in plant.actuators)
     record["reactions"], record["accepted"] = reaction_table(), accepted_table()
     record["transitions"] = transition_table()
     record["needs_lease"] = [request in NEEDS_LEASE for request in Request]

@@ -6,6 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.air_watch import (
+    air_cause,
+    chambers_show_pressure,
+    emptiness_is_proven,
+    manifold_shows_pressure,
+)
 from bench.control.model import model_cause
 from bench.control.requests import manifold_is_full
 from bench.control.states import change_state, disarm, is_still, latch, resting_state
@@ -24,21 +30,15 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     on what little air is left and then sinks: before anybody goes near, it has to rest for a while with empty
     chambers. Without trusted encoders: for as long as sinking may take.
     """
-    fitted = empty = True
     blind = s.lost != 0 or s.distrusted
-    for i in range(6):
-        pressure = readings[0].chamber_pressure[i]
-        if not np.isfinite(pressure):
-            fitted = False
-        elif pressure > p.vented_pressure:
-            empty = False
-    shut = not manifold_is_full(p, readings)
+    empty = not chambers_show_pressure(s, p)
+    shut = not manifold_shows_pressure(s, p)
     if not (empty and shut and (blind or is_still(p, e))):
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time
-    s.vented = empty and shut and rests and (fitted or late)
+    s.vented = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
     if s.vented and s.cause == 0:
         s.distrusted = False  # not by the reset: chambers may still be full then
     if not late or (empty and shut):
@@ -101,7 +101,11 @@ def watch_standing(
     elif s.state == State.ACCESS:
         if not s.vented:
             full = manifold_is_full(p, readings)
-            latch(s, parameters, Cause.MANIFOLD if full else Cause.NOT_VENTED, time)
+            failing = air_cause(s)
+            if failing != 0:
+                latch(s, parameters, failing, time)
+            else:
+                latch(s, parameters, Cause.MANIFOLD if full else Cause.NOT_VENTED, time)
         elif s.securing and interlock == 0:
             s.securing = False
             change_state(s, parameters, resting_state(s), time)
@@ -120,6 +124,8 @@ def watch_standing(
         latch(s, parameters, jumped, time)
     elif trapped != 0:
         latch(s, parameters, trapped, time)
+    elif air_cause(s) != 0:
+        latch(s, parameters, air_cause(s), time)
     elif s.state == State.READY and not s.homed:
         change_state(s, parameters, State.SAFE, time)
     elif s.state == State.HOMING:

@@ -113,7 +113,7 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
     """Enter the table's reaction to `cause`, unless a more severe one is under way."""
     s, p = state.control[0], parameters.control[0]
     s.emergency = _note(s, parameters, cause) or s.emergency
-    s.distrusted = s.distrusted or column == LOST or cause >= Cause.SHOULDER_AIR
+    s.distrusted = s.distrusted or column == LOST or Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR
     if s.cause == 0:
         s.cause = cause
     if begin_reaction(s, parameters, p.reactions[s.phase, column], time) and s.reaction == Reaction.VENT:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.air import observe_air
+from bench.control.air_watch import VENTS, air_fault, watch_air
 from bench.control.braking import brake, brake_blind, wait_passive
 from bench.control.encoder import decode_encoders
 from bench.control.envelope import interlock_cause, limit, readings_cause
@@ -43,6 +44,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     if np.isfinite(time):
         if not s.started:
             s.vent_start = time
+            for k in range(VENTS):
+                s.vent_agreed[k] = time
         s.measured_step = time - s.time if s.started else 0.0
         s.started, s.time = True, time
     else:
@@ -86,6 +89,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             elapsed,
             s.phase != Phase.IMPACT,
         )
+    watch_air(s, parameters.control[0], readings, state.model[0].exhaust_closed, elapsed, time)
     s.lost = readings_cause(parameters.envelope, state.estimator)
     for i in range(3):
         # A count that is no longer absolute, as after a loss of the encoder's power.
@@ -239,6 +243,9 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
     )
     out.ball_present, out.local_reset = r.ball_present, r.local_reset
     out.supply_pressure = r.supply_pressure
+    out.air_fault = air_fault(s)
+    for k in range(VENTS):
+        out.vent_open[k] = r.vent_open[k]
     for i in range(6):
         out.chamber_pressure[i] = r.chamber_pressure[i]
     out.head_position[0], out.head_position[1], out.head_orientation = s.head[0], s.head[1], s.head[2]

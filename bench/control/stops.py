@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
 from bench.control.homing import search_cause
 from bench.control.model import model_cause
@@ -34,14 +35,16 @@ _STRIKE = 0.030
 @compiled
 def table_column(cause: int) -> int:
     """Return the column of the stopping table for a broken limit of motion or of the model."""
-    if cause >= Cause.SHOULDER_SENSOR:
+    if Cause.SHOULDER_SENSOR <= cause <= Cause.WRIST_SENSOR:
         return DOUBTED
-    if Cause.SHOULDER_JUMP <= cause < Cause.SHOULDER_FLOW:
+    if Cause.SHOULDER_JUMP <= cause <= Cause.WRIST_EFFORT:
         return LOST
-    if cause >= Cause.SHOULDER_AIR or Cause.SHOULDER_FOLLOWING <= cause < Cause.SHOULDER_FOLLOWING + 3:
-        first = Cause.SHOULDER_AIR if cause >= Cause.SHOULDER_AIR else Cause.SHOULDER_FOLLOWING
-        return WRIST_DISOBEYED if (cause - first) % 3 == 2 else DISOBEYED  # one cause a joint
-    return TRUSTED
+    # One cause a joint.
+    if cause in (Cause.SHOULDER_FOLLOWING, Cause.ARM_FOLLOWING):
+        return DISOBEYED
+    if Cause.SHOULDER_AIR <= cause <= Cause.WRIST_FLOW:
+        return WRIST_DISOBEYED if (cause - Cause.SHOULDER_AIR) % 3 == 2 else DISOBEYED
+    return WRIST_DISOBEYED if cause == Cause.WRIST_FOLLOWING else TRUSTED
 
 
 @compiled
@@ -66,6 +69,8 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
             react(state, parameters, Cause.DEVICE_PASSIVE, DISOBEYED, time)
         elif not s.supervisor_alive:
             react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
+        elif air_cause(s) != 0:
+            react(state, parameters, air_cause(s), TRUSTED, time)
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
             _watch_braking(state, parameters, time)
@@ -148,6 +153,8 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
         s.measured_step,
         charging(s, time),
     )
+    if broken == Cause.SUPPLY_PRESSURE and s.sensor_doubt[0] > 0.0:
+        broken = Cause.SUPPLY_SENSOR.value
     if broken == 0 and not charging(s, time):
         broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     longest = s.move_time + parameters.control[0].move_timeout

@@ -158,6 +158,10 @@ class BenchStatus(TypedDict):
     supply_pressure_pa: float | None
     chamber_pressure_pa: list[float | None]
     """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
+    air_faults: list[str]
+    """Texts of the pressure sensors that give no believable value, and of the vents that do not obey."""
+    vents_open: list[bool | None]
+    """Position of each of the two vents; None without feedback."""
     emergency_stop_clear: bool
     guard_closed: bool
     guard_locked: bool

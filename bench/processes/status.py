@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bench.control.air_watch import SENSORS, VENTS
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.network.bench_service import (
     STATUS_VERSION,
@@ -66,6 +67,8 @@ def status_of(
         "joints_deg": [_number(x) for x in np.rad2deg(r["angle"])],
         "supply_pressure_pa": _number(r["supply_pressure"]),
         "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
+        "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
+        "vents_open": [bool(x) if isfinite(x) else None for x in r["vent_open"]],
         "emergency_stop_clear": bool(r["emergency_stop_clear"]),
         "guard_closed": bool(r["guard_closed"]),
         "guard_locked": bool(r["guard_locked"]),
@@ -84,6 +87,13 @@ def _cause(cause: Cause) -> CauseStatus | None:
     return CauseStatus(name=cause.name, text=CAUSE_TEXT[cause]) if cause else None
 
 
+def _air_faults(bits: int) -> list[Cause]:
+    """Return the causes in `bits`, as `bench.control.air_watch.air_fault` has them."""
+    order = [Cause(Cause.SUPPLY_SENSOR + k) for k in range(SENSORS)]
+    order += [Cause(Cause.VENT_1 + k) for k in range(VENTS)]
+    return [fault for k, fault in enumerate(order) if bits >> k & 1]
+
+
 def _number(value: float) -> float | None:
-    """Return `value` for JSON, None for NaN."""
+    """Return `value` for JSON, None if it is not finite."""
     return float(value) if isfinite(value) else None

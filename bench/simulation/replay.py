@@ -51,6 +51,7 @@ INPUTS = frozenset(
         "device_operational",
         "encoder_count",
         "encoder_valid",
+        "vent_open",
         "encoder_age",
         "encoder_time",
         "encoder_indexed",
@@ -73,6 +74,7 @@ DECIDED = frozenset(
         "refusal",
         "homed",
         "vented",
+        "air_fault",
         "phase",
         "reaction",
         "trip",
@@ -227,6 +229,8 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         given = configuration.get(name, {})
         recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
         today = as_tree({name: _as_json(asdict(kind()))}, file, faults)
+        before = {key: value for key, value in _BEFORE.get(name, {}).items() if key not in given}
+        recorded = laid_over(recorded, as_tree({name: before}, file, faults))
         defaults += _missing(today, recorded, "")
         tree = laid_over(today, recorded)[name]
         cure = "Replay it with the version of golfbench that wrote it, or renew the record."
@@ -250,6 +254,10 @@ _SETTINGS: Mapping[str, type[Any]] = {
     "homing": HomingSettings,
 }
 """Arguments of `build_controller` by their table in the configuration."""
+
+
+_BEFORE: Mapping[str, Any] = {"plant": {"vent_feedback": False}}
+"""Values of settings for records of before they existed: what the machine was then, not today's default."""
 
 
 def _as_json(value: Any) -> Any:

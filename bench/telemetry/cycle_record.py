@@ -10,6 +10,7 @@ unpacking lists, Parquet compresses each channel by itself, and a reader may loa
 
 from __future__ import annotations
 
+from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +18,11 @@ import pyarrow as pa
 
 from drivers.base import CHAMBERS, JOINTS
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of FIELDS; stored in every file and message."""
+
+READABLE_VERSIONS = (2, SCHEMA_VERSION)
+"""Versions of files that can be read: a field that they do not have yet has its `before`."""
 
 _CHAMBERS = tuple(chamber.replace(" ", "_").lower() for chamber in CHAMBERS)
 _PLANE = ("x", "y")
@@ -35,6 +39,8 @@ class Field(NamedTuple):
     text: str
     components: tuple[str, ...] = ()
     """Names of the components of a vector; empty for a scalar."""
+    before: float | None = None
+    """Value in records of versions that did not have the field; None: every readable version has it."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -96,8 +102,16 @@ FIELDS = (
     Field("guard_locked", "?", "1", "guard seen locked"),
     Field("ball_present", "?", "1", "ball seen on the tee"),
     Field("local_reset", "?", "1", "local reset input"),
-    Field("supply_pressure", "f8", "Pa", "supply pressure, absolute; NaN when not fitted"),
-    Field("chamber_pressure", "f8", "Pa", "chamber pressure, absolute; NaN when not fitted", _CHAMBERS),
+    Field("supply_pressure", "f8", "Pa", "supply pressure, absolute; NaN: not fitted, infinite: no value"),
+    Field(
+        "chamber_pressure",
+        "f8",
+        "Pa",
+        "chamber pressure, absolute, as above",
+        _CHAMBERS,
+    ),
+    Field("vent_open", "f8", "1", "vent seen open (1) or shut (0); NaN when not fitted", ("1", "2"), nan),
+    Field("air_fault", "i4", "1", "sensors and vents that fail, see `bench.control.air_watch`", (), 0),
     Field("head_position", "f8", "m", "club head in the swing plane, from the estimated angles", _PLANE),
     Field("head_orientation", "f8", "rad", "club's angle in the swing plane, from the estimated angles"),
     Field("plant_angle", "f8", "rad", "true joint angle; simulation only, else NaN", JOINTS),
@@ -153,13 +167,17 @@ def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
 def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
     """Return the records of CYCLE in `table`, bit for bit those given to `to_arrow`.
 
-    A column of `_ADDED` may be missing. Raises KeyError naming the first other one that is.
+    A column that the table's version did not have yet gets its field's `before`, or the value of the column
+    that `_ADDED` names. Raises KeyError naming the first other one that is missing.
     """
     present = set(table.column_names)
     cycles = np.zeros(table.num_rows, CYCLE)
     for field in FIELDS:
         target = cycles[field.name].reshape(table.num_rows, len(field.columns))
         for index, column in enumerate(field.columns):
+            if field.before is not None and column not in present:
+                target[:, index] = field.before
+                continue
             stored = column if column in present else _ADDED.get(column, column)
             target[:, index] = table.column(stored).to_numpy()
     return cycles

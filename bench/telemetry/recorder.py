@@ -13,7 +13,14 @@ import pyarrow.parquet as pq
 
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
-from bench.telemetry.cycle_record import CYCLE, FIELDS, SCHEMA_VERSION, from_arrow, to_arrow
+from bench.telemetry.cycle_record import (
+    CYCLE,
+    FIELDS,
+    READABLE_VERSIONS,
+    SCHEMA_VERSION,
+    from_arrow,
+    to_arrow,
+)
 from bench.telemetry.whole_file import whole_file
 
 METADATA_KEY = b"golfbench"
@@ -96,7 +103,7 @@ def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
             "name a file that a swing has written",
         )
     metadata: dict[str, Any] = json.loads(stored[METADATA_KEY])
-    if metadata.get("schema_version") != SCHEMA_VERSION:
+    if metadata.get("schema_version") not in READABLE_VERSIONS:
         raise BenchError(
             str(path),
             f"schema version {metadata.get('schema_version')}",

@@ -41,7 +41,22 @@ SNAPSHOT = np.dtype(
 
 _KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
 
-_ADDED: Mapping[str, frozenset[str]] = {"control": frozenset({"stopped_at", "moved_at", "unseen"})}
+_ADDED: Mapping[str, frozenset[str]] = {
+    "control": frozenset(
+        {
+            "stopped_at",
+            "moved_at",
+            "unseen",
+            "sensor_seen",
+            "sensor_shown",
+            "sensor_doubt",
+            "sensor_dead",
+            "vent_fitted",
+            "vent_agreed",
+            "vent_wrong",
+        }
+    )
+}
 """Fields that the controller's memory did not have in records of before; there they are as at power-up."""
 
 

@@ -24,6 +24,10 @@ CHAMBERS = tuple(f"{actuator} {side}" for actuator in ACTUATORS for side in ("A"
 ABSENT = float("nan")
 """A channel that is not fitted. Never zero: zero is a value."""
 
+INVALID = float("inf")
+"""A channel that is fitted and gives no believable value: cable cut, short circuit, device silent. It is no
+smaller than any limit, so that whoever forgets to look takes a chamber for full, not for empty."""
+
 Triple = tuple[float, float, float]
 
 
@@ -42,13 +46,15 @@ class Readings(NamedTuple):
     guard_closed: bool
     guard_locked: bool
     supply_pressure: float
-    """Pa absolute; ABSENT when not fitted."""
+    """Pa absolute; ABSENT when not fitted, INVALID when not believable."""
     local_reset: bool
     ball_present: bool
     chamber_pressure: tuple[float, float, float, float, float, float]
-    """Pa absolute in the order of CHAMBERS; ABSENT when not fitted."""
+    """Pa absolute in the order of CHAMBERS; ABSENT when not fitted, INVALID when not believable."""
     encoder_indexed: tuple[bool, bool, bool] = (True, True, True)
     """The count is absolute. An incremental encoder's is once its index has passed, which zeroes it."""
+    vent_open: tuple[float, float] = (ABSENT, ABSENT)
+    """Feedback of the two vents: 1 open, 0 shut; ABSENT when not fitted, INVALID when not believable."""
 
 
 class Command(NamedTuple):
@@ -59,7 +65,7 @@ class Command(NamedTuple):
     supply_enable: bool = False
     """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
     exhaust_closed: bool = False
-    """True closes the normally open, throttled chamber vents."""
+    """True closes both of the normally open chamber vents."""
     guard_lock: bool = True
     """True leaves the guard to its locking spring; False energises the release."""
     beacon: bool = False
@@ -100,6 +106,7 @@ READINGS = np.dtype(
         ("ball_present", "?"),
         ("chamber_pressure", "f8", (6,)),
         ("encoder_indexed", "u1", (3,)),
+        ("vent_open", "f8", (2,)),
     ],
     align=True,
 )
@@ -144,6 +151,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         ball,
         chamber,
         indexed,
+        vents,
     ) = record.item()
     v1, v2, v3 = valid.tolist()
     i1, i2, i3 = indexed.tolist()
@@ -161,7 +169,13 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         ball,
         tuple(chamber.tolist()),
         (i1 != 0, i2 != 0, i3 != 0),
+        tuple(vents.tolist()),
     )
+
+
+def believed(pressure: float, lowest: float, highest: float) -> float:
+    """Return `pressure` (Pa absolute) if it lies between the two, else INVALID; NaN is INVALID."""
+    return pressure if lowest <= pressure <= highest else INVALID
 
 
 def pack_command(command: Command, record: np.ndarray[Any, Any]) -> None:

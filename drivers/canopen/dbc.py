@@ -98,7 +98,7 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
         "Valves (centred at canopen.valve_node.centre) and switches",
         period,
     )
-    contacts = tuple(Signal(name, bit, 1) for name, bit in vars(node.inputs).items())
+    contacts = tuple(Signal(name, bit, 1) for name, bit in vars(node.inputs).items() if bit >= 0)
     yield Frame(
         TPDO1 + node.node,
         "INPUTS",

@@ -26,7 +26,17 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-from drivers.base import ABSENT, JOINTS, PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.base import (
+    ABSENT,
+    INVALID,
+    JOINTS,
+    PASSIVE,
+    Command,
+    DriverError,
+    Readings,
+    believed,
+    device_limited,
+)
 from drivers.can_bus import ERROR, FRAME
 from drivers.canopen.counters import BusCounters
 from drivers.canopen.frames import (
@@ -150,7 +160,11 @@ class CanopenDriver:
             1 << inputs.local_reset,
             1 << inputs.ball_present,
         )
+        # A bit that is not fitted has no mask.
+        first, second = inputs.vent_1_open, inputs.vent_2_open
+        self._vent_bits = (1 << first if first >= 0 else 0, 1 << second if second >= 0 else 0)
         self._pressure_zero = valve_node.pressure_at_zero
+        self._believable = valve_node.lowest_pressure, valve_node.highest_pressure
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
         self._pressure_groups = pressure_groups(valve_node)
         self._supply, self._chambers = valve_node.supply_pressure, valve_node.chamber_pressures
@@ -169,7 +183,8 @@ class CanopenDriver:
         self._in_time = False
         """Whether answers received now belong to this tick's SYNC."""
         self._inputs = 0
-        self._pressures = dict.fromkeys(range(255), ABSENT)
+        self._pressures = dict.fromkeys(self.settings.valve_node.analogue_inputs, INVALID) | {0: ABSENT}
+        """By sub-index; 0 is that of what is not fitted."""
         self._pressures_received = [-math.inf] * len(self._pressure_groups)
         self._last_heard = [0.0] * 4
         self._listened = 0.0
@@ -432,6 +447,7 @@ class CanopenDriver:
         inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
         seen, faulty = self._seen, self._faulty
         a, b, c = self._sampled
+        one, two = self._vent_bits
         p1, p2, p3, p4, p5, p6 = self._chambers
         return Readings(
             time,
@@ -446,7 +462,14 @@ class CanopenDriver:
             inputs & bits[3] != 0,
             inputs & bits[4] != 0,
             (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
+            vent_open=(self._vent_position(one), self._vent_position(two)),
         )
+
+    def _vent_position(self, mask: int) -> float:
+        """Return what the position switch with the input `mask` says; inputs keep their last values."""
+        if not mask:
+            return ABSENT
+        return INVALID if self.trouble else float(self._inputs & mask != 0)
 
     # Received frames -----------------------------------------------------------------------------
 
@@ -531,8 +554,8 @@ class CanopenDriver:
             self._pressures[channel] = self._pressure_of(count)
 
     def _pressure_of(self, count: int) -> float:
-        """Return the pressure of an analogue `count`, Pa absolute."""
-        return self._pressure_zero + self._pressure_scale * count
+        """Return the pressure of an analogue `count`, Pa absolute; INVALID if it is not believable."""
+        return believed(self._pressure_zero + self._pressure_scale * count, *self._believable)
 
     def _take_heartbeat(self, index: int, data: bytes) -> None:
         if len(data) != 1:
@@ -594,7 +617,7 @@ class CanopenDriver:
             if now - received > self._max_pressure_gap and received > -math.inf:
                 self._pressures_received[n] = -math.inf
                 for channel in self._pressure_groups[n]:
-                    self._pressures[channel] = ABSENT
+                    self._pressures[channel] = INVALID
 
     # Bus access during startup -------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt, Le
 NodeNumber = Annotated[int, Ge(1), Le(127)]
 Number32 = Annotated[int, Ge(0), Le(0xFFFFFFFF)]
 Bit = Annotated[int, Ge(0), Le(7)]
+OptionalBit = Annotated[int, Ge(-1), Le(7)]
 SubIndex = Annotated[int, Ge(1), Le(254)]
 OptionalSubIndex = Annotated[int, Ge(0), Le(254)]
 Volts = Annotated[float, Ge(0.0), Le(10.0)]
@@ -47,6 +48,10 @@ class InputSettings:
     """Bit of the button beside the robot."""
     ball_present: Bit = 4
     """Bit of the ball on the tee."""
+    vent_1_open: OptionalBit = 5
+    """Bit of the first vent's position switch: open; -1 if not fitted."""
+    vent_2_open: OptionalBit = 6
+    """Bit of the second vent's position switch: open; -1 if not fitted."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +102,17 @@ class ValveNodeSettings:
     ] = (2, 3, 4, 5, 6, 7)
     """Sub-indices of 6401h, in the order of the chambers; 0 if not fitted."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
-    """Pressure at count 0, Pa absolute."""
+    """Pressure at count 0, Pa absolute; below zero for a sensor with a live zero (0.5 V, 4 mA)."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
     """Pressure at count 32767, Pa absolute."""
+    lowest_pressure: Annotated[float, Ge(1e3), Le(9e4)] = 0.3e5
+    """Lowest believable pressure, Pa absolute: less is a cut cable."""
+    highest_pressure: Annotated[float, Gt(1e5), Le(1e8)] = 1.55e6
+    """Highest believable pressure, Pa absolute: more is a short circuit."""
+    vent_proof: str = ""
+    """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
+    pressure switches in the guard's circuit. Needed without a supply sensor, and if neither
+    each chamber has a sensor nor both vents have feedback."""
     watchdog_relay: str = ""
     """Name of an external relay that centres the valves when the bench is silent; if empty, a node without a
     fallback of its own is refused."""
@@ -151,11 +164,19 @@ class CanopenSettings:
                 )
         if node.pressure_at_full_scale <= node.pressure_at_zero:
             raise ValueError("valve_node.pressure_at_full_scale: more than pressure_at_zero")
+        if node.pressure_at_zero >= node.lowest_pressure:
+            raise ValueError(
+                "valve_node.lowest_pressure: more than pressure_at_zero, which a cut cable reads"
+            )
+        if node.pressure_at_full_scale <= node.highest_pressure:
+            raise ValueError(
+                "valve_node.highest_pressure: less than pressure_at_full_scale, which a short circuit reads"
+            )
 
     def _distinct(self) -> Iterator[tuple[str, list[int]]]:
         node = self.valve_node
         yield "node numbers", [self.master, *self.encoders.nodes, node.node]
         yield "valve_node.valves", list(node.valves)
-        yield "valve_node.inputs", list(vars(node.inputs).values())
+        yield "valve_node.inputs", [bit for bit in vars(node.inputs).values() if bit >= 0]
         yield "valve_node.outputs", list(vars(node.outputs).values())
         yield "valve_node pressures", list(node.analogue_inputs)

@@ -25,7 +25,17 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base import ABSENT, JOINTS, PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.base import (
+    ABSENT,
+    INVALID,
+    JOINTS,
+    PASSIVE,
+    Command,
+    DriverError,
+    Readings,
+    believed,
+    device_limited,
+)
 from drivers.daq.package import error_text, load_nidaqmx
 from drivers.daq.settings import DaqSettings
 from drivers.daq.watchdog import CardWatchdog
@@ -87,7 +97,7 @@ class DaqDriver:
         self._count, self._indexed = [0, 0, 0], [False] * 3
         self._sampled: list[float] = [ABSENT] * 3
         self._ticks = 0
-        self._inputs = np.zeros(len(vars(s.inputs)), bool)
+        self._inputs = np.zeros(len(s.input_lines), bool)
         self._pressures = np.full(len(s.analogue_inputs), np.nan)
         self._volts = np.array(s.centre)
         self._lines = np.zeros(len(s.output_lines), bool)
@@ -232,7 +242,7 @@ class DaqDriver:
             task.start()
             self._counters.append(readers.CounterReader(task.in_stream))
         lines = self._task()
-        for line in vars(s.inputs).values():
+        for line in s.input_lines:
             lines.di_channels.add_di_chan(self._full(line))
         lines.start()
         self._interlocks = readers.DigitalMultiChannelReader(lines.in_stream)
@@ -415,7 +425,18 @@ class DaqDriver:
     def _readings(self, time: float) -> Readings:
         s, inputs = self.settings, self._inputs.tolist()
         scale = (s.pressure_at_full_scale - s.pressure_at_zero) / FULL_SCALE
-        pressures = iter([s.pressure_at_zero + scale * volts for volts in self._pressures.tolist()])
+        pressures = iter(
+            [
+                believed(s.pressure_at_zero + scale * volts, s.lowest_pressure, s.highest_pressure)
+                for volts in self._pressures.tolist()
+            ]
+        )
+        vents = iter(inputs[len(vars(s.inputs)) :])
+        # Inputs that were not read say False, which is a position of a vent, too.
+        one, two = (
+            ABSENT if not name else INVALID if self.trouble else float(next(vents))
+            for name in s.vent_feedback
+        )
         supply = next(pressures) if s.supply_pressure else ABSENT
         p1, p2, p3, p4, p5, p6 = (next(pressures) if name else ABSENT for name in s.chamber_pressures)
         a, b, c = self._sampled
@@ -433,4 +454,5 @@ class DaqDriver:
             inputs[4],
             (p1, p2, p3, p4, p5, p6),
             (self._indexed[0], self._indexed[1], self._indexed[2]),
+            (one, two),
         )

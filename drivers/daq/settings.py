@@ -67,13 +67,20 @@ class DaqSettings:
     """Analogue input; empty if not fitted."""
     chamber_pressures: tuple[str, str, str, str, str, str] = ("", "", "", "", "", "")
     """Analogue inputs, in the order of the chambers; empty if not fitted."""
+    vent_feedback: tuple[str, str] = ("", "")
+    """Digital inputs of the two vents' position switches, high when open; empty if not fitted."""
     vent_proof: str = ""
-    """What proves outside the bench that chambers are empty before the guard opens, such as pressure switches
-    in the guard's circuit; needed without chamber sensors."""
+    """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
+    pressure switches in the guard's circuit. Needed without a supply sensor, and if neither
+    each chamber has a sensor nor both vents have feedback."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
-    """Pressure at 0 V, Pa absolute."""
+    """Pressure at 0 V, Pa absolute; below zero for a sensor with a live zero (0.5 V, 4 mA)."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
     """Pressure at 10 V, Pa absolute."""
+    lowest_pressure: Annotated[float, Ge(1e3), Le(9e4)] = 0.3e5
+    """Lowest believable pressure, Pa absolute: less is a cut cable."""
+    highest_pressure: Annotated[float, Gt(1e5), Le(1e8)] = 1.55e6
+    """Highest believable pressure, Pa absolute: more is a short circuit."""
     pressure_ticks: Annotated[int, Ge(1), Le(240)] = 10
     """Ticks between two pressure readings."""
     answer_time: Annotated[float, Gt(0.0), Le(0.01)] = 0.001
@@ -101,6 +108,12 @@ class DaqSettings:
                 )
         if self.pressure_at_full_scale <= self.pressure_at_zero:
             raise ValueError("pressure_at_full_scale: more than pressure_at_zero")
+        if self.pressure_at_zero >= self.lowest_pressure:
+            raise ValueError("lowest_pressure: more than pressure_at_zero, which a cut cable reads")
+        if self.pressure_at_full_scale <= self.highest_pressure:
+            raise ValueError(
+                "highest_pressure: less than pressure_at_full_scale, which a short circuit reads"
+            )
         if bool(self.watchdog_relay) != bool(self.watchdog_line):
             raise ValueError("watchdog_relay and watchdog_line: both or none; the line feeds the relay")
 
@@ -110,6 +123,11 @@ class DaqSettings:
         return (*vars(self.outputs).values(), *filter(None, (self.sync_line, self.watchdog_line)))
 
     @property
+    def input_lines(self) -> tuple[str, ...]:
+        """All digital inputs: those of the bench, then the fitted feedback of the vents."""
+        return (*vars(self.inputs).values(), *filter(None, self.vent_feedback))
+
+    @property
     def analogue_inputs(self) -> tuple[str, ...]:
         """Fitted analogue inputs: supply, then chambers."""
         return tuple(filter(None, (self.supply_pressure, *self.chamber_pressures)))
@@ -117,5 +135,5 @@ class DaqSettings:
     def _distinct(self) -> Iterator[tuple[str, list[str]]]:
         yield "counters", list(self.counters)
         yield "valves", list(self.valves)
-        yield "inputs and outputs", [*vars(self.inputs).values(), *self.output_lines]
+        yield "inputs and outputs", [*self.input_lines, *self.output_lines]
         yield "supply_pressure and chamber_pressures", list(self.analogue_inputs)

@@ -88,7 +88,7 @@ class ProcessPlantDriver:
             )
         self._last_time = time
         self._incoming.read(self.report)
-        (_, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed) = (
+        (_, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed, vents) = (
             self._readings.item()
         )
         a, b, c = stamp.tolist()
@@ -108,6 +108,7 @@ class ProcessPlantDriver:
             ball,
             tuple(chamber.tolist()),
             (i1 != 0, i2 != 0, i3 != 0),
+            tuple(vents.tolist()),
         )
 
     def write(self, command: Command) -> Command:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 from pathlib import Path
 
 from drivers.base import Command, Readings, device_limited
@@ -20,8 +21,8 @@ class ValveNode401(CanopenDevice):
     """Valve node; `obey` applies the command given by its outputs.
 
     Wiring. Digital inputs from bit 0: emergency stop clear, guard closed, guard locked, local reset, ball
-    present. Digital outputs from bit 0: supply, exhaust closed, release of the guard's lock, beacon, tee.
-    Analogue outputs: the valves; inputs: supply pressure, then the chambers.
+    present, vents 1 and 2 open. Digital outputs from bit 0: supply, exhaust closed, release of the guard's
+    lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the chambers.
     """
 
     def __init__(self, number: int, eds: Path, send: Send, obey: Callable[[Command], None]) -> None:
@@ -53,6 +54,8 @@ class ValveNode401(CanopenDevice):
             readings.guard_locked,
             readings.local_reset,
             readings.ball_present,
+            readings.vent_open[0] == 1.0,
+            readings.vent_open[1] == 1.0,
         )
         inputs = sum(closed << bit for bit, closed in enumerate(contacts))
         self._measure((readings.supply_pressure, *readings.chamber_pressure))
@@ -62,7 +65,8 @@ class ValveNode401(CanopenDevice):
 
     def _measure(self, pressures: Sequence[float]) -> None:
         for channel, pressure in enumerate(pressures, start=1):
-            count = round(pressure / _PRESSURE_PER_VOLT / self._volts)
+            # A sensor without a cable gives 0 V.
+            count = round(pressure / _PRESSURE_PER_VOLT / self._volts) if isfinite(pressure) else 0
             self.put(_VOLTAGE_IN, channel, max(0, min(0x7FFF, count)))
 
     def _drive(self) -> None:

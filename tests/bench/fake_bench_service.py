@@ -113,6 +113,8 @@ class FakeDesk:
             joints_deg=[32.71, 237.3, None],
             supply_pressure_pa=8.01e5,
             chamber_pressure_pa=[1.013e5, 1.013e5, 1.02e5, 1.013e5, None, None],
+            air_faults=[],
+            vents_open=[True, True],
             emergency_stop_clear=True,
             guard_closed=True,
             guard_locked=False,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf, nextafter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,10 +99,53 @@ def test_a_real_robot_has_its_button_and_its_warning(real: Configuration) -> Non
     assert set(found) == {"lifecycle.local_reset", "lifecycle.warning_time"}
 
 
-def test_without_chamber_sensors_the_card_needs_another_proof(real: Configuration) -> None:
-    assert set(mistakes(replace(real, daq=replace(real.daq, vent_proof="")))) == {"daq.chamber_pressures"}
-    sensors = ("ai1", "ai2", "ai3", "ai4", "ai5", "ai6")
-    assert not mistakes(replace(real, daq=replace(real.daq, vent_proof="", chamber_pressures=sensors)))
+SENSORS = ("ai1", "ai2", "ai3", "ai4", "ai5", "ai6")
+
+
+@pytest.mark.parametrize(
+    ("fitted", "missing"),
+    [
+        ({}, {"supply_pressure", "chamber_pressures"}),
+        ({"supply_pressure": "ai0"}, {"chamber_pressures"}),
+        ({"chamber_pressures": SENSORS}, {"supply_pressure"}),
+        ({"supply_pressure": "ai0", "chamber_pressures": (*SENSORS[:5], "")}, {"chamber_pressures"}),
+        ({"supply_pressure": "ai0", "vent_feedback": ("port0/line5", "")}, {"chamber_pressures"}),
+        ({"supply_pressure": "ai0", "chamber_pressures": SENSORS}, set()),
+        ({"supply_pressure": "ai0", "vent_feedback": ("port0/line5", "port0/line6")}, set()),
+        ({"vent_proof": "pressure switches PS1 to PS7 in the guard circuit"}, set()),
+    ],
+)
+def test_the_card_proves_the_vent_or_names_what_does(
+    real: Configuration, fitted: dict[str, Any], missing: set[str]
+) -> None:
+    found = mistakes(replace(real, daq=replace(real.daq, **{"vent_proof": ""} | fitted)))
+    assert set(found) == {f"daq.{key}" for key in missing}
+    assert all("vent_proof" in expected for expected in found.values())
+
+
+@pytest.mark.parametrize(
+    ("node", "vents", "missing"),
+    [
+        ({}, (5, 6), set()),
+        ({"supply_pressure": 0}, (5, 6), {"supply_pressure"}),
+        ({"chamber_pressures": (0,) * 6}, (5, 6), set()),
+        ({"chamber_pressures": (0,) * 6}, (5, -1), {"chamber_pressures"}),
+        ({"chamber_pressures": (0,) * 6, "vent_proof": "switches"}, (-1, -1), set()),
+        ({}, (-1, -1), set()),
+    ],
+)
+def test_the_node_proves_the_vent_or_names_what_does(
+    simulated: Configuration, node: dict[str, Any], vents: tuple[int, int], missing: set[str]
+) -> None:
+    lifecycle = replace(simulated.lifecycle, local_reset=True)
+    chosen = simulated.canopen.valve_node
+    inputs = replace(chosen.inputs, vent_1_open=vents[0], vent_2_open=vents[1])
+    canopen = replace(simulated.canopen, valve_node=replace(chosen, inputs=inputs, **node))
+    driver = replace(simulated.driver, name="canopen")
+    c = replace(simulated, driver=driver, canopen=canopen, lifecycle=lifecycle)
+    assert c.is_machine
+    found = {key for key in mistakes(c) if "canopen" in key}
+    assert found == {f"canopen.valve_node.{key}" for key in missing}
 
 
 @pytest.mark.parametrize("interface", ["local_socket", "socketcan"])

@@ -99,7 +99,7 @@ class Puppet:
         self.supply: float | None = None
         """Pressure that the manifold always shows (Pa); None: it follows the supply valve."""
         r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = ATMOSPHERE, nan, 1
-        r["encoder_indexed"] = 1
+        r["encoder_indexed"], r["vent_open"] = 1, nan
 
     @property
     def control(self) -> Any:

@@ -41,6 +41,7 @@ readings = st.builds(
     local_reset=switch,
     ball_present=switch,
     chamber_pressure=st.tuples(*(number,) * 6),
+    vent_open=st.tuples(number, number),
 )
 commands = st.builds(Command, triple, *(switch,) * 5)
 

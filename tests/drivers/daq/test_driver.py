@@ -11,7 +11,7 @@ import nidaqmx._base_interpreter
 import nidaqmx._library_interpreter
 import pytest
 
-from drivers.base import PASSIVE, Command, DriverError
+from drivers.base import INVALID, PASSIVE, Command, DriverError
 from drivers.daq.driver import PRESET, DaqDriver
 from drivers.daq.settings import DaqSettings, OutputLines
 from tests.drivers.daq.system import Card, System
@@ -125,6 +125,38 @@ def test_readings(driver: DaqDriver, card: Card) -> None:
     assert seen.supply_pressure == pytest.approx(9.6e5)
 
 
+RATIOMETRIC = {"pressure_at_zero": -2e5, "pressure_at_full_scale": 3.8e6, "highest_pressure": 1.7e6}
+"""0.5 V at 0 bar, 4.5 V at 16 bar."""
+
+
+@pytest.mark.parametrize(
+    ("scale", "volts"),
+    [({}, 0.0), ({}, 0.1), ({}, 10.0), (RATIOMETRIC, 0.0), (RATIOMETRIC, 0.45), (RATIOMETRIC, 5.0)],
+)
+def test_a_cut_or_shorted_sensor_is_invalid_and_never_empty(
+    scale: dict[str, float], volts: float, card: Card, bench: Bench
+) -> None:
+    driver = bench(settings=replace(FULL, **scale))
+    driver.open()
+    card.levels |= dict.fromkeys(("ai0", "ai1", "ai2", "ai3", "ai4", "ai5"), 1.0)
+    assert math.isfinite(driver.read(0.0).chamber_pressure[0])
+    card.levels |= {"ai0": volts, "ai1": volts}
+    for tick in range(12):
+        seen = driver.read(0.001 + tick / 1000)
+    assert seen.supply_pressure == seen.chamber_pressure[0] == INVALID
+    assert math.isfinite(seen.chamber_pressure[1])
+    assert math.isnan(seen.chamber_pressure[2])  # not fitted
+
+
+def test_the_vents_tell_where_they_are(card: Card, bench: Bench) -> None:
+    driver = bench(settings=replace(FULL, vent_feedback=("port0/line5", "port0/line6")))
+    driver.open()
+    card.lines |= {"port0/line5": True}
+    assert driver.read(0.0).vent_open == (1.0, 0.0)
+    card.gone = True
+    assert driver.read(0.001).vent_open == (INVALID, INVALID)
+
+
 @pytest.mark.parametrize("unsigned", [False, True])
 def test_the_count_itself_tells_whether_the_index_has_passed(
     bench: Bench, card: Card, unsigned: bool
@@ -199,7 +231,7 @@ def test_a_card_that_is_pulled_out(driver: DaqDriver, card: Card) -> None:
     card.lines["port0/line0"] = True
     seen = driver.read(1.0)
     assert not seen.emergency_stop_clear
-    assert math.isnan(seen.supply_pressure)
+    assert seen.supply_pressure == INVALID
     assert driver.trouble
     assert driver.write(MOVING) == PASSIVE
     driver.make_passive()
@@ -325,6 +357,9 @@ def test_a_card_in_use_is_told(bench: Bench, driver: DaqDriver) -> None:
         ({"watchdog_relay": "K1"}, "the line feeds the relay"),
         ({"watchdog_line": "port0/line6"}, "the line feeds the relay"),
         ({"pressure_at_zero": 2e5, "pressure_at_full_scale": 1e5}, "pressure"),
+        ({"pressure_at_zero": 0.5e5}, "a cut cable"),
+        ({"highest_pressure": 1.6e6}, "a short circuit"),
+        ({"vent_feedback": ("port0/line3", "port0/line5")}, "inputs and outputs"),
     ],
 )
 def test_settings_that_contradict_themselves(wrong: dict[str, Any], says: str) -> None:

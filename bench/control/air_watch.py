@@ -1,0 +1,133 @@
+"""Watch over the air's sensors and vents: what fails is named, and proves nothing any more.
+
+A pressure sensor that was believable once, or that its driver calls INVALID, is fitted. One that gives no
+believable value for a while is dead: nothing is armed, homed or reset, and what it would have shown has to be
+proven in another way. One lost frame is no death: until then its last value counts.
+
+The chambers vent through either of two valves. Each may report its position; one that does not follow its
+command is named at that switching, while the other still vents.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.lifecycle import Cause, State
+from drivers.base.compiled import compiled
+
+SENSORS = 7
+"""Supply first, then the chambers in the order of `drivers.base.CHAMBERS`."""
+VENTS = 2
+
+DEAD_AFTER = 0.1
+"""s without a believable value after which a sensor is dead."""
+RECOVERY = 0.25
+"""s of doubt that a second of believable values takes away: one value in five may be missing for ever."""
+SWITCHING = 0.5
+"""s that a vent may take to follow its command, beside its delay."""
+_LONGEST = 0.02
+"""s that one tick adds to a doubt at most: a stalled loop has read nothing."""
+
+
+@compiled
+def _is_believable(p: Any, pressure: float) -> bool:
+    return bool(np.isfinite(pressure) and p.lowest_pressure <= pressure <= p.highest_pressure)
+
+
+@compiled
+def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, time: float) -> None:
+    """Judge sensors and vents `step` s after the last tick; `exhaust_closed` was commanded in it."""
+    r = readings[0]
+    passed = min(step, _LONGEST)
+    for k in range(SENSORS):
+        pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
+        if _is_believable(p, pressure):
+            s.sensor_seen[k], s.sensor_shown[k] = 1, pressure
+            s.sensor_doubt[k] = max(s.sensor_doubt[k] - RECOVERY * passed, 0.0)
+        elif s.sensor_seen[k] != 0 or not np.isnan(pressure):
+            s.sensor_doubt[k] = min(s.sensor_doubt[k] + passed, DEAD_AFTER)
+        if s.sensor_doubt[k] >= DEAD_AFTER:
+            s.sensor_dead[k] = 1
+        elif s.sensor_doubt[k] <= 0.0:
+            s.sensor_dead[k] = 0
+    wanted = 0.0 if exhaust_closed else 1.0
+    # A passive device and an open emergency stop circuit let the vents open by themselves.
+    opened = not s.device_operational or not r.emergency_stop_clear
+    allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
+    for k in range(VENTS):
+        position = r.vent_open[k]
+        fitted = s.vent_fitted[k] != 0 or not np.isnan(position)
+        s.vent_fitted[k] = fitted
+        if not fitted or position == wanted or (exhaust_closed and opened):
+            s.vent_agreed[k] = time
+        s.vent_wrong[k] = fitted and time - s.vent_agreed[k] > allowed
+
+
+@compiled
+def air_cause(s: Any) -> int:
+    """Return the cause that names the first dead sensor or wrong vent, or 0."""
+    for k in range(SENSORS):
+        if s.sensor_dead[k] != 0:
+            return Cause.SUPPLY_SENSOR + k
+    for k in range(VENTS):
+        if s.vent_wrong[k] != 0:
+            return Cause.VENT_1 + k
+    return 0
+
+
+@compiled
+def air_fault(s: Any) -> int:
+    """Return what fails as bits: the sensors from bit 0, then the vents."""
+    bits = 0
+    for k in range(SENSORS):
+        if s.sensor_dead[k] != 0:
+            bits |= 1 << k
+    for k in range(VENTS):
+        if s.vent_wrong[k] != 0:
+            bits |= 1 << (SENSORS + k)
+    return bits
+
+
+@compiled
+def chambers_show_pressure(s: Any, p: Any) -> bool:
+    """Return whether a living sensor shows pressure in its chamber."""
+    for k in range(1, SENSORS):
+        if s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0 and s.sensor_shown[k] > p.vented_pressure:
+            return True
+    return False
+
+
+@compiled
+def manifold_shows_pressure(s: Any, p: Any) -> bool:
+    """Return whether a living sensor shows pressure in the manifold."""
+    return bool(s.sensor_seen[0] != 0 and s.sensor_dead[0] == 0 and s.sensor_shown[0] > p.vented_pressure)
+
+
+@compiled
+def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
+    """Return whether manifold and chambers that show no pressure are proven empty.
+
+    Chambers by a sensor in each. For a dead one, by a vent that reports open and the longest time; without
+    that feedback it may as well be full. Without sensors, by a vent that reports open and the time for
+    venting; without feedback by that time alone. A manifold with a dead sensor is proven by nothing. A doubt
+    keeps out who is not in yet, and sends out nobody.
+    """
+    whole, dead = True, False
+    for k in range(SENSORS):
+        if s.sensor_dead[k] == 0 and s.sensor_doubt[k] > 0.0 and s.state != State.ACCESS:
+            return False
+        if k > 0:
+            dead = dead or s.sensor_dead[k] != 0
+            whole = whole and s.sensor_seen[k] != 0
+    fitted = s.vent_fitted[0] != 0 or s.vent_fitted[1] != 0
+    opened = readings[0].vent_open[0] == 1.0 or readings[0].vent_open[1] == 1.0
+    passed = time - s.vent_start
+    if s.sensor_dead[0] != 0:
+        return False
+    if dead:
+        return bool(opened and passed >= p.vent_time + p.vented_blind)
+    if whole:
+        return True
+    return bool(passed >= p.vent_time and (opened or not fitted))
