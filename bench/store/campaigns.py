@@ -7,7 +7,8 @@ transaction. What a crash leaves is therefore at worst a file that no row knows,
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -18,11 +19,29 @@ from sqlalchemy.exc import IntegrityError
 
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.store.tables import CampaignEventRow, CampaignPromptRow, CampaignRow, HitCountRow, Row, ShotRow
+from bench.store.database import transaction
+from bench.store.tables import (
+    CampaignEventRow,
+    CampaignPromptRow,
+    CampaignRow,
+    CampaignRunRow,
+    HitCountRow,
+    Row,
+    ShotNoteRow,
+    ShotRow,
+)
 
-_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS = (
+_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES = (
     Row.metadata.tables[row.__tablename__]
-    for row in (CampaignRow, ShotRow, CampaignEventRow, CampaignPromptRow, HitCountRow)
+    for row in (
+        CampaignRow,
+        ShotRow,
+        CampaignEventRow,
+        CampaignPromptRow,
+        HitCountRow,
+        CampaignRunRow,
+        ShotNoteRow,
+    )
 )
 
 
@@ -85,6 +104,8 @@ class StoredShot(NamedTuple):
     shot: Shot
     file: str = ""
     bytes: int = 0
+    set_aside: bool = False
+    """Whether its block was restarted after it."""
 
 
 class Event(NamedTuple):
@@ -94,6 +115,28 @@ class Event(NamedTuple):
     before_shot: int
     kind: str
     text: str
+
+
+class CampaignRun(NamedTuple):
+    """One run of a campaign: from its begin or a resume until the runner ends."""
+
+    number: int
+    """From 1, within its campaign."""
+    began: datetime
+    by: str
+    versions: Mapping[str, Any]
+    facts: Mapping[str, Any]
+    """Facts of the running bench, and the digest of the configuration."""
+
+
+class ShotNote(NamedTuple):
+    """A person's mark or comment on a shot."""
+
+    shot: int
+    date: datetime
+    by: str
+    text: str
+    """Empty: a mark without a comment."""
 
 
 class Prompt(NamedTuple):
@@ -125,6 +168,8 @@ class CampaignStore:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self.waiting: Callable[[float], None] | None = None
+        """Called with the time waited (s) while another process holds the database; raises to give up."""
 
     @property
     def database(self) -> Engine:
@@ -144,7 +189,8 @@ class CampaignStore:
         }
         try:
             with self._writing() as connection:
-                connection.execute(insert(_CAMPAIGNS).values(values))
+                last = connection.scalar(select(func.max(_CAMPAIGNS.c.number))) or 0
+                connection.execute(insert(_CAMPAIGNS).values(values | {"number": last + 1}))
         except IntegrityError:
             raise Refused(
                 f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
@@ -157,7 +203,7 @@ class CampaignStore:
             BenchError: there is no such campaign.
         """
         names = CampaignEntry.__dataclass_fields__
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             query = select(*(_CAMPAIGNS.c[name] for name in names)).where(_CAMPAIGNS.c.id == campaign)
             found = connection.execute(query).mappings().first()
         if found is None:
@@ -167,10 +213,11 @@ class CampaignStore:
         return CampaignEntry(**found)
 
     def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
-        """Return all campaigns, the newest first, with their states and shots by status."""
+        """Return all campaigns with their states and shots by status, the one begun last first."""
         names = CampaignEntry.__dataclass_fields__
-        with self._engine.connect() as connection:
-            rows = connection.execute(select(_CAMPAIGNS).order_by(_CAMPAIGNS.c.date.desc())).mappings().all()
+        last_first = _CAMPAIGNS.c.number.desc(), _CAMPAIGNS.c.date.desc()
+        with self._reading() as connection:
+            rows = connection.execute(select(_CAMPAIGNS).order_by(*last_first)).mappings().all()
             counts: dict[str, Counter[str]] = {}
             grouped = select(_SHOTS.c.campaign, _SHOTS.c.status, func.count()).group_by(
                 _SHOTS.c.campaign, _SHOTS.c.status
@@ -189,7 +236,7 @@ class CampaignStore:
     def standing(self, campaign: str) -> Standing:
         """Return the state of a campaign."""
         c = _CAMPAIGNS.c
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
@@ -202,12 +249,13 @@ class CampaignStore:
         """Return its shots in order."""
         query = select(_SHOTS).where(_SHOTS.c.campaign == campaign).order_by(_SHOTS.c.shot)
         names = [column.name for column in COLUMNS]
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             return [
                 StoredShot(
                     Shot(**{name: row[name] for name in names} | {"status": ShotStatus(row["status"])}),
                     row["file"],
                     row["bytes"],
+                    bool(row["set_aside"]),
                 )
                 for row in connection.execute(query).mappings()
             ]
@@ -220,21 +268,75 @@ class CampaignStore:
             .where(c.campaign == campaign)
             .order_by(c.before_shot, c.id)
         )
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             return [Event(*row) for row in connection.execute(query)]
+
+    def note_event(self, campaign: str, event: Event) -> None:
+        """Add an event at once."""
+        with self._writing() as connection:
+            connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
+
+    def begin_run(
+        self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
+    ) -> None:
+        """Add a run."""
+        c = _RUNS.c
+        with self._writing() as connection:
+            last = connection.scalar(select(func.max(c.number)).where(c.campaign == campaign)) or 0
+            row = CampaignRun(last + 1, began, by, versions, facts)
+            connection.execute(insert(_RUNS).values(campaign=campaign, **row._asdict()))
+
+    def runs(self, campaign: str) -> list[CampaignRun]:
+        """Return its runs in order; none of a campaign begun by golfbench 0.2.0 or older."""
+        c = _RUNS.c
+        query = select(*(c[name] for name in CampaignRun._fields)).where(c.campaign == campaign)
+        with self._reading() as connection:
+            return [CampaignRun(*row) for row in connection.execute(query.order_by(c.number))]
+
+    def set_aside(self, campaign: str, shots: Sequence[int], event: Event) -> None:
+        """Exclude `shots`, whose block restarts, with the text of `event`; they are kept. All or nothing."""
+        c = _SHOTS.c
+        with self._writing() as connection:
+            mine = (c.campaign == campaign) & c.shot.in_(shots)
+            connection.execute(update(_SHOTS).where(mine).values(set_aside=True))
+            valid = mine & (c.status == ShotStatus.VALID)
+            values = {"status": ShotStatus.EXCLUDED, "reason": event.text}
+            connection.execute(update(_SHOTS).where(valid).values(**values))
+            connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
+
+    def add_note(self, campaign: str, note: ShotNote) -> None:
+        """Add a person's note on a shot.
+
+        Raises:
+            Refused: there is no such shot.
+        """
+        c = _SHOTS.c
+        with self._writing() as connection:
+            last = connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
+            if not 1 <= note.shot <= last:
+                expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
+                raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
+            connection.execute(insert(_NOTES).values(campaign=campaign, **note._asdict()))
+
+    def notes(self, campaign: str) -> list[ShotNote]:
+        """Return the notes on its shots, by shot and in the order in which they were made."""
+        c = _NOTES.c
+        query = select(c.shot, c.date, c.by, c.text).where(c.campaign == campaign).order_by(c.shot, c.id)
+        with self._reading() as connection:
+            return [ShotNote(*row) for row in connection.execute(query)]
 
     def prompts(self, campaign: str) -> list[Prompt]:
         """Return its prompts in order; at most the last one is not answered."""
         c = _PROMPTS.c
         query = select(*(c[name] for name in Prompt._fields)).where(c.campaign == campaign).order_by(c.number)
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             return [Prompt(*row) for row in connection.execute(query)]
 
     def prompt(self, campaign: str, number: int) -> Prompt:
         """Return one of its prompts."""
         c = _PROMPTS.c
         query = select(*(c[name] for name in Prompt._fields))
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             return Prompt(
                 *connection.execute(query.where((c.campaign == campaign) & (c.number == number))).one()
             )
@@ -266,14 +368,14 @@ class CampaignStore:
             .order_by(c.answered.desc(), c.number.desc())
             .limit(1)
         )
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             row = connection.execute(query).first()
         return None if row is None else (row[0], Prompt(*row[1:]))
 
     def hits(self, scope: str) -> Counter[Hit]:
         """Return the number of uses of each part."""
         c = _HITS.c
-        with self._engine.connect() as connection:
+        with self._reading() as connection:
             rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
             return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
 
@@ -316,9 +418,12 @@ class CampaignStore:
                 "Stop the other runner.",
             ) from None
 
-    def _writing(self) -> Any:
+    def _writing(self) -> AbstractContextManager[Connection]:
         """Return a transaction that takes the write lock at once."""
-        return self._engine.execution_options(sqlite_begin="IMMEDIATE").begin()
+        return transaction(self._engine, writes=True, waiting=self.waiting)
+
+    def _reading(self) -> AbstractContextManager[Connection]:
+        return transaction(self._engine, writes=False, waiting=self.waiting)
 
 
 def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:

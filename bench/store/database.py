@@ -6,17 +6,18 @@ of a newer golfbench is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select
-from sqlalchemy.exc import DatabaseError, IntegrityError
+from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select, update
+from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 from sqlalchemy.schema import CreateColumn
 
-from bench.errors import BenchError
+from bench.errors import BenchError, Refused
 from bench.store.tables import (
     SHOT_COLUMNS_6,
     VERSION_2,
@@ -24,11 +25,12 @@ from bench.store.tables import (
     VERSION_4,
     VERSION_5,
     VERSION_6,
+    VERSION_7,
     Row,
     SchemaVersionRow,
 )
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -56,13 +58,28 @@ def _add_air_readings(connection: Connection) -> None:
 
 def _add_carries(connection: Connection) -> None:
     """Version 5 had one carry of a shot, and no aerodynamics of balls."""
-    shots = Row.metadata.tables["shots"]
-    there = {column["name"] for column in inspect(connection).get_columns("shots")}
-    for name in SHOT_COLUMNS_6:
-        if name not in there:  # version 1 had no shots: they came with today's columns
-            column = CreateColumn(shots.c[name]).compile(dialect=connection.dialect)
-            connection.exec_driver_sql(f"ALTER TABLE shots ADD COLUMN {column}")
+    _add_columns(connection, "shots", SHOT_COLUMNS_6)
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_6])
+
+
+def _add_runs(connection: Connection) -> None:
+    """Version 6 had no runs, no notes on shots and no order of campaigns but their dates."""
+    _add_columns(connection, "shots", ("set_aside",))
+    _add_columns(connection, "campaigns", ("number",))
+    campaigns = Row.metadata.tables["campaigns"].c
+    dated = select(campaigns.id).order_by(campaigns.date, campaigns.id)
+    for number, campaign in enumerate(connection.scalars(dated).all(), 1):
+        connection.execute(update(campaigns.id.table).where(campaigns.id == campaign).values(number=number))
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_7])
+
+
+def _add_columns(connection: Connection, table: str, names: Iterable[str]) -> None:
+    """Add columns to `table` unless they came with it: a table made by a migration has today's columns."""
+    there = {column["name"] for column in inspect(connection).get_columns(table)}
+    for name in names:
+        if name not in there:
+            column = CreateColumn(Row.metadata.tables[table].c[name]).compile(dialect=connection.dialect)
+            connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column}")
 
 
 MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
@@ -71,11 +88,62 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     3: _add_learned_swings,
     4: _add_air_readings,
     5: _add_carries,
+    6: _add_runs,
 }
 """Migration of the tables from each version to the next."""
 
 BUSY_TIMEOUT = 5.0
 """Time to wait for another process' write, s."""
+
+
+class DatabaseLocked(Refused):
+    """Another process holds the database for longer than anybody waited."""
+
+    def __init__(self, place: str, waited: float) -> None:
+        super().__init__(
+            place,
+            f"locked by another process for {waited:.0f} s",
+            "a database that is free to write",
+            "End the program that holds it (a backup, a database browser), then try again.",
+        )
+
+
+def is_busy(error: DatabaseError) -> bool:
+    """Return whether `error` says that another process holds the database for now."""
+    return isinstance(error, OperationalError) and "locked" in str(error.orig)
+
+
+@contextmanager
+def transaction(
+    engine: Engine, *, writes: bool, waiting: Callable[[float], None] | None = None
+) -> Iterator[Connection]:
+    """Yield a connection within a transaction; its lock is held from the start.
+
+    `waiting` is called with the time waited (s) after each `BUSY_TIMEOUT` without the lock, and raises to
+    give up; without it the first one ends it.
+
+    Raises:
+        DatabaseLocked: another process holds the database.
+    """
+    began = time.monotonic()
+    while True:
+        kind = "IMMEDIATE" if writes else "DEFERRED"
+        with engine.connect().execution_options(sqlite_begin=kind) as connection:
+            try:
+                connection.begin()
+                if not writes:  # takes the lock now, not at the first query
+                    connection.scalar(select(func.count()).select_from(SchemaVersionRow))
+            except OperationalError as error:
+                if not is_busy(error):
+                    raise
+                waited = time.monotonic() - began
+                if waiting is None:
+                    raise DatabaseLocked(str(engine.url.database), waited) from error
+                waiting(waited)
+                continue
+            yield connection
+            connection.commit()
+            return
 
 
 def is_there(url: URL) -> bool:
@@ -112,6 +180,8 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
     except IntegrityError:
         raise
     except DatabaseError as error:
+        if is_busy(error):
+            raise DatabaseLocked(place, BUSY_TIMEOUT) from error
         raise BenchError(
             place,
             str(error.orig).strip(),

@@ -8,7 +8,18 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import DDL, JSON, DateTime, Dialect, Double, ForeignKey, Table, UniqueConstraint, event
+from sqlalchemy import (
+    DDL,
+    JSON,
+    DateTime,
+    Dialect,
+    Double,
+    ForeignKey,
+    Table,
+    UniqueConstraint,
+    event,
+    false,
+)
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
@@ -106,6 +117,8 @@ class CampaignRow(Row):
     real_time: Mapped[dict[str, Any]]
     """Settings as granted; empty in simulation."""
     calibrations: Mapped[dict[str, Any]]
+    number: Mapped[int] = mapped_column(server_default="0")
+    """Rises by one per campaign: the order in which they were begun, whatever the clock said."""
 
 
 class ShotRow(Row):
@@ -159,6 +172,8 @@ class ShotRow(Row):
     """Record of its cycles below `data_dir`, whole before this row exists; empty: the robot did not swing."""
     bytes: Mapped[int]
     """Size of that file."""
+    set_aside: Mapped[bool] = mapped_column(server_default=false())
+    """Whether its block was restarted after it: kept, excluded, and not counted as tried."""
 
 
 class CampaignEventRow(Row):
@@ -172,6 +187,35 @@ class CampaignEventRow(Row):
     before_shot: Mapped[int]
     kind: Mapped[str]
     text: Mapped[str]
+
+
+class CampaignRunRow(Row):
+    """One run of a campaign: from its begin or a resume until the runner ends."""
+
+    __tablename__ = "campaign_runs"
+
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    """From 1."""
+    began: Mapped[datetime]
+    by: Mapped[str]
+    versions: Mapped[dict[str, Any]]
+    facts: Mapped[dict[str, Any]]
+    """Facts of the running bench, and the digest of the configuration."""
+
+
+class ShotNoteRow(Row):
+    """A person's mark or comment on a shot. Rows are only added."""
+
+    __tablename__ = "shot_notes"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
+    shot: Mapped[int]
+    date: Mapped[datetime]
+    by: Mapped[str]
+    text: Mapped[str]
+    """Empty: a mark without a comment."""
 
 
 class CampaignPromptRow(Row):
@@ -301,3 +345,6 @@ SHOT_COLUMNS_6 = (
     "flight_source",
 )
 """Columns of `shots` that came with schema version 6."""
+
+VERSION_7 = ("campaign_runs", "shot_notes")
+"""Tables that came with schema version 7."""

@@ -9,17 +9,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from sqlalchemy import select
+from sqlalchemy import create_engine, select
+from sqlalchemy import event as events
 
 from bench.config import database_url
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.store import database
 from bench.store.campaigns import (
     CampaignEntry,
     CampaignState,
@@ -27,9 +29,10 @@ from bench.store.campaigns import (
     Event,
     Hit,
     Prompt,
+    ShotNote,
     StoredShot,
 )
-from bench.store.database import SCHEMA_VERSION, open_database
+from bench.store.database import SCHEMA_VERSION, DatabaseLocked, open_database
 from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -118,7 +121,15 @@ def test_everything_comes_back_from_postgresql(postgres: str, tmp_path: Path) ->
 def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_path: Path) -> None:
     url = database_url(postgres, tmp_path)
     with open_database(url, NOW) as engine, engine.begin() as connection:
-        for table in ("campaign_prompts", "campaign_events", "shots", "campaigns", "hit_counts"):
+        for table in (
+            "campaign_runs",
+            "shot_notes",
+            "campaign_prompts",
+            "campaign_events",
+            "shots",
+            "campaigns",
+            "hit_counts",
+        ):
             connection.exec_driver_sql(f"DROP TABLE {table}")
         connection.execute(SchemaVersionRow.__table__.update().values(version=1))  # type: ignore[attr-defined]
     _round_trip(url)
@@ -181,9 +192,89 @@ def test_a_real_benchs_hits_add_up_over_its_campaigns(tmp_path: Path) -> None:
         assert store.hits("bench1") == {Hit("ball", "tour", 3): 10}
 
 
+def test_the_campaign_begun_last_is_first_although_the_clock_jumped_back(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        for name, hours in (("a", 0), ("b", -30), ("c", -20)):
+            store.begin(replace(ENTRY, id=name, date=NOW + timedelta(hours=hours)))
+        assert [entry.id for entry, _, _ in store.entries()] == ["c", "b", "a"]
+
+
+def test_runs_notes_and_shots_set_aside_come_back(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+        store.begin_run(ENTRY.id, "Ann", NOW, {"numpy": "2"}, {"driver": "sim"})
+        store.begin_run(ENTRY.id, "Bob", NOW, {"numpy": "3"}, {})
+        assert [(run.number, run.by, run.versions) for run in store.runs(ENTRY.id)] == [
+            (1, "Ann", {"numpy": "2"}),
+            (2, "Bob", {"numpy": "3"}),
+        ]
+        store.add(ENTRY, _shots(1, 3))
+        lost = replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball")
+        store.add(ENTRY, [StoredShot(lost)])
+        event = Event(NOW, 5, "restart", "block 1 restarted")
+        store.set_aside(ENTRY.id, [3, 4], event)
+        assert [stored.set_aside for stored in store.shots(ENTRY.id)] == [False, False, True, True]
+        fates = [(stored.shot.status, stored.shot.reason) for stored in store.shots(ENTRY.id)[2:]]
+        assert fates == [(ShotStatus.EXCLUDED, "block 1 restarted"), (ShotStatus.FAILED, "no ball")]
+        assert store.events(ENTRY.id) == [event]
+        store.add_note(ENTRY.id, ShotNote(2, NOW, "Ann", "a gust"))
+        store.add_note(ENTRY.id, ShotNote(1, NOW, "Ann", ""))
+        assert [(note.shot, note.text) for note in store.notes(ENTRY.id)] == [(1, ""), (2, "a gust")]
+        with pytest.raises(Refused, match="no shot 5, expected a shot from 1 to 4"):
+            store.add_note(ENTRY.id, ShotNote(5, NOW, "Ann", ""))
+
+
+@contextmanager
+def _locked(folder: Path, kind: str) -> Iterator[sqlite3.Connection]:
+    """Hold the database as another program does: its write lock, or all of it."""
+    with closing(sqlite3.connect(folder / "golfbench.sqlite", isolation_level=None)) as other:
+        if kind == "exclusive":
+            other.execute("PRAGMA locking_mode=EXCLUSIVE")
+        other.execute("BEGIN EXCLUSIVE")
+        yield other
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("kind", ["immediate", "exclusive"])
+def test_a_locked_database_is_waited_for_as_long_as_one_wants(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    monkeypatch.setattr(database, "BUSY_TIMEOUT", 0.05)
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+    with _locked(tmp_path, kind) as other, open_later(database_url("", tmp_path)) as store:
+        with pytest.raises(DatabaseLocked, match="locked by another process"):
+            store.change(ENTRY.id, reason="lunch")
+        waited = list[float]()
+
+        def waiting(seconds: float) -> None:
+            waited.append(seconds)
+            if len(waited) == 3:
+                other.execute("ROLLBACK")
+                other.close()
+
+        store.waiting = waiting
+        store.change(ENTRY.id, reason="lunch")
+        assert store.standing(ENTRY.id).reason == "lunch"
+        assert len(waited) == 3
+        assert waited == sorted(waited)
+
+
+@contextmanager
+def open_later(url: Any) -> Iterator[CampaignStore]:
+    """Open a database that is locked already, past the check of its version."""
+    engine = create_engine(url, connect_args={"timeout": 0.05})
+    events.listen(engine, "connect", lambda connection, _: setattr(connection, "isolation_level", None))
+    events.listen(engine, "begin", database._begin_sqlite)
+    try:
+        yield CampaignStore(engine)
+    finally:
+        engine.dispose()
+
+
 def test_the_table_of_shots_has_every_column_of_the_export() -> None:
     columns = set(ShotRow.__table__.columns.keys())
-    assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes"}
+    assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes", "set_aside"}
 
 
 def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_path: Path) -> None:
@@ -200,7 +291,7 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-@pytest.mark.parametrize("version", [2, 3, 4, 5])
+@pytest.mark.parametrize("version", [2, 3, 4, 5, 6])
 def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
         plain.executescript((STORED / f"version_{version}.sql").read_text())
