@@ -86,6 +86,11 @@ class Together(Watcher):
         for watcher in self._watchers:
             watcher.shot(shot)
 
+    def set_aside(self, block: int) -> None:
+        """Pass the number of a block that restarts."""
+        for watcher in self._watchers:
+            watcher.set_aside(block)
+
     def say(self, text: str) -> None:
         """Pass an event to all watchers."""
         for watcher in self._watchers:

@@ -117,6 +117,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         found=found,
         first=min(times),
         last=max(times),
+        time_format="%H:%M:%S" if _one_day(record) else "%Y-%m-%d %H:%M:%S",
         facts=_facts(record),
         standing_words=_standing_words(record.standing),
         figures=campaign_figures(plan, shots, found.sections),
@@ -147,6 +148,12 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         ),
         equipment=_equipment(record),
     )
+
+
+def _one_day(record: CampaignRecord) -> bool:
+    """Return whether all its shots and events are of one day; those of a simulation have their own."""
+    days = {shot.time_utc.date() for shot in record.shots} | {event.date.date() for event in record.events}
+    return len(days) == 1
 
 
 def _facts(record: CampaignRecord) -> list[tuple[str, str]]:

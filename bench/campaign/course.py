@@ -34,40 +34,78 @@ class Ending(NamedTuple):
     reason: str
 
 
+class Restart(NamedTuple):
+    """Sent in place of a shot after a long time without one: warm up again, restart the block."""
+
+
+RESTART = Restart()
 Decide = Callable[[CampaignPlan, Sequence[Shot]], str]
 """Returns from a section's shots why they are enough; empty if they are not."""
 Planned = Mapping[tuple[str, str], Centre]
 """Designed delivery by (swing, club)."""
-Course = Generator[Step, Shot, Ending]
+Course = Generator[Step, Shot | Restart, Ending]
 
 
 def course(plan: CampaignPlan, planned: Planned, decide: Decide) -> Course:
-    """Yield the steps of `plan`; send each one's shot."""
+    """Yield the steps of `plan`; send each one's shot.
+
+    After a `Restart` the next step is the first one of the section's warm-up, and after that the block's.
+    """
     words = []
     for section in sections(plan):
-        centres = dict(planned)
-        if plan.warm_up.at_most:
-            for arm in warm_up_arms(section):
-                settled, why = yield from _warm_up(plan, section, arm)
-                if why:
-                    return Ending(False, why)
-                if plan.gate.centre == "warm-up":
-                    centres[arm.swing, arm.club] = median_delivery(settled, plan.clubs[arm.club])
+        centres, why = yield from _warmed_up(plan, section, planned)
+        if why:
+            return Ending(False, why)
         shots: list[Shot] = []
         looks = looks_after(plan)
         for number in range(1, plan.design.blocks + 1):
-            for trial in block_trials(plan, section, number):
-                for attempt in range(1, plan.design.repeats + 2):
-                    shot = yield Step(trial, attempt, centres[trial.arm.swing, trial.arm.club])
-                    shots.append(shot)
-                    if shot.status is ShotStatus.VALID:
-                        break
+            while (block := (yield from _block(plan, section, number, centres))) is None:
+                centres, why = yield from _warmed_up(plan, section, planned)
+                if why:
+                    return Ending(False, why)
+            shots += block
             if number in looks and (enough := decide(plan, shots)):
                 words.append(
                     f"section {section.number} after {number} of {plan.design.blocks} blocks: {enough}"
                 )
                 break
     return Ending(True, "; ".join(words))
+
+
+def _block(
+    plan: CampaignPlan, section: Section, number: int, centres: Planned
+) -> Generator[Step, Shot | Restart, list[Shot] | None]:
+    """Take the shots of a block, the repeats included; return None if it restarts."""
+    shots = []
+    for trial in block_trials(plan, section, number):
+        for attempt in range(1, plan.design.repeats + 2):
+            shot = yield Step(trial, attempt, centres[trial.arm.swing, trial.arm.club])
+            if isinstance(shot, Restart):
+                return None
+            shots.append(shot)
+            if shot.status is ShotStatus.VALID:
+                break
+    return shots
+
+
+def _warmed_up(
+    plan: CampaignPlan, section: Section, planned: Planned
+) -> Generator[Step, Shot | Restart, tuple[Planned, str]]:
+    """Warm up with each swing and club; return the gate's centres, and the reason if it failed."""
+    arms = warm_up_arms(section) if plan.warm_up.at_most else []
+    centres, index = dict(planned), 0
+    while index < len(arms):
+        arm, index = arms[index], index + 1
+        found = yield from _warm_up(plan, section, arm)
+        if found is None:
+            index = 0
+            continue
+        settled, why = found
+        if why:
+            return centres, why
+        if plan.gate.centre == "warm-up":
+            centres[arm.swing, arm.club] = median_delivery(settled, plan.clubs[arm.club])
+    return centres, ""
 
 
 def is_settled(plan: CampaignPlan, shot: Shot) -> bool:
@@ -85,12 +123,19 @@ def looks_after(plan: CampaignPlan) -> frozenset[int]:
     return frozenset(round(float(point)) for point in points) - {blocks}
 
 
-def _warm_up(plan: CampaignPlan, section: Section, arm: Arm) -> Generator[Step, Shot, tuple[list[Shot], str]]:
-    """Swing until the club speed is stable; return the last shots, and the reason if it is not."""
+def _warm_up(
+    plan: CampaignPlan, section: Section, arm: Arm
+) -> Generator[Step, Shot | Restart, tuple[list[Shot], str] | None]:
+    """Swing until the club speed is stable; return the last shots, and the reason if it is not.
+
+    None: restart all of the warm-up.
+    """
     w, recent = plan.warm_up, list[Shot]()
     for position in range(1, w.at_most + 1):
         trial = PlannedShot(Role.WARM_UP, section.number, 0, position, arm)
         shot = yield Step(trial, 1, Centre())
+        if isinstance(shot, Restart):
+            return None
         if shot.status is not ShotStatus.VALID or shot.club_speed_mps is None:
             recent = []
             continue

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
-import platform
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
-from importlib.metadata import version
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.course import Course, course
 from bench.campaign.gate import planned_delivery
+from bench.campaign.interruptions import RunStart, software_versions
 from bench.campaign.live import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
@@ -35,9 +36,8 @@ from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
 
-PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
-"""Packages whose versions are recorded."""
-
+_LASTING = ("driver", "profile", "club", "launch_monitor")
+"""Facts of the running bench that do not differ by themselves from start to start."""
 SHORTEST_PREFIX = 4
 """Min number of characters of an abbreviated campaign id."""
 
@@ -67,7 +67,7 @@ def new_entry(
         plan=plan.record(),
         digest=plan.digest,
         configuration=configuration.effective(),
-        versions={name: version(name) for name in PACKAGES} | {"python": platform.python_version()},
+        versions=software_versions(),
         real_time=real_time or {},
         calibrations={"aerodynamics": {ball: one.record() for ball, one in measured.items()}}
         if measured
@@ -92,6 +92,7 @@ def run_simulated(
     watcher: Watcher,
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
+    start: RunStart = RunStart(),  # noqa: B008 - a value
 ) -> RunOutcome:
     """Start or resume a simulated campaign; run it until its end or a stop.
 
@@ -115,6 +116,7 @@ def run_simulated(
             ),
             watcher,
             operator=operator,
+            start=start,
         )
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
@@ -126,6 +128,7 @@ def run_live(
     watcher: Watcher,
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
+    start: RunStart = RunStart(),  # noqa: B008 - a value
 ) -> RunOutcome:
     """Start or resume a campaign on the running bench; every shot is stored at once.
 
@@ -139,7 +142,7 @@ def run_live(
     data_dir = configuration.bench.data_dir
 
     def aborted() -> bool:
-        return store.standing(entry.id).requested == "abort"
+        return store.standing(entry.id).requested.startswith("abort")
 
     def air() -> Air | None:
         since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
@@ -175,7 +178,7 @@ def run_live(
             air=air,
         )
         with shots as source:
-            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator)
+            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator, start)
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
@@ -192,6 +195,14 @@ def bench_facts(
     require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
     facts = {name: status[name] for name in ("driver", "profile", "club")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
+
+
+def run_start(by: str, configuration: Configuration, facts: Mapping[str, Any]) -> RunStart:
+    """Return the beginning of a run by `by` on the bench with `facts`."""
+    content = json.dumps(configuration.effective(), sort_keys=True, default=str)
+    digest = sha256(content.encode()).hexdigest()[:16]
+    lasting = {name: facts[name] for name in _LASTING if name in facts}
+    return RunStart(by, software_versions(), {**lasting, "configuration": digest})
 
 
 def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
@@ -264,8 +275,10 @@ def answer(store: CampaignStore, data_dir: Path, campaign: str, by: str, now: da
     return prompts[-1].text, is_running(data_dir, campaign)
 
 
-def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> str:
+def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: str = "") -> str:
     """Ask a campaign's runner for "pause", "stop", "abort" or to go on (""); return what will happen.
+
+    `by` is who asks.
 
     Raises:
         Refused: it is over, or nobody runs it.
@@ -281,12 +294,13 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str) -> st
         )
     if not is_running(data_dir, campaign):
         if request == "abort":
-            store.change(campaign, state=CampaignState.ABORTED, reason="aborted by request", requested="")
+            reason = f"aborted by request{f' of {by}' if by else ''}"
+            store.change(campaign, state=CampaignState.ABORTED, reason=reason, requested="")
             return "aborted; it had no runner"
         raise Refused(
             f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
         )
-    store.change(campaign, requested=request)
+    store.change(campaign, requested=f"{request} by {by}" if request and by else request)
     return {
         "pause": "pauses after the current shot",
         "stop": "stops after the current shot",

@@ -132,6 +132,14 @@ class AirSettings:
 
 
 @dataclass(frozen=True)
+class InterruptionSettings:
+    """Reaction to a time without shots."""
+
+    restart_after: Annotated[float, Range(0.0, 1e6, "s")]
+    """Time without a shot, s, after which the robot is warmed up again and its block restarted; 0: never."""
+
+
+@dataclass(frozen=True)
 class Gate:
     """Tolerances (half widths) of the delivery; 0: not checked. Never the ball's result."""
 
@@ -249,6 +257,7 @@ class CampaignPlan:
     learning: Learning
     supply: SupplyRequirement
     air: AirSettings
+    interruption: InterruptionSettings
     gate: Gate
     stop: Stop
     analysis: Analysis

@@ -181,6 +181,10 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 "Add it to design.clubs.",
             )
     yield from _stop(plan)
+    if 0 < plan.interruption.restart_after <= d.seconds_per_shot:
+        found = f"{plan.interruption.restart_after:g}"
+        expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
+        yield Mistake("interruption.restart_after", found, expected, "Every shot would restart its block.")
     if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
         yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:

@@ -43,7 +43,8 @@ class Drifts:
     def __init__(self, plan: CampaignPlan) -> None:
         self._plan = plan
         self._block = (0, 0)
-        self._seen: dict[Arm, list[Array]] = defaultdict(list)
+        self._seen: dict[Arm, list[tuple[int, Array]]] = defaultdict(list)
+        """(block, figures) of the shots that are not judged yet."""
         self._baseline: dict[Arm, Array] = {}
         self._open: dict[Arm, Drift] = {}
 
@@ -58,7 +59,8 @@ class Drifts:
         if block != self._block:
             self._block = block
             for key in [key for key, shots in self._seen.items() if len(shots) >= _MIN_SHOTS]:
-                if (drift := self._drift_of(key, self._seen.pop(key))) is not None:
+                deliveries = [figures for _, figures in self._seen.pop(key)]
+                if (drift := self._drift_of(key, deliveries)) is not None:
                     self._open[key] = drift
         return self._open.pop((arm.swing, arm.club), None)
 
@@ -69,7 +71,12 @@ class Drifts:
         centre = delivered(shot, self._plan.clubs[shot.club])
         figures = np.array([np.nan if value is None else value for value in centre])
         if np.isfinite(figures).all():
-            self._seen[shot.swing, shot.club].append(figures)
+            self._seen[shot.swing, shot.club].append((shot.block, figures))
+
+    def set_aside(self, block: int) -> None:
+        """Forget the shots of `block`: it restarts."""
+        for arm, shots in self._seen.items():
+            self._seen[arm] = [shot for shot in shots if shot[0] != block]
 
     def _drift_of(self, arm: Arm, shots: list[Array]) -> Drift | None:
         now, before = np.array(shots), self._baseline.get(arm)

@@ -13,16 +13,31 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from bench.campaign.course import Course, Ending, Step
+from sqlalchemy.exc import SQLAlchemyError
+
+from bench.campaign.course import RESTART, Course, Ending, Step
 from bench.campaign.fitting import Fitting, Preparation, PromptKind, fitting_after, missing, sample_for
 from bench.campaign.gate import outside
+from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Drift, Drifts
+from bench.campaign.sequence import Role
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
+from bench.store.campaigns import (
+    CampaignEntry,
+    CampaignRun,
+    CampaignState,
+    CampaignStore,
+    Event,
+    Hit,
+    Prompt,
+    StoredShot,
+)
+from bench.store.database import DatabaseLocked
 from bench.telemetry.recorder import write_swing
+from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS
 
 BATCH = 50
@@ -32,6 +47,10 @@ _LOOK = 0.2
 """Polling interval of the database while paused, s."""
 _SETTLED = 3.0
 """Time without hindrance before a suspended campaign continues by itself, s."""
+_DATABASE_PATIENCE = 120.0
+"""Max time to wait for a database that another process holds, s."""
+_MAX_RESTARTS = 2
+"""Max number of restarts of one block: one whose work by hand always takes long must end, too."""
 
 
 class Suspended(Exception):
@@ -146,6 +165,9 @@ class Watcher:
     def shot(self, shot: Shot) -> None:
         """Receive a shot."""
 
+    def set_aside(self, block: int) -> None:
+        """Receive the number of a block that restarts: its shots so far do not count."""
+
     def say(self, text: str) -> None:
         """Receive an event."""
 
@@ -166,8 +188,10 @@ class Runner:
         watcher: Watcher,
         batch: int = BATCH,
         operator: Operator | None = None,
+        start: RunStart = RunStart(),  # noqa: B008 - a value
     ) -> None:
         """`operator` None: prompts that the simulation cannot answer wait for the database."""
+        self._start = start
         self._entry, self._plan, self._store, self._source = entry, plan, store, source
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
@@ -177,8 +201,19 @@ class Runner:
         self._asked_so_far = 0
         self._open: Prompt | None = None
         self._done_by_itself: list[Prompt] = []
-        self._noted: list[tuple[str, str]] = []
-        """(kind, text) of events before the next shot."""
+        self._noted: list[tuple[datetime, str, str]] = []
+        """(time, kind, text) of events before the next shot."""
+        self._alive = data_dir / "campaigns" / entry.id / "alive"
+        """Touched at every look: the time of the runner's last sign of life."""
+        self._last: datetime | None = None
+        """Time of the last shot."""
+        self._block: list[Shot] = []
+        """Shots so far of the block in progress."""
+        self._restarts: Counter[tuple[int, int]] = Counter()
+        """By section and block."""
+        self._interrupted: Callable[[], bool] = lambda: False
+        self._locked_for = 0.0
+        """Time waited for the database since the last shot, s."""
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
@@ -192,31 +227,87 @@ class Runner:
         self._folder.mkdir(parents=True, exist_ok=True)
         for left in self._folder.glob(".*.partial"):
             left.unlink(missing_ok=True)
+        self._interrupted, self._store.waiting = interrupted, self._wait_for_database
+        try:
+            return self._run(course, interrupted)
+        finally:
+            self._store.waiting = None
+
+    def _run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
         step = self._replay(course)
+        self._begin()
         self._store.change(self._entry.id, requested="")
         with ThreadPoolExecutor(1, "swing-writer") as writer:
             try:
                 state, reason = self._go_on(course, step, interrupted, writer)
+            except BenchError as error:
+                self._end(f"the run ended with an error: {error.place}: {error.found}")
+                raise
             finally:
                 with suppress(BenchError):  # report the first error
                     self._commit()
-        self._store.change(self._entry.id, requested="")
-        self._stand(state, reason)
+        with suppress(DatabaseLocked):  # then `resume` finds out
+            self._store.change(self._entry.id, requested="")
+            if state is not CampaignState.FINISHED:
+                self._note_event(str(state), reason)
+            self._stand(state, reason)
         return RunOutcome(state, reason, self.taken, self.valid)
+
+    def _begin(self) -> None:
+        """Store the beginning of this run, and what there is to say about the one before."""
+        campaign, now = self._entry.id, datetime.now(UTC)
+        standing, runs = self._store.standing(campaign), self._store.runs(campaign)
+        if not runs and self.taken:  # begun by a version that kept no runs
+            runs = [CampaignRun(0, self._entry.date, "", self._entry.versions, self._start.facts)]
+        seen = (
+            datetime.fromtimestamp(self._alive.stat().st_mtime, UTC) if self._alive.exists() else self._last
+        )
+        for kind, text in found_at_begin(standing, runs, self.taken, seen, self._start, now):
+            self._note_event(kind, text)
+            self._watcher.say(text)
+        self._store.begin_run(campaign, self._start.by, now, self._start.versions, self._start.facts)
+        self._alive.touch()
+
+    def _end(self, reason: str) -> None:
+        """Store that the run ends with an error, if that is possible."""
+        self._store.waiting = None
+        with suppress(BenchError, SQLAlchemyError):
+            self._note_event("error", reason)
+
+    def _note_event(self, kind: str, text: str) -> None:
+        """Store an interruption at once, with its time."""
+        self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
+
+    def _wait_for_database(self, waited: float) -> None:
+        """Give up waiting for the database after some time or on Ctrl-C."""
+        if not self._locked_for:
+            self._watcher.say("The database is locked by another process: waiting for it.")
+        self._locked_for = waited
+        if waited > _DATABASE_PATIENCE or self._interrupted():
+            self._store.waiting = None  # what follows tries once
+            raise DatabaseLocked(str(self._store.database.url.database), waited)
 
     def _replay(self, course: Course) -> Step | Ending:
         """Send the stored shots to the course and return what comes next."""
         self._hits = self._store.hits(self._entry.hit_scope)
         shots = self._store.shots(self._entry.id)
+        restarts = {e.before_shot for e in self._store.events(self._entry.id) if e.kind == "restart"}
         self._recall([stored.shot for stored in shots])
         try:
             step = next(course)
             for stored in shots:
+                if stored.shot.shot in restarts:
+                    step = self._restart(course, step)
+                if stored.set_aside:
+                    self._note(stored.shot)
+                    continue
                 self._require_same(step, stored.shot)
                 if drift := self._drifts.before(step):
                     self._source.relearn(drift, stored.shot.shot)  # reported then
                 self._note(stored.shot)
                 step = course.send(stored.shot)
+            if self.taken + 1 in restarts:
+                step = self._restart(course, step)
         except StopIteration as stop:
             ending: Ending = stop.value
             return ending
@@ -256,9 +347,13 @@ class Runner:
             return self._shots(course, step, interrupted, writer)
         except KeyboardInterrupt:
             return CampaignState.STOPPED, "interrupted before the next shot"
+        except DatabaseLocked as error:
+            self._source.rest()
+            lost = "; the last shot is not stored and is taken again" * bool(self._pending)
+            return CampaignState.SUSPENDED, f"the database was {error.found}{lost}"
         except Suspended as why:
-            if self._store.standing(self._entry.id).requested == "abort":
-                return CampaignState.ABORTED, "aborted by request"
+            if self._requested()[0] == "abort":
+                return CampaignState.ABORTED, self._by_request("aborted")
             return CampaignState.SUSPENDED, str(why)
 
     def _shots(
@@ -279,6 +374,9 @@ class Runner:
                 )
             if asked := self._fit(step, number, sample, interrupted):
                 return asked
+            if self._stood_too_long(step, number):
+                step = self._restart(course, step)
+                continue
             if drift := self._drifts.before(step):
                 self._say("learned", self._source.relearn(drift, number))
             try:
@@ -293,13 +391,14 @@ class Runner:
             for kind, text in taken.events:
                 self._say(kind, text)
             noted, self._noted = self._noted, []
-            events = tuple(Event(shot.time_utc, number, *event) for event in noted)
+            events = tuple(Event(when, number, kind, text) for when, kind, text in noted)
             hits = _used(step, taken, sample)
             self._hits.update(hits)
             prompts, self._done_by_itself = tuple(self._done_by_itself), []
             written = writer.submit(self._written, shot, taken)
             self._pending.append(_Pending(written, hits, events, prompts, taken.original))
             self._fitting = self._fitting.after(shot)
+            self._locked_for = 0.0
             self._note(shot)
             if len(self._pending) >= self._batch:
                 self._commit()
@@ -315,6 +414,52 @@ class Runner:
                 )
         self._commit()
         return (CampaignState.FINISHED if step.complete else CampaignState.SUSPENDED), step.reason
+
+    def _stood_too_long(self, step: Step, number: int) -> bool:
+        """Store a long time without a shot; return whether the block restarts, whose shots are set aside."""
+        bound, before = self._plan.interruption.restart_after, self._last
+        now = self._source.time_of(number)
+        gap = 0.0 if before is None else (now - before).total_seconds()
+        if not bound or 0 <= gap <= bound:
+            return False
+        self._last = now
+        self._commit()
+        words = (
+            f"{duration_text(gap)} without a shot"
+            if gap > 0
+            else "an unknown time without a shot (the clock went back)"
+        )
+        trial, warm_up = step.trial, self._plan.warm_up.at_most
+        place = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
+        tried = [shot for shot in self._block if shot.block == trial.block]
+        if tried or (warm_up and (trial.role is not Role.WARM_UP or trial.position > 1)):
+            if self._restarts[trial.section, trial.block] < _MAX_RESTARTS:
+                aside = [shot.shot for shot in tried]
+                after = " after a new warm-up" if warm_up and trial.block else ""
+                text = f"{words}: {place} restarts{after}"
+                text += f"; set aside: shots {aside[0]} to {aside[-1]}" if aside else ""
+                event = Event(now, number, "restart", text)
+                self._store.set_aside(self._entry.id, aside, event)
+                self.valid -= sum(shot.status is ShotStatus.VALID for shot in tried)
+                self._watcher.say(text)
+                return True
+            words += f"; {place} was restarted {_MAX_RESTARTS} times already and goes on"
+        self._note_event("gap", words)
+        self._watcher.say(words)
+        return False
+
+    def _restart(self, course: Course, step: Step | Ending) -> Step:
+        """Restart the block of `step`; return its first step, or that of its warm-up."""
+        if isinstance(step, Ending):
+            raise BenchError(
+                f"campaign {self._entry.id}", "a restart after its end", "none", "Start a new campaign."
+            )
+        trial = step.trial
+        self._restarts[trial.section, trial.block] += 1
+        self._block = []
+        self._drifts.set_aside(trial.block)
+        self._watcher.set_aside(trial.block)
+        return course.send(RESTART)
 
     def _go_back_to_work(self) -> None:
         """Take the bench back after an answer that came without a runner."""
@@ -371,11 +516,11 @@ class Runner:
             operator.show(prompt)
         try:
             while not self._store.prompt(campaign, prompt.number).answered:
-                requested = self._store.standing(campaign).requested
+                requested, _ = self._requested()
                 if requested == "abort":
-                    return CampaignState.ABORTED, "aborted by request"
+                    return CampaignState.ABORTED, self._by_request("aborted")
                 if requested == "stop" or interrupted():
-                    how = "by request" if requested else "by Ctrl-C"
+                    how = self._by_request("").strip() if requested else "by Ctrl-C"
                     return CampaignState.STOPPED, f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
                 if operator and operator.answered():
                     self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
@@ -422,34 +567,48 @@ class Runner:
     def _say(self, kind: str, text: str) -> None:
         """Report an event now, and store it with the next shot."""
         self._watcher.say(text)
-        self._noted.append((kind, text))
+        self._noted.append((self._source.time_of(self.taken + 1), kind, text))
+
+    def _requested(self) -> tuple[str, str]:
+        """Return the pending request and who made it; a sign of life."""
+        with suppress(OSError):
+            self._alive.touch()
+        request, _, by = self._store.standing(self._entry.id).requested.partition(" by ")
+        return request, by
+
+    def _by_request(self, done: str) -> str:
+        _, by = self._requested()
+        return f"{done} by request{f' of {by}' if by else ''}"
 
     def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
         """Yield the ending if one is requested; waits while paused."""
-        campaign, paused = self._entry.id, False
+        paused: float | None = None
         while True:
             if interrupted():
                 yield CampaignState.STOPPED, "interrupted by Ctrl-C"
                 return
-            match self._store.standing(campaign).requested:
+            match self._requested()[0]:
                 case "stop":
-                    yield CampaignState.STOPPED, "stopped by request"
+                    yield CampaignState.STOPPED, self._by_request("stopped")
                     return
                 case "abort":
-                    yield CampaignState.ABORTED, "aborted by request"
+                    yield CampaignState.ABORTED, self._by_request("aborted")
                     return
                 case "pause":
-                    if not paused:
+                    if paused is None:
+                        paused, text = time.monotonic(), self._by_request("paused")
                         self._commit()
                         self._source.rest()
-                        self._stand(CampaignState.PAUSED, "paused by request")
-                        self._watcher.say("paused")
-                    paused = True
+                        self._note_event("paused", text)
+                        self._stand(CampaignState.PAUSED, text)
+                        self._watcher.say(text)
                     time.sleep(_LOOK)
                 case _:
-                    if paused:
+                    if paused is not None:
+                        text = f"went on after a pause of {duration_text(time.monotonic() - paused)}"
+                        self._note_event("resumed", text)
                         self._stand(CampaignState.RUNNING, "")
-                        self._watcher.say("running")
+                        self._watcher.say(text)
                     return
 
     def _gated(self, step: Step, taken: Taken) -> Shot:
@@ -473,6 +632,11 @@ class Runner:
     def _note(self, shot: Shot) -> None:
         self.taken += 1
         self.valid += shot.status is ShotStatus.VALID
+        self._last = shot.time_utc
+        if self._block and self._block[-1].block != shot.block:
+            self._block = []
+        if shot.block:
+            self._block.append(shot)
         self._drifts.note(shot)
         self._watcher.shot(shot)
 
@@ -490,9 +654,22 @@ class Runner:
                 events += one.events
                 hits.update(one.hits)
                 prompts += one.prompts
+        except NotStored as error:
+            stored = self.taken - len(pending) + len(shots)
+            resume = f"golfbench campaign resume {self._entry.id}"
+            cure = f"Free some space, then {resume}: {stored} shots are stored."
+            raise NotStored(error.place, error.found, error.expected, cure) from error
         finally:
             if shots:
-                self._store.add(self._entry, shots, events, hits, prompts)
+                try:
+                    self._store.add(self._entry, shots, events, hits, prompts)
+                except DatabaseLocked:
+                    self._pending = pending
+                    raise
+                if self._locked_for:
+                    text = f"the database was locked for {duration_text(self._locked_for)}; waited for it"
+                    self._note_event("database", text)
+                    self._locked_for = 0.0
                 for one in pending[: len(shots)]:
                     if one.original is not None:
                         with suppress(OSError):  # not ours to remove: kept twice

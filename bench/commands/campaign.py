@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -138,7 +138,7 @@ def run(
             measured=measured,
         )
         store.begin(entry)
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask)
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), facts, ask=ask)
 
 
 @app.command()
@@ -172,10 +172,13 @@ def resume(
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
             return
+        facts = {}
         if entry.real_time:
             begun = plan_from_record(entry.plan, f"campaign {entry.id}")
-            _bench_facts(begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}"))
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), ask=ask_)
+            facts = _bench_facts(
+                begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}")
+            )
+        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), facts, ask=ask_)
 
 
 def _bench_facts(plan: CampaignPlan, configuration: Configuration, measured: Measured) -> dict[str, Any]:
@@ -188,7 +191,13 @@ def _bench_facts(plan: CampaignPlan, configuration: Configuration, measured: Mea
 
 
 def _run(
-    store: CampaignStore, entry: CampaignEntry, configuration: Configuration, outputs: Outputs, *, ask: bool
+    store: CampaignStore,
+    entry: CampaignEntry,
+    configuration: Configuration,
+    outputs: Outputs,
+    facts: Mapping[str, Any],
+    *,
+    ask: bool,
 ) -> None:
     """Run `entry` with a progress bar and print the outcome."""
     import json
@@ -197,7 +206,7 @@ def _run(
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.fitting import PromptKind
     from bench.campaign.look_events import note_look
-    from bench.campaign.operate import run_live, run_simulated
+    from bench.campaign.operate import run_live, run_simulated, run_start
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
@@ -215,7 +224,10 @@ def _run(
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
         operator = TerminalOperator(bar, entry.id, asked_for)
-        outcome = take(entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator)
+        start = run_start(operator.name, configuration, facts)
+        outcome = take(
+            entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator, start
+        )
     record = load_record(store, entry)
     found = findings(plan, record.shots, note_look(store, record, "end of a run"))
     figures = findings_record(found)
@@ -292,11 +304,12 @@ def report(
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
     from bench.campaign.operate import ask, find_campaign
+    from bench.commands.campaign_terminal import user_name
 
     configuration = context.ensure_object(Session).configuration()
     with _store(configuration) as store:
         entry = find_campaign(store, campaign)
-        typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request)}")
+        typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request, user_name())}")
 
 
 @app.command()

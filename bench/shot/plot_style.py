@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from typing import Any, cast
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -67,7 +67,7 @@ def to_svg(figure: Figure, name: str) -> str:
 def _lacks_glyphs(figure: Figure) -> bool:
     """Return whether a text of `figure` has a character that the font of the style lacks."""
     known = get_font(findfont(STYLE["font.family"])).get_charmap()
-    drawn = {character for text in figure.findobj(Text) for character in cast(Text, text).get_text()}
+    drawn = {character for text in figure.findobj(Text) for character in text.get_text()}
     return any(ord(character) not in known for character in drawn - {"\n"})
 
 

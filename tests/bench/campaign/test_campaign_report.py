@@ -9,7 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +161,16 @@ def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -
         page = render_campaign_report(replace(record, plan=plan, shots=shots), findings(plan, shots))
     pictures = re.findall(r"<svg.*?</svg>", page, flags=re.S)
     assert sum("飛び</text>" in picture for picture in pictures) >= 2
+
+
+def test_the_time_of_a_shot_has_a_date_where_the_campaign_took_days(record: CampaignRecord) -> None:
+    shots = [replace(shot, time_utc=NOW + timedelta(hours=n)) for n, shot in enumerate(record.shots)]
+    events = [Event(NOW + timedelta(hours=9), 5, "killed", "the runner had ended")]
+    page = _words(
+        render_campaign_report(replace(record, shots=shots, events=events), findings(record.plan, shots))
+    )
+    assert "2026-11-22 03:00:00" in page
+    assert "before shot 5, 2026-11-21 21:00:00: the runner had ended" in page
 
 
 def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:

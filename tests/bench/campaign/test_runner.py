@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -17,6 +19,7 @@ import pytest
 from bench.campaign.course import Step
 from bench.campaign.fitting import Preparation, PromptKind, sample_for
 from bench.campaign.gate import Centre
+from bench.campaign.interruptions import RunStart
 from bench.campaign.operate import (
     ask,
     course_of,
@@ -117,12 +120,21 @@ class Bench:
     def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, configuration: Configuration) -> None:
         self.folder, self.plan, self.configuration = folder, plan, configuration
         self.store = CampaignStore(engine)
-        self.entry: CampaignEntry = new_entry(plan, configuration, NOW, simulated=True)
+        begun = NOW + timedelta(seconds=len(self.store.entries()))
+        self.entry: CampaignEntry = new_entry(plan, configuration, begun, simulated=True)
         self.store.begin(self.entry)
         self.watcher = Watcher()
 
-    def run(self, source: Scripted, interrupted: Callable[[], bool] = never, batch: int = 4) -> RunOutcome:
-        runner = Runner(self.entry, self.plan, self.store, self.folder, source, self.watcher, batch)
+    def run(
+        self,
+        source: Scripted,
+        interrupted: Callable[[], bool] = never,
+        batch: int = 4,
+        start: RunStart = RunStart(),  # noqa: B008 - a value
+    ) -> RunOutcome:
+        runner = Runner(
+            self.entry, self.plan, self.store, self.folder, source, self.watcher, batch, start=start
+        )
         profiles = require_swings(self.plan, self.configuration)
         return runner.run(course_of(self.plan, profiles, self.configuration.plant.robot.lie), interrupted)
 
@@ -132,11 +144,12 @@ class Bench:
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
     configuration = load_configuration(Path("shipped"))
     configuration = replace(configuration, bench=replace(configuration.bench, data_dir=tmp_path))
     base = load_plan(Path("symmetry"), configuration)
 
+    monkeypatch.setattr("bench.store.database.BUSY_TIMEOUT", 0.1)
     with open_database(database_url("", tmp_path), NOW) as engine:
 
         def build(**changes: Any) -> Bench:
@@ -417,6 +430,217 @@ def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -
     options = ["--kills", "3", "--batch", "3", "--blocks", "24"]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=110, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+class Clock(Scripted):
+    """Shots every 48 s of a clock that jumps by `jumps` (s) before some of them, at some other `speeds`."""
+
+    def __init__(self, jumps: dict[int, float], speeds: dict[int, float] | None = None) -> None:
+        speeds = speeds or {}
+        super().__init__(lambda n: {"club_speed_mps": speeds[n]} if n in speeds else {})
+        self.jumps = jumps
+
+    def time_of(self, number: int) -> datetime:
+        late = sum(jump for at, jump in self.jumps.items() if at <= number)
+        return super().time_of(number) + timedelta(seconds=late)
+
+
+def _events(bench: Bench) -> list[tuple[int, str, str]]:
+    return [(event.before_shot, event.kind, event.text) for event in bench.store.events(bench.entry.id)]
+
+
+def test_a_long_gap_warms_up_again_and_restarts_the_block_with_a_new_gate(make: Callable[..., Bench]) -> None:
+    """The robot is 1.5 m/s slower the next day: by the centre of the day before no shot would be valid."""
+    bench = make()
+    slower = dict.fromkeys(range(8, 60), 41.4)
+    clock = Clock({8: 9.3 * 3600}, slower)
+    outcome = bench.run(clock, lambda: len(clock.taken) == 7)
+    assert outcome.state is CampaignState.STOPPED
+    assert bench.run(Clock({8: 9.3 * 3600}, slower)) == (CampaignState.FINISHED, "", 25, 21)
+    stored = bench.store.shots(bench.entry.id)
+    assert [one.shot.shot for one in stored if one.set_aside] == [4, 5, 6, 7]
+    assert {one.shot.status for one in stored if one.set_aside} == {ShotStatus.EXCLUDED}
+    assert [(one.shot.role, one.shot.block, one.shot.position) for one in stored[7:12]] == [
+        ("warm-up", 0, 1),
+        ("warm-up", 0, 2),
+        ("warm-up", 0, 3),
+        ("control", 1, 1),
+        ("test", 1, 2),
+    ]
+    assert not [s.reason for s in bench.shots if s.status is ShotStatus.EXCLUDED and s.shot > 7]
+    (restart,) = [event for event in _events(bench) if event[1] == "restart"]
+    assert restart[0] == 8
+    assert restart[2] == "9.3 h without a shot: block 1 restarts after a new warm-up; set aside: shots 4 to 7"
+    assert all(stored[n].shot.reason == restart[2] for n in range(3, 7))
+
+
+@pytest.mark.parametrize("at", range(1, 24, 2))
+def test_after_a_restart_resume_still_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+    jumps = {8: 5000.0, 17: 2000.0}
+    whole, cut = make(), make()
+    whole.run(Clock(jumps))
+    clock = Clock(jumps)
+    cut.run(clock, lambda: len(clock.taken) == at, batch=1)
+    cut.run(Clock(jumps))
+    assert cut.store.shots(cut.entry.id)[-1].shot == whole.store.shots(whole.entry.id)[-1].shot
+    assert cut.shots == whole.shots
+    marks = [[one.set_aside for one in each.store.shots(each.entry.id)] for each in (cut, whole)]
+    assert marks[0] == marks[1]
+    assert any(marks[0])
+
+
+def test_a_gap_within_the_bound_or_before_a_warm_up_restarts_nothing(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Clock({7: 1700.0})).shots == 18
+    never_restarted = make(interruption={"restart_after": 0.0})
+    assert never_restarted.run(Clock({7: 1e6})).shots == 18
+    between = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    assert between.run(Clock({1: 1e6, 6: 1e6})).shots == 15
+    assert [(at, kind) for at, kind, _ in _events(between)] == [(6, "gap")]
+
+
+def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Bench]) -> None:
+    bench = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    outcome = bench.run(Clock(dict.fromkeys(range(3, 200), 4000.0)))
+    assert outcome.state is CampaignState.FINISHED
+    kinds = Counter(kind for _, kind, _ in _events(bench))
+    assert kinds["restart"] == 6
+    assert "was restarted 2 times already and goes on" in _events(bench)[-1][2]
+
+
+def test_a_clock_that_goes_back_is_an_unknown_gap(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Clock({7: -3600.0})).state is CampaignState.FINISHED
+    (restart,) = [text for _, kind, text in _events(bench) if kind == "restart"]
+    assert restart.startswith("an unknown time without a shot (the clock went back): block 1 restarts")
+
+
+def test_every_interruption_is_an_event_with_its_time(make: Callable[..., Bench]) -> None:
+    class Killed(BaseException):
+        pass
+
+    def dies(number: int) -> dict[str, Any]:
+        if number == 5:
+            raise Killed
+        return {}
+
+    bench = make()
+    before = datetime.now(UTC)
+    for _ in range(2):
+        with pytest.raises(Killed):
+            bench.run(Scripted(dies), batch=1)
+    source = Scripted()
+    bench.run(source, lambda: len(source.taken) == 2, batch=1)
+    lost = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    bench.run(Scripted(lambda _: lost), batch=1)
+    assert bench.run(Scripted()).state is CampaignState.FINISHED
+    assert [(at, kind) for at, kind, _ in _events(bench)] == [
+        (5, "killed"),
+        (5, "killed"),
+        (7, "stopped"),
+        (7, "resumed"),
+        (12, "suspended"),
+        (12, "resumed"),
+    ]
+    events = bench.store.events(bench.entry.id)
+    assert all(before <= event.date <= datetime.now(UTC) for event in events)
+    assert "the runner had ended without closing the campaign; resumed, " in events[0].text
+    assert events[2].text == "interrupted by Ctrl-C"
+    assert "feeder jam" in events[4].text
+    assert "it was suspended (5 shots in a row not valid" in events[5].text
+
+
+def test_who_paused_and_stopped_is_stored(make: Callable[..., Bench]) -> None:
+    bench = make()
+    pausing = threading.Event()
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 4:
+            ask(bench.store, bench.folder, bench.entry.id, "pause", "ann@lab")
+            pausing.set()
+        if number == 9:
+            ask(bench.store, bench.folder, bench.entry.id, "stop", "bob@office")
+        return {}
+
+    def go_on() -> None:
+        pausing.wait(20)
+        while bench.store.standing(bench.entry.id).state is not CampaignState.PAUSED:
+            time.sleep(0.01)
+        ask(bench.store, bench.folder, bench.entry.id, "")
+
+    helper = threading.Thread(target=go_on)
+    helper.start()
+    with runner_lock(bench.folder, bench.entry.id):
+        outcome = bench.run(Scripted(script), batch=1)
+    helper.join()
+    assert outcome.reason == "stopped by request of bob@office"
+    words = [text for _, _, text in _events(bench)]
+    assert words[0] == "paused by request of ann@lab"
+    assert words[1].startswith("went on after a pause of ")
+    assert words[2] == "stopped by request of bob@office"
+
+
+def test_software_and_bench_that_changed_between_runs_are_named(make: Callable[..., Bench]) -> None:
+    bench = make()
+    first = RunStart("ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}})
+    second = RunStart("bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}})
+    source = Scripted()
+    bench.run(source, lambda: len(source.taken) == 5, start=first)
+    bench.run(source, lambda: len(source.taken) == 8, start=first)
+    bench.run(source, start=second)
+    assert [
+        (at, kind, text) for at, kind, text in _events(bench) if kind in {"software", "configuration"}
+    ] == [
+        (9, "software", "software changed since run 2: numpy 2.4.5 → 2.4.6, source aaa → bbb"),
+        (9, "configuration", "bench changed since run 2: loop.cpu 1 → 2"),
+    ]
+    assert [run.by for run in bench.store.runs(bench.entry.id)] == ["ann", "ann", "bob"]
+
+
+def _hold(bench: Bench) -> sqlite3.Connection:
+    """Take the database's write lock as another program does."""
+    other = sqlite3.connect(bench.folder / "golfbench.sqlite", isolation_level=None, check_same_thread=False)
+    other.execute("BEGIN IMMEDIATE")
+    return other
+
+
+def test_a_locked_database_is_waited_for_and_no_shot_is_lost(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    heard: list[str] = []
+    monkeypatch.setattr(bench.watcher, "say", heard.append)
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 5:
+            threading.Timer(0.4, _hold(bench).close).start()
+        return {}
+
+    assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
+    assert any("database is locked" in text for text in heard)
+    assert [kind for _, kind, _ in _events(bench)] == ["database"]
+
+
+def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.campaign.runner._DATABASE_PATIENCE", 0.2)
+    bench = make()
+    held = list[sqlite3.Connection]()
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 5:
+            held.append(_hold(bench))
+        return {}
+
+    outcome = bench.run(Scripted(script), batch=1)
+    held[0].close()
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "the database was locked by another process for" in outcome.reason
+    assert "the last shot is not stored and is taken again" in outcome.reason
+    assert len(bench.shots) == 4
+    assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
+    assert [kind for _, kind, _ in _events(bench)] == ["killed"]
 
 
 class Unseen(Scripted):

@@ -211,6 +211,8 @@ def test_a_plan_changed_between_a_stop_and_resume_is_refused(
         patched.setattr("bench.campaign.runner.write_swing", full)
         code, text = user("run", tmp_path / "short.toml", "--sim")
         assert (code, "No space left on device" in text) == (ExitCode.FILE, True)
+        assert "nothing was stored" not in text
+        assert "0 shots are stored" in text
     (tmp_path / "short.toml").write_text(SHORT.replace("blocks = 1", "blocks = 2"))
     code, text = user("resume", "short", tmp_path / "short.toml")
     assert code == ExitCode.REFUSED
