@@ -133,7 +133,7 @@ class Comparison:
     drift_error: float | None
     covariates: Covariates | None
     scatter: tuple[ScatterRatio, ...]
-    """Ratios of the levels' standard deviations."""
+    """Ratios of the levels' standard deviations; of the confirmatory model only."""
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,12 @@ def analyse(
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
     look = look_now(plan, shots, looks)
     names, factor = levels(plan), plan.design.compare
-    raw, fit = _compared(plan, tests, [], "raw", look.alpha)
+    linear = bool(controls_per_block(plan)) and plan.analysis.drift == "linear"
+    raw, fit = _compared(plan, tests, [], "raw", look.alpha, scatter=not linear)
     corrected = None
     if controls_per_block(plan):
-        corrected, corrected_fit = _compared(
-            plan, tests, controls, "drift removed by the control ball", look.alpha
-        )
+        method = "drift removed by the control ball"
+        corrected, corrected_fit = _compared(plan, tests, controls, method, look.alpha, scatter=linear)
         fit = corrected_fit or fit
     first, second = (corrected, raw) if plan.analysis.drift == "linear" and corrected else (raw, corrected)
     return SectionAnalysis(
@@ -237,7 +237,13 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
 
 
 def _compared(
-    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
+    plan: CampaignPlan,
+    tests: Sequence[Shot],
+    controls: Sequence[Shot],
+    method: str,
+    alpha: float,
+    *,
+    scatter: bool,
 ) -> tuple[Comparison | None, _Fit | None]:
     """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
     names, data = levels(plan), _data(plan, tests, controls)
@@ -288,7 +294,7 @@ def _compared(
             slope,
             slope_error,
             _explained(plan, data, fit, count),
-            _scatter(plan, data, fit, names),
+            _scatter(plan, data, fit, names) if scatter else (),
         ),
         kept,
     )

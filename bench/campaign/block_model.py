@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.intp]
@@ -29,7 +29,7 @@ class Contrast(NamedTuple):
 
     def interval(self, confidence: float) -> tuple[float, float]:
         """Return Student's interval."""
-        half = float(stats.t.ppf((1 + confidence) / 2, self.freedom)) * self.error
+        half = float(special.stdtrit(self.freedom, (1 + confidence) / 2)) * self.error
         return self.estimate - half, self.estimate + half
 
     @property
@@ -37,13 +37,13 @@ class Contrast(NamedTuple):
         """Two-sided p value of the difference."""
         if not self.error:
             return 1.0 if not self.estimate else 0.0
-        return float(2 * stats.t.sf(abs(self.estimate) / self.error, self.freedom))
+        return float(2 * special.stdtr(self.freedom, -abs(self.estimate) / self.error))
 
     def p_same(self, margin: float) -> float:
         """P value of two one-sided tests: small if the difference is reliably less than `margin`."""
         if not self.error:
             return 0.0 if abs(self.estimate) < margin else 1.0
-        return float(stats.t.sf((margin - abs(self.estimate)) / self.error, self.freedom))
+        return float(special.stdtr(self.freedom, (abs(self.estimate) - margin) / self.error))
 
 
 class BlockFit(NamedTuple):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
+from bench.campaign.block_model import Array
 from bench.campaign.course import is_settled, looks_after
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import Role
@@ -39,7 +40,7 @@ def spent(alpha: float, share: float) -> float:
     """Return the error that all looks up to this share of the shots may spend together."""
     if share >= 1:
         return alpha
-    return float(2 * stats.norm.sf(stats.norm.isf(alpha / 2) / sqrt(share))) if share > 0 else 0.0
+    return float(4 * stats.norm.sf(stats.norm.isf(alpha / 4) / sqrt(share))) if share > 0 else 0.0
 
 
 @lru_cache(maxsize=4096)
@@ -67,7 +68,7 @@ def look_level(alpha: float, shares: tuple[float, ...]) -> float:
 
 
 @lru_cache(maxsize=4096)
-def _inside(alpha: float, shares: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _inside(alpha: float, shares: tuple[float, ...]) -> tuple[Array, Array, Array]:
     """Return grid, weights and density of the score after these looks, where none has crossed its limit."""
     level = look_level(alpha, shares)
     limit = min(float(stats.norm.isf(level / 2)) if level > 0 else 9.0, 9.0) * sqrt(shares[-1])

@@ -192,6 +192,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
     yield from _carry(plan)
     yield from _hits(plan)
+    yield from _covariates(plan)
     yield from _rules(plan)
 
 
@@ -244,6 +245,24 @@ def _carry(plan: CampaignPlan) -> Iterator[Mistake]:
             f'"monitor", while {a.quantity} is compared, which a launch monitor does not report here',
             '"reference" or "measured"',
             "Name one of them, or compare carry_m.",
+        )
+
+
+def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error if a covariate would take away what is compared."""
+    a = plan.analysis
+    if a.covariates and plan.design.compare != "ball":
+        found = f"{format_value(list(a.covariates))}, comparing {plan.design.compare}s"
+        cure = "Leave it out: clubs and swings differ by what they deliver."
+        yield Mistake("analysis.covariates", found, "none unless balls are compared", cure)
+    if a.quantity in a.covariates:
+        yield Mistake("analysis.covariates", format_value(a.quantity), "not the quantity", "Leave it out.")
+    if a.explained and not a.covariates:
+        yield Mistake(
+            "analysis.explained",
+            f"{a.explained:g}",
+            "0 without analysis.covariates",
+            "Name what explains it.",
         )
 
 

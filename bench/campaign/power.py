@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import ceil, sqrt
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 _MOST = 1_000_000
 """Max number of blocks that is searched."""
@@ -37,10 +37,10 @@ def power_of_shift(shift: float, freedom: float, alpha: float) -> float:
     if alpha <= 0 or freedom <= 0:
         return 0.0
     shift = abs(shift)
-    limit = stats.t.ppf(1 - alpha / 2, freedom)
+    limit = -special.stdtrit(freedom, alpha / 2)
     # Beyond that the other tail is nothing, and scipy's noncentral t loses its footing.
-    lower = stats.nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0
-    return float(stats.nct.sf(limit, freedom, shift) + lower)
+    lower = special.nctdtr(freedom, shift, -limit) if shift < 5 else 0.0
+    return float(1 - special.nctdtr(freedom, shift, limit) + lower)
 
 
 def power_of_equivalence(
@@ -62,9 +62,9 @@ def same_power_of_error(
     if error <= 0:
         return float(abs(difference) < margin)
     steps = (np.arange(500) + 0.5) / 500
-    seen = np.sqrt(stats.chi2.ppf(steps, freedom) / freedom)
-    half = margin - stats.t.ppf(1 - alpha, freedom) * error * seen
-    inside = stats.norm.cdf((half - difference) / error) - stats.norm.cdf((-half - difference) / error)
+    seen = np.sqrt(2 * special.gammaincinv(freedom / 2, steps) / freedom)
+    half = margin + special.stdtrit(freedom, alpha) * error * seen
+    inside = special.ndtr((half - difference) / error) - special.ndtr((-half - difference) / error)
     return float(np.where(half > 0, inside, 0.0).mean())
 
 

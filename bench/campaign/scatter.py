@@ -13,7 +13,7 @@ from math import inf, isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from bench.campaign.block_model import Array, Codes, holm
 
@@ -106,11 +106,14 @@ def _ratio(u: Array, v: Array, freedom: float, confidence: float) -> tuple[float
         return float((x + q * y) / sqrt(max(d * (a + 2 * q * c + q * q * b), 1e-300)))
 
     r = correlation(1.0)
-    p = float(2 * stats.t.sf(abs(r) * sqrt((freedom - 1) / max(1 - r * r, 1e-12)), freedom - 1))
-    t = float(stats.t.ppf((1 + confidence) / 2, freedom - 1))
+    p = float(2 * special.stdtr(freedom - 1, -abs(r) * sqrt((freedom - 1) / max(1 - r * r, 1e-12))))
+    t = float(special.stdtrit(freedom - 1, (1 + confidence) / 2))
     limit = t * t / (t * t + freedom - 1)
-    roots = np.roots([y * y - limit * d * b, 2 * (x * y - limit * d * c), x * x - limit * d * a])
-    edges = sorted(float(root.real) for root in roots if abs(root.imag) < 1e-12 and root.real > 0)
+    two, one, none = y * y - limit * d * b, x * y - limit * d * c, x * x - limit * d * a
+    inner = one * one - two * none
+    edges = []
+    if two and inner >= 0:
+        edges = sorted(q for sign in (-1, 1) if (q := (-one + sign * sqrt(inner)) / two) > 0)
     inside = [q for q in (0.0, *edges, inf) if isfinite(q)]
     low = next((q for q in inside if correlation(q * (1 + 1e-6) + 1e-12) ** 2 <= limit * (1 + 1e-9)), 0.0)
     above = [q for q in edges if q > low]

@@ -154,16 +154,17 @@ class UnitLayout:
         many = self._units.balls[self._units.level] > 1
         if not many.any() or len(self._units.level) == len(self._level):
             return 0.0
-        sums = np.bincount(self._units.of_shot, residuals)[many]
-        across = float((self._made[:, many] ** 2).sum())
-        matrix = np.array(
-            [[float((self._within[np.ix_(many, many)] ** 2).sum()), across], [across, self._freedom]]
-        )
-        right = np.array([float(sums @ sums), float(residuals @ residuals)])
-        if np.linalg.cond(matrix / np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))) > 1e6:
+        sums, within = np.bincount(self._units.of_shot, residuals)[many], self._within[np.ix_(many, many)]
+        values, vectors = np.linalg.eigh(within)
+        kept = values > 1e-9 * values[-1]
+        left = self._freedom - kept.sum()
+        if left < 1:
             return 0.0
-        between, within = np.linalg.solve(matrix, right)
-        return max(float(between / within), 0.0) if within > 0 else 0.0
+        # Balls as fixed effects leave the scatter of one shot (Henderson's third method).
+        explained = float(((vectors[:, kept].T @ sums) ** 2 / values[kept]).sum())
+        of_shot = (float(residuals @ residuals) - explained) / left
+        between = (float(sums @ sums) - of_shot * float(np.trace(within))) / float((within**2).sum())
+        return max(between / of_shot, 0.0) if of_shot > 0 else 0.0
 
     def estimate(self, residuals: Array) -> UnitErrors:
         """Return the errors by the `residuals` (n,) of the fit."""
@@ -267,14 +268,14 @@ class Together(NamedTuple):
         """Return a pair's p value for all pairs together (single step; never above Bonferroni's)."""
         if self.pairs < 2:
             return p
-        above = len(self.largest) - int(np.searchsorted(self.largest, float(stats.norm.isf(p / 2))))
+        above = len(self.largest) - int(np.searchsorted(self.largest, -float(special.ndtri(p / 2))))
         return max(p, min(1.0, self.pairs * p, (above + 1) / (len(self.largest) + 1)))
 
     def single(self, alpha: float) -> float:
         """Return the level of one pair at which all together err with `alpha`."""
         if self.pairs < 2:
             return alpha
-        beyond = 2 * float(stats.norm.sf(np.quantile(self.largest, 1 - alpha)))
+        beyond = 2 * float(special.ndtr(-np.quantile(self.largest, 1 - alpha)))
         # Too far out for draws: Bonferroni.
         return max(beyond, alpha / self.pairs) if alpha * len(self.largest) > 20 else alpha / self.pairs
 
