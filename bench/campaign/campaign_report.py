@@ -265,7 +265,7 @@ def _limits(record: CampaignRecord) -> list[str]:
             "the delivery measured by the encoders; on the robot acted its own configuration's ball. From "
             f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
             f"from hit to hit and {100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} "
-            f"m/s, spin {s.spin_rpm:g} rpm.",
+            f"m/s, spin {s.spin_rpm:g} rpm, carry {s.carry:g} m.",
         ]
     elif record.entry.simulated:
         limits[:0] = [
@@ -274,8 +274,8 @@ def _limits(record: CampaignRecord) -> list[str]:
             f"From shot to shot differ (standard deviations, assumptions): supply pressure "
             f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
             f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, spin "
-            f"{s.spin_rpm:g} rpm. Each swing begins from the same armed instant: the robot's own "
-            "scatter from swing to swing is not in it.",
+            f"{s.spin_rpm:g} rpm, carry {s.carry:g} m. Each swing begins from the same armed instant: the "
+            "robot's own scatter from swing to swing is not in it.",
         ]
     if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
         limits.append(

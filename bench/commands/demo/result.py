@@ -134,7 +134,8 @@ def write_result(
     by_itself = "" if entry.real_time else f"supply pressure {100 * s.supply:g} %, "
     scatter = (
         f"{by_itself}restitution {100 * s.restitution:g} % from hit to hit, {100 * s.sample:g} % from ball "
-        f"to ball, launch monitor {s.ball_speed:g} m/s and {s.spin_rpm:g} rpm (standard deviations)"
+        f"to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm and {s.carry:g} m of carry "
+        "(standard deviations)"
     )
     written = [path for path in files if path.exists()]
     screen.finish(
