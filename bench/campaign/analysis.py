@@ -23,6 +23,7 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
+from bench.campaign.common_errors import common_errors
 from bench.campaign.looks import Look, look_now
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import power_of_shift, same_power_of_error
@@ -257,11 +258,11 @@ def _compared(
         return None, kept
     errors = UnitLayout(fit, units).estimate(fit.residuals)
     hits = np.bincount(data.level, minlength=count)
-    found = []
+    found, common = [], common_errors(plan, data.shots)
     for one, two in combinations(range(len(names)), 2):
         contrast = errors.contrast(fit, one, two) if min(hits[one], hits[two]) else None
         if contrast is not None:
-            found.append((one, two, contrast))
+            found.append((one, two, contrast.widened(*(common.get(names[n], 0.0) for n in (one, two)))))
     if not found and len(names) > 1:
         return None, kept
     joint = together(errors, [(one, two) for one, two, _ in found], fit.freedom)

@@ -8,7 +8,7 @@ problem; the estimates are those of the full least-squares fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,15 @@ class Contrast(NamedTuple):
         if not self.error:
             return 1.0 if not self.estimate else 0.0
         return float(2 * special.stdtr(self.freedom, -abs(self.estimate) / self.error))
+
+    def widened(self, *common: float) -> Contrast:
+        """Return it with standard uncertainties that more shots do not reduce (Welch and Satterthwaite)."""
+        extra = hypot(*common)
+        if not extra:
+            return self
+        error = hypot(self.error, extra)
+        ratio = error / max(self.error, 1e-6 * error)
+        return Contrast(self.estimate, error, min(self.freedom * ratio**4, 1e9))
 
     def p_same(self, margin: float) -> float:
         """P value of two one-sided tests: small if the difference is reliably less than `margin`."""

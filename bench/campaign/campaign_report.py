@@ -280,8 +280,8 @@ def _limits(record: CampaignRecord) -> list[str]:
     if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
         limits.append(
             "Measured carry has a standard uncertainty from its coefficients, common to all shots of a ball: "
-            f"{min(errors):.2f} to {max(errors):.2f} m. It is in the rules' decisions, not in the intervals "
-            "and verdicts of comparisons, which are of the scatter only."
+            f"{min(errors):.2f} to {max(errors):.2f} m. It is in the differences of balls and in the "
+            "rules' decisions, not in the intervals of means; more shots do not reduce it."
         )
     if record.plan.stop.rule != "fixed":
         limits.append(

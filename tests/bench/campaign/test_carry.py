@@ -10,11 +10,15 @@ from math import pi
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
+from bench.campaign.analysis import analyse
+from bench.campaign.block_model import Contrast
 from bench.campaign.campaign_report import CampaignRecord, render_campaign_report
 from bench.campaign.carry import ShotCarry, measured_of, require_carry
+from bench.campaign.common_errors import common_errors
 from bench.campaign.equipment import carry_words
 from bench.campaign.findings import as_flown, findings
 from bench.campaign.operate import new_entry
@@ -214,3 +218,50 @@ def test_a_simulated_carry_is_not_called_measured(configuration: Configuration) 
     shots = [replace(s, carry_source="simulated") for s in campaign_shots(plan, Truth(), 1)[:40]]
     assert quantity_name(as_flown(plan, shots)) == "carry"
     assert quantity_name(plan) == "carry (measured aerodynamics)"
+
+
+def test_coefficients_that_are_not_well_known_do_not_make_balls_different(
+    configuration: Configuration,
+) -> None:
+    # Two equal balls, each flown with coefficients that are off by 1 m of carry (standard uncertainty).
+    plan = _ten(configuration, "measured")
+    plan = replace(
+        plan,
+        design=replace(plan.design, balls=("a", "b"), blocks=12, swings=("default",)),
+        control=replace(plan.control, ball=""),
+    )
+    random, called = np.random.default_rng(20261122), {0.0: 0, 1.0: 0}
+    campaigns = 150
+    for number in range(campaigns):
+        off = dict(zip("ab", random.normal(0.0, 1.0, 2), strict=True))
+        drawn = campaign_shots(plan, Truth(deviation=1.0, block=0.5), number)
+        for error in called:
+            shots = [
+                replace(
+                    s,
+                    carry_m=(s.carry_m or 0.0) + off[s.ball],
+                    carry_source="measured",
+                    carry_measured_error_m=error,
+                )
+                for s in drawn
+            ]
+            (pair,) = analyse(plan, shots, 1, "").confirmatory.pairs  # type: ignore[union-attr]
+            called[error] += pair.verdict in {"different", "both"}
+    assert called[0.0] / campaigns > 0.4, "what the scatter alone would say"
+    assert called[1.0] / campaigns < 0.10
+
+
+def test_an_error_that_all_levels_share_widens_nothing(configuration: Configuration) -> None:
+    plan = _ten(configuration, "measured")
+    shots = [
+        replace(s, carry_source="measured", carry_measured_error_m=0.7)
+        for s in campaign_shots(plan, Truth(), 1)
+    ]
+    assert common_errors(plan, shots) == pytest.approx(dict.fromkeys(plan.design.balls, 0.7))
+    clubs = replace(plan, design=replace(plan.design, compare="club"))
+    assert common_errors(clubs, shots) == {}
+    assert common_errors(plan, [replace(s, carry_source="monitor") for s in shots]) == {}
+    plain = Contrast(2.0, 0.5, 10.0)
+    assert plain.widened(0.0, 0.0) == plain
+    assert plain.widened(0.3, 0.4).error == pytest.approx(0.5 * 2**0.5)
+    assert plain.widened(0.3, 0.4).freedom == pytest.approx(40.0)
