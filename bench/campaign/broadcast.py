@@ -60,6 +60,7 @@ class Broadcast(Watcher):
             "reason": shot.reason,
             "club_speed_mps": shot.club_speed_mps,
             "carry_m": shot.carry_m,
+            "carry_source": shot.carry_source,
             "time_utc": shot.time_utc.isoformat(),
         }
         self._times.append(shot.time_utc)

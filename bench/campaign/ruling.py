@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from bench.campaign.looks import share_done
 from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels
 from bench.campaign.rules import RuleSet, rule_on
 from bench.campaign.sequence import Role, Section, sections
@@ -134,6 +135,7 @@ def _finding(
     try:
         means = {name: _mean(rule, group) for name, group in groups.items()}
         value = _value(rule, means) / rule.scale
+        _require_end(plan, shots)
         controls = [s for s in shots if s.role == Role.CONTROL and s.status is ShotStatus.VALID]
         _require_set_up(rule, plan.set_up, controls)
         _require_source(rule, [shot for group in groups.values() for shot in group])
@@ -198,6 +200,13 @@ def _value(rule: RuleSet, means: dict[str, _Mean]) -> float:
     if len(values) < 2:
         raise _Unjudged("one level only, nothing to compare")
     return max(values) - min(values)
+
+
+def _require_end(plan: CampaignPlan, shots: Sequence[Shot]) -> None:
+    """Raise _Unjudged before the end of a section whose size is fixed: each look would be another chance."""
+    share = share_done(plan, shots)
+    if plan.stop.rule == "fixed" and share < 1 - 1e-9:
+        raise _Unjudged(f"the section is not finished, {100 * share:.0f} % of its shots are done")
 
 
 def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot]) -> None:

@@ -138,7 +138,7 @@ def test_guard_band() -> None:
 def test_a_ball_at_the_limit_is_passed_once_in_44(distance: CampaignPlan) -> None:
     random, passed, count = np.random.default_rng(20261122), 0, 3000
     plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={"total_m": 0.0}))
-    shots = [replace(s, carry_measured_error_m=None) for s in _shots(ODS, [320.0] * 8, source="simulated")]
+    shots = [replace(s, carry_measured_error_m=None) for s in _shots(ODS, [320.0] * 12, source="simulated")]
     for _ in range(count):
         noise = iter(random.normal(0.0, 2.0, len(shots)))
         drawn = [replace(s, total_m=(s.total_m or 0.0) + next(noise)) for s in shots]
@@ -150,7 +150,7 @@ def test_sections_are_judged_by_themselves(configuration: Configuration) -> None
     plan = _with_rules(load_plan(Path("ten-balls"), configuration), "symmetry", "ods")
     plan = replace(
         plan,
-        design=replace(plan.design, balls=("a",)),
+        design=replace(plan.design, balls=("a",), blocks=12),
         rules=replace(plan.rules, uncertainty={"total_m": 1.0}),
     )
     shots = [
@@ -205,6 +205,13 @@ def test_an_uncertainty_that_nobody_stated_is_not_zero(distance: CampaignPlan) -
         "the uncertainty of total_m is not stated"
         in _only(judge_rules(plan, _shots(ODS, _scatter(300.0)))).words
     )
+
+
+def test_an_unfinished_section_is_not_judged(distance: CampaignPlan) -> None:
+    plan = _with_rules(distance, "ods")
+    half = _only(judge_rules(plan, _shots(ODS, _scatter(300.0, 6))))
+    assert half.decision is Decision.NOT_JUDGED
+    assert "the section is not finished, 50 % of its shots are done" in half.words
 
 
 def test_the_initial_velocity_is_the_apparatus(distance: CampaignPlan) -> None:
