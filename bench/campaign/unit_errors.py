@@ -59,9 +59,9 @@ class UnitErrors(NamedTuple):
     ratio: float
     """Variance between balls over that of one shot."""
     positive: Array
-    """The same, none below 0."""
+    """The same, none below 0, shrunk towards equality by what chance explains."""
     assumed: Array
-    """The same variances as the degrees of freedom assume them: shrunk towards equality."""
+    """The same, shrunk further: as the degrees of freedom assume them."""
     inverse: Array
     """(levels, levels): makes variances out of the sums of squares of each level's units."""
     expected: Array
@@ -177,9 +177,11 @@ class UnitLayout:
         positive = np.maximum(variances, 1e-2 * max(middle, 0.0))
         # How sure each would be if all were equal says how much of their differences is chance.
         chance = np.diag(inverse @ self._spread(ratio, np.ones(len(positive))) @ inverse.T)
-        return self._errors(
-            ratio, variances, positive, _shrunk(positive, 2 / np.maximum(chance, 1e-12)), inverse
-        )
+        sure = 2 / np.maximum(chance, 1e-12)
+        # An error that is small by chance must not count for less, too: differences that chance makes in 1 of
+        # 200 campaigns do not enter the degrees of freedom.
+        assumed = _shrunk(positive, sure, 0.995)
+        return self._errors(ratio, variances, _shrunk(positive, sure, 0.5), assumed, inverse)
 
     def foreseen(self, variances: Array, ratio: float) -> UnitErrors:
         """Return the errors to expect with these true variances of one shot and this ratio."""
@@ -228,8 +230,8 @@ class UnitLayout:
         return np.asarray(2 * order.T @ covariance**2 @ order)
 
 
-def _shrunk(variances: Array, freedom: Array) -> Array:
-    """Return variances shrunk towards their geometric mean by what chance explains."""
+def _shrunk(variances: Array, freedom: Array, chance: float) -> Array:
+    """Return variances shrunk towards their geometric mean by the spread that has this chance."""
     some = (freedom >= 1) & (variances > 0)
     if some.sum() < 2:
         return variances
@@ -237,10 +239,9 @@ def _shrunk(variances: Array, freedom: Array) -> Array:
     weights = freedom[some] / freedom[some].sum()
     middle = float(weights @ logs)
     seen = float(((logs - middle) ** 2).sum()) / (some.sum() - 1)
-    # Unless chance (5 %) would do it: an error that is small by chance must not also count for less.
-    likely = float(stats.chi2.ppf(0.95, some.sum() - 1)) / (some.sum() - 1)
-    chance = float(special.polygamma(1, freedom[some] / 2).mean()) * likely
-    kept = max(0.0, 1 - chance / seen) if seen > 0 else 0.0
+    likely = float(special.chdtri(some.sum() - 1, 1 - chance)) / (some.sum() - 1)
+    expected = float(special.polygamma(1, freedom[some] / 2).mean()) * likely
+    kept = max(0.0, 1 - expected / seen) if seen > 0 else 0.0
     shrunk = variances.copy()
     shrunk[some] = np.exp(middle + kept * (logs - middle))
     return shrunk
@@ -297,16 +298,15 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
     """
     width = len(errors.assumed)
     drawn = _draws(2 * width)
-    covariance = np.tensordot(errors.assumed, errors.parts, axes=1)
-    means = drawn[:, :width] @ _root(covariance).T
+    means = drawn[:, :width] @ _root(errors.covariance).T
     # Sums of squares: each like chi-square (Wilson and Hilferty), together with their correlation.
-    middle, deviation = errors.expected @ errors.assumed, np.sqrt(np.maximum(np.diag(errors.spread), 1e-300))
+    middle, deviation = errors.expected @ errors.positive, np.sqrt(np.maximum(np.diag(errors.spread), 1e-300))
     step = (deviation / np.maximum(middle, 1e-300)) ** 2 / 9
     linked = drawn[:, width:] @ _root(errors.spread / np.outer(deviation, deviation)).T
     squares = middle * np.maximum(1 - step + linked * np.sqrt(step), 0.0) ** 3
     first, second = np.array(pairs).T
     weights = np.array([errors.weights(one, two) for one, two in pairs])
-    variances = np.maximum(squares @ (weights @ errors.inverse).T, _LEAST * (weights @ errors.assumed))
+    variances = np.maximum(squares @ (weights @ errors.inverse).T, _LEAST * (weights @ errors.positive))
     freedom = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])
     return Draws(means[:, first] - means[:, second], np.maximum(variances, 1e-300), freedom)
 

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from bench.campaign.campaign_report import load_record
 from bench.campaign.findings import findings
+from bench.campaign.look_events import note_look
 from bench.campaign.looks import look_level, look_now, share_done, spent
+from bench.campaign.operate import new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.verdicts import confidence_words
-from bench.config import load_configuration
+from bench.config import database_url, load_configuration
+from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
+from bench.store.database import open_database
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
+
+NOW = datetime(2026, 11, 22, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +88,26 @@ def test_words_and_intervals_have_their_true_level(plan: CampaignPlan) -> None:
 )
 def test_a_level_is_never_rounded_up(confidence: float, words: str) -> None:
     assert confidence_words(confidence) == words
+
+
+def test_looks_at_an_unfinished_campaign_are_events_and_count(plan: CampaignPlan, tmp_path: Path) -> None:
+    entry = new_entry(plan, load_configuration(Path("shipped")), NOW, simulated=True)
+    shots = [StoredShot(shot) for shot in campaign_shots(plan, Truth(), 4)]
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        store.add(entry, shots[:10])
+        assert note_look(store, load_record(store, entry), "report") == [10]
+        assert note_look(store, load_record(store, entry), "report") == [10]
+        store.add(entry, shots[10:20])
+        assert note_look(store, load_record(store, entry), "end of a run") == [10, 20]
+        (first, second) = (event for event in store.events(entry.id) if event.kind == "look")
+        assert first.text == "look at 10 shots: report"
+        assert second.before_shot == 21
+        store.add(entry, shots[20:])
+        store.change(entry.id, state=CampaignState.FINISHED)
+        record = load_record(store, entry)
+        assert note_look(store, record, "report") == [10, 20]
+    look = findings(plan, record.shots, [10, 20]).sections[0].look
+    assert look.number == 3
+    assert look.alpha < 0.05

@@ -1,0 +1,176 @@
+"""What the first page says is what the figures say: models and balls, all pairs, scatter, covariates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.campaign.analysis import analyse
+from bench.campaign.findings import findings
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.repeatability import successive_scatter
+from bench.campaign.scatter import scatter_ratios
+from bench.campaign.series import foreseen, series_needed
+from bench.campaign.verdicts import Verdict
+from bench.config import load_configuration
+from bench.shot.shot import Shot
+from tests.benchmarks.campaign_verdicts import Case, Known, cases, drawn
+
+
+def _case(part: str) -> Case:
+    return next(case for case in cases() if part in case.name)
+
+
+def _first(plan: CampaignPlan, shots: Sequence[Shot]) -> Verdict:
+    return findings(plan, shots).verdicts[0][0]
+
+
+def test_one_ball_of_each_is_judged_as_that_ball() -> None:
+    case = _case("one ball of each x 20, balls differ")
+    shots, _ = drawn(case, 9.0, 1)
+    verdict = _first(case.plan, shots)
+    assert "more carry (launch monitor) than" in verdict.headline
+    assert "20 valid shots of each with 1 ball" in verdict.detail
+    assert "holds for this ball, not for its model" in verdict.detail
+    many = _case("ball SD half")
+    assert "not for its model" not in _first(many.plan, drawn(many, 9.0, 1)[0]).detail
+
+
+def test_a_balls_hits_are_no_new_balls() -> None:
+    case = _case("ball SD as the shot's")
+    shots, _ = drawn(case, 0.0, 2)
+    comparison = analyse(case.plan, shots, 1, "", ()).confirmatory
+    assert comparison is not None
+    (pair,) = comparison.pairs
+    assert (pair.shots, pair.balls, pair.models) == (96, 12, True)
+    assert pair.freedom == pytest.approx(11)
+    assert comparison.ball_deviation == pytest.approx(2.0, rel=0.6)
+    assert comparison.deviation == pytest.approx(2.0, rel=0.2)
+    naive = np.sqrt(2 * comparison.deviation**2 / 96)
+    assert pair.error > 2 * naive
+
+
+@pytest.fixture(scope="module")
+def ten() -> Case:
+    plan = _case("10 levels, 12 balls").plan
+    plan = replace(plan, analysis=replace(plan.analysis, margin=4.0, difference=4.0))
+    return Case("ten equal ones", plan, Known(deviation=1.0))
+
+
+def test_ten_levels_that_are_all_alike_are_said_to_be(ten: Case) -> None:
+    shots, _ = drawn(ten, 0.0, 3)
+    verdict = _first(ten.plan, shots)
+    assert verdict.resolved
+    assert verdict.headline.startswith("All 10 balls are the same in carry (launch monitor), within 4 m")
+    near, _ = drawn(ten, 2.0, 3)
+    headline = _first(ten.plan, near).headline
+    assert headline.startswith("All 10 balls are the same in carry (launch monitor), within 4 m (")
+    assert "by less than that" in headline
+
+
+def test_ten_levels_of_which_one_is_far_are_counted(ten: Case) -> None:
+    shots, _ = drawn(ten, 12.0, 4)
+    headline = _first(ten.plan, shots).headline
+    assert headline == "9 of 45 pairs differ in carry (launch monitor), 36 are the same within 4 m."
+
+
+def test_enough_shots_are_not_called_too_few(ten: Case) -> None:
+    # All are about a margin apart: neither different by more nor the same, however many shots.
+    shots, _ = drawn(ten, 4.0, 5)
+    found = findings(ten.plan, shots)
+    verdicts = {pair.verdict for pair in found.sections[0].confirmatory.pairs}  # type: ignore[union-attr]
+    assert "not enough shots" not in verdicts
+    assert "not enough" not in found.verdicts[0][0].headline
+
+
+def test_a_pair_differs_exactly_if_its_joint_interval_leaves_out_zero(ten: Case) -> None:
+    shots, _ = drawn(ten, 1.2, 6)
+    comparison = analyse(ten.plan, shots, 1, "", ()).confirmatory
+    assert comparison is not None
+    for pair in comparison.pairs:
+        assert (pair.p_adjusted < 0.05) == (pair.low_together > 0 or pair.high_together < 0)
+        assert pair.p <= pair.p_adjusted <= min(1.0, 45 * pair.p) + 1e-12
+
+
+@pytest.mark.parametrize("truth", [1.0, 2.5])
+def test_ratios_of_scatter_cover_the_truth_whatever_the_blocks(truth: float) -> None:
+    random, covered, false = np.random.default_rng(9), 0, 0
+    block, level = np.repeat(np.arange(24), 3), np.tile(np.arange(3), 24)
+    for _ in range(400):
+        scale = np.array([truth, 1.0, 1.0])[level]
+        y = 4 * random.normal(size=24)[block] + scale * random.normal(size=72)
+        found = scatter_ratios(block, y, level, block, ("a", "b", "c"), 0.95)
+        covered += found[0].low <= truth <= found[0].high
+        false += found[2].p_adjusted < 0.05
+        assert found[0].low <= found[0].ratio <= found[0].high
+    assert covered / 400 == pytest.approx(0.95, abs=0.035)
+    assert false / 400 < 0.06
+
+
+def test_a_covariate_takes_out_what_it_explains() -> None:
+    case = _case("club speed as covariate")
+    shots, _ = drawn(case, 0.0, 7)
+    with_it = analyse(case.plan, shots, 1, "", ()).confirmatory
+    plan = replace(case.plan, analysis=replace(case.plan.analysis, covariates=(), explained=0.0))
+    without = analyse(plan, shots, 1, "", ()).confirmatory
+    assert with_it is not None
+    assert without is not None
+    assert with_it.covariates is not None
+    assert with_it.covariates.share == pytest.approx(0.8, abs=0.15)
+    assert with_it.covariates.slopes[0] == pytest.approx(3.0, rel=0.3)
+    assert with_it.deviation < 0.7 * without.deviation
+    (note, _) = findings(case.plan, shots).notes[0]
+    assert "Corrected by club speed, as planned" in note
+    shots[0] = replace(shots[0], club_speed_mps=None)
+    left = analyse(case.plan, shots, 1, "", ()).confirmatory
+    assert left is not None
+    assert left.covariates is not None
+    assert left.covariates.missing == 1
+
+
+def test_a_covariate_is_refused_where_it_is_what_is_compared(tmp_path: Path) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_text(
+        '[campaign]\nname = "x"\n[design]\ncompare = "club"\nballs = ["tour"]\nclubs = ["driver"]\n'
+        '[analysis]\nquantity = "club_speed_mps"\ncovariates = ["club_speed_mps"]\n'
+    )
+    with pytest.raises(ExceptionGroup) as refused:
+        load_plan(file, load_configuration(Path("shipped")))
+    words = " ".join(map(str, refused.value.exceptions))
+    assert "none unless balls are compared" in words
+    assert "not the quantity" in words
+
+
+def test_more_hits_of_the_same_balls_do_not_replace_balls() -> None:
+    plan = _case("ball SD half").plan
+    plan = replace(plan, analysis=replace(plan.analysis, difference=1.0))
+    few, _ = series_needed(plan, 1.0, 0.2)
+    assert few is not None
+    assert few.balls <= 12
+    many, _ = series_needed(plan, 1.0, 2.0)
+    assert many is not None
+    assert many.balls > 12
+    assert many.shots == 8 * many.balls
+
+
+def test_power_is_foretold_by_the_same_degrees_of_freedom() -> None:
+    plan = _case("2 levels, 12 balls").plan
+    ahead = foreseen(plan, 2.0, 1.0)
+    assert ahead is not None
+    assert ahead.freedom == pytest.approx(11)
+    assert ahead.error == pytest.approx(np.sqrt(2 * (1 / 12 + 4 / 96)))
+    assert ahead.power(ahead.resolution(0.8)) == pytest.approx(0.8, abs=1e-6)
+
+
+def test_repeatability_without_two_shots_in_a_block_is_that_of_successive_shots() -> None:
+    random = np.random.default_rng(1)
+    drifting = 0.02 * np.arange(400) + random.normal(size=400)
+    found = successive_scatter(drifting)
+    assert found.deviation == pytest.approx(1.0, rel=0.1)
+    assert found.low < found.deviation < found.high
+    assert drifting.std() > 2 * found.deviation
