@@ -214,6 +214,9 @@ class Cause(IntEnum):
     WRIST_B_SENSOR = 59
     VENT_1 = 60
     VENT_2 = 61
+    SHOULDER_ZERO = 62
+    ARM_ZERO = 63
+    WRIST_ZERO = 64
 
 
 CAUSE_TEXT = {
@@ -279,6 +282,9 @@ CAUSE_TEXT = {
     Cause.WRIST_B_SENSOR: "sensor of wrist chamber B without believable value: check cable and sensor",
     Cause.VENT_1: "vent 1 does not follow its command: check valve and position switch",
     Cause.VENT_2: "vent 2 does not follow its command: check valve and position switch",
+    Cause.SHOULDER_ZERO: "shoulder's end stop is not where encoder R1 says: check its coupling and zero",
+    Cause.ARM_ZERO: "right arm's end stop is not where encoder R2 says: check its coupling and zero",
+    Cause.WRIST_ZERO: "wrist's end stop is not where encoder R3 says: check its coupling and zero",
 }
 """Text for the operator, with the cure where one is known."""
 

@@ -593,12 +593,13 @@ def _copy_command(source: Any, target: Any) -> None:
     a, b = source, target
     for i in range(3):
         b.valve[i] = a.valve[i]
-    b.supply_enable, b.exhaust_closed, b.guard_lock, b.beacon, b.tee = (
+    b.supply_enable, b.exhaust_closed, b.guard_lock, b.beacon, b.tee, b.search_index = (
         a.supply_enable,
         a.exhaust_closed,
         a.guard_lock,
         a.beacon,
         a.tee,
+        a.search_index,
     )
 
 
@@ -641,7 +642,7 @@ def faulty_time(faults: Faults, time: float) -> float:
 def _make_passive(c: Any) -> None:
     for i in range(3):
         c.valve[i] = 0.0
-    c.supply_enable = c.exhaust_closed = c.beacon = c.tee = False
+    c.supply_enable = c.exhaust_closed = c.beacon = c.tee = c.search_index = False
     c.guard_lock = True
 
 

@@ -271,6 +271,7 @@ PLANT_STATE = np.dtype(
         ("encoder_indexed", "u1", (3,)),
         ("encoder_start", "i8", (3,)),
         ("index_fitted", "u1", (3,)),
+        ("search_before", "?"),
         ("ball_present", "?"),
         ("tee_before", "?"),
         ("struck", "?"),
@@ -463,6 +464,12 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     if c.tee and not s.tee_before:
         s.ball_present, s.struck = True, False
     s.tee_before = c.tee
+    if c.search_index and not s.search_before and p.incremental:
+        for i in range(3):
+            if s.encoder_indexed[i] != 0:
+                s.encoder_indexed[i] = 0
+                s.encoder_start[i] = floor(s.angle[i] * p.encoder_scale[i] + p.encoder_zero[i])
+    s.search_before = c.search_index
     s.guard_locked = s.guard_closed and c.guard_lock
     s.supply_level = min(s.supply_level + p.tick / p.soft_start_time, 1.0) if c.supply_enable else 0.0
     s.vent_timer = 0.0 if c.exhaust_closed else s.vent_timer + p.tick

@@ -99,6 +99,10 @@ BOUNDS = (
         "homing", "tolerance", (0.0, 6.3), (0.0, 0.35), "rad",
         "an encoder that may be further off proves no zero",
     ),
+    Bound(
+        "homing", "stop_tolerance", (0.0, 6.3), (0.0, 0.04), "rad",
+        "with zeros 0.1 rad off the club passes 2 mm over the ground",
+    ),
 )  # fmt: skip
 """Every value with what may be given in simulation, with a real robot, and why."""
 
@@ -126,6 +130,9 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
             wanted,
             "Wire the button and set the key to true.",
         )
+    if c.is_machine and not c.homing.stops:
+        wanted = "true with a real robot: neither pose nor index shows a coupling that slipped a little"
+        yield "homing.stops", format_value(c.homing.stops), wanted, "Set it to true."
     yield from _vent_proof(c)
 
 

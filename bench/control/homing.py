@@ -1,9 +1,16 @@
-"""Homing by index search: one joint after the other is turned slowly until its encoder's index has passed.
+"""Homing: one joint after the other is turned until its encoder's index has passed, then to its end stop.
 
-Until then an incremental encoder counts from where it was switched on, so that only differences of its angles
-mean anything: working range, ground and frame are not known, and the search is bounded by travel, time, speed
-and following error instead. The encoder itself sets its count to zero at the index; the angle, from there on
-the joint's, is taken over without a jump of the velocity (`bench.control.step.estimate_tick`).
+The index says where the encoder is, not where the joint is: a coupling that slipped or a mark that moved is
+found at the stop, which no encoder knows of. Each joint has to come to rest there, pressed by its air, at the
+angle that the robot's geometry says. Then all go back to where they came from. Absolute encoders are proven
+in the same way. An index is searched for in each homing: `Command.search_index` makes the device forget it. A
+joint that already is beyond it turns round, where it comes to its stop or has gone as far as it may.
+
+Until its index has passed an incremental encoder counts from where it was switched on, so that only
+differences of its angles mean anything: working range, ground and frame are not known, and the search is
+bounded by travel, time, speed and following error instead. The encoder itself sets its count to zero at the
+index; the angle, from there on the joint's, is taken over without a jump of the velocity
+(`bench.control.step.estimate_tick`).
 
 No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead, which
 bounds the flow and so the speed at which a joint can move, not the force at which it presses against what is
@@ -16,51 +23,144 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause
+from bench.control.pid import reset_integral
+from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 RAMP = 0.3
 """s from rest to the search's speed."""
 
+_FIRM = 0.8
+"""Share of the lead at which a joint counts as pressed."""
+_RESTS = 0.005
+"""rad within which a joint rests."""
+_BEYOND = 0.1
+"""rad beyond its travel in which a joint that searches comes to rest before it turns round."""
+_EASE = 0.4
+"""Share of the lead that pulls a joint off its stop: a full chamber throws it the harder the more it lags."""
+_LONGEST_PUSH = 2.0
+"""s for which a joint may rest against its reference anywhere else: dry friction holds it as long as the air
+takes to change sides."""
 _FASTER = 12.0
 """Times the search's speed that are too fast; a joint that breaks loose from dry friction jerks."""
 
 
 @compiled
-def begin_search(s: Any, p: Any, angle: Any, time: float) -> None:
-    """Begin to search at `time` (s): set-point := measured, for all joints."""
-    s.home_turn, s.home_since = 0, time
+def begin_search(state: Any, p: Any, now: float) -> None:
+    """Warn from `now` (s) on, charge, then search: set-point := measured, for all joints."""
+    s, angle = state.control[0], state.estimator[0].angle
+    reset_integral(state.pid)
+    s.disarming = s.tee = False
+    s.air_from = now + p.warning_time
+    s.move_start = s.home_begin = time = s.air_from + p.precharge_time
+    s.phase = Phase.HOMING
+    s.home_turn, s.home_since, s.home_pushed = 0, time, time
+    s.home_touching, s.home_way = not p.home_by_index, 1.0
     for i in range(3):
-        s.reference[i] = s.home_from[i] = angle[i]
+        s.reference[i] = s.home_from[i] = s.home_begun[i] = angle[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
+        s.home_free[i] = not p.home_by_index
 
 
 @compiled
-def search(s: Any, p: Any, angle: Any, indexed: Any, shifted: Any, time: float, measured_step: float) -> bool:
-    """Move the references (rad) of the search on; return True once all joints are `indexed`.
+def search(s: Any, p: Any, e: Any, indexed: Any, time: float, measured_step: float) -> bool:
+    """Move the references (rad) on; return True once all joints are `indexed` and have been at their stops.
 
-    `angle` (3,) rad is estimated, `shifted` (3,) rad is what the zero set in this tick added to it.
+    `e` is ESTIMATOR_STATE.
     """
     for i in range(3):
-        s.reference[i] += shifted[i]
-        s.home_from[i] += shifted[i]
+        # A zero that was set in this tick: the joint went on as before.
+        s.reference[i] += s.zero_shift[i]
+        s.home_from[i] += s.zero_shift[i]
+        s.home_begun[i] += s.zero_shift[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
-    while s.home_turn < 3 and indexed[p.home_order[s.home_turn]] != 0:
-        joint = p.home_order[s.home_turn]
-        s.reference[joint] = angle[joint]
-        s.home_turn, s.home_since = s.home_turn + 1, time
-        if s.home_turn < 3:
-            following = p.home_order[s.home_turn]
-            s.home_from[following] = angle[following]
+        if indexed[i] == 0:
+            s.home_free[i] = 1
+    if not (time > s.home_since and measured_step > 0.0):
+        return False
     if s.home_turn >= 3:
-        return True
-    if time > s.home_since and measured_step > 0.0:
-        joint = p.home_order[s.home_turn]
-        speed = p.home_direction[joint] * p.home_speed[joint] * min((time - s.home_since) / RAMP, 1.0)
-        s.reference[joint] += speed * measured_step
-        s.reference_velocity[joint] = speed
-        s.feed_forward[joint] = p.move_gain[joint] * speed
+        return not p.home_stops or _go_back(s, p, e, time, measured_step)
+    joint = p.home_order[s.home_turn]
+    if not s.home_touching and s.home_free[joint] != 0 and indexed[joint] != 0:
+        s.home_touching = True
+        _begin_way(s, e, joint, time)
+    if not s.home_touching:
+        _seek(s, p, e, joint, time, measured_step)
+    elif not p.home_stops or _press(s, p, e, joint, time, measured_step):
+        s.home_turn, s.home_touching = s.home_turn + 1, not p.home_by_index
+        s.reference[joint] = e.angle[joint]
+        if s.home_turn < 3:
+            _begin_way(s, e, p.home_order[s.home_turn], time)
+        else:
+            s.home_since = time
     return False
+
+
+@compiled
+def _begin_way(s: Any, e: Any, joint: int, time: float) -> None:
+    """Let `joint` go on from where it is."""
+    s.reference[joint] = s.home_from[joint] = s.home_at = e.angle[joint]
+    s.home_since = s.home_pushed = time
+    s.home_way = 1.0
+
+
+@compiled
+def _turn(s: Any, p: Any, joint: int, speed: float, time: float, measured_step: float) -> None:
+    """Move the reference of `joint` on at `speed` (rad/s), from rest."""
+    speed *= min((time - s.home_since) / RAMP, 1.0)
+    s.reference[joint] += speed * measured_step
+    s.reference_velocity[joint] = speed
+    s.feed_forward[joint] = p.move_gain[joint] * speed
+
+
+@compiled
+def _push(s: Any, p: Any, e: Any, joint: int, speed: float, time: float, measured_step: float) -> None:
+    """Turn `joint` on at `speed` (rad/s), and note whether it rests against its reference.
+
+    The reference waits for a joint that lags: the air then presses it no harder.
+    """
+    lead = abs(s.reference[joint] - e.angle[joint])
+    if lead < p.home_touch_lead[joint]:
+        _turn(s, p, joint, speed, time, measured_step)
+    # By its angle, not its velocity, which the other joints shake.
+    if lead < _FIRM * p.home_touch_lead[joint] or abs(e.angle[joint] - s.home_at) > _RESTS:
+        s.home_pushed, s.home_at = time, e.angle[joint]
+
+
+@compiled
+def _seek(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> None:
+    """Turn `joint` on to its index: as far as it may or can, then in the other direction."""
+    way = s.home_way * p.home_direction[joint]
+    _push(s, p, e, joint, way * p.home_speed[joint], time, measured_step)
+    far = way * (e.angle[joint] - s.home_from[joint]) > p.home_travel[joint]
+    if s.home_way > 0.0 and (far or time - s.home_pushed > _LONGEST_PUSH):
+        s.home_way, s.reference[joint] = -1.0, e.angle[joint]
+        s.home_since = s.home_pushed = time
+
+
+@compiled
+def _press(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> bool:
+    """Turn `joint` to its stop; return True once it has been pressed against it, at the stop's angle."""
+    _push(s, p, e, joint, p.home_direction[joint] * p.home_touch_speed[joint], time, measured_step)
+    there = abs(e.angle[joint] - p.home_stop[joint]) <= p.home_stop_tolerance[joint]
+    return bool(there and time - s.home_pushed >= p.home_touch_time)
+
+
+@compiled
+def _go_back(s: Any, p: Any, e: Any, time: float, measured_step: float) -> bool:
+    """Move all joints back to where homing began; return True once their references are there.
+
+    The reference waits for a joint that lags: at its stop the air first has to change sides.
+    """
+    back = True
+    for i in range(3):
+        way = s.home_begun[i] - s.reference[i]
+        if abs(way) > p.home_touch_speed[i] * measured_step:
+            back = False
+            speed = p.home_touch_speed[i] if way > 0.0 else -p.home_touch_speed[i]
+            if abs(s.reference[i] - e.angle[i]) < _EASE * p.home_touch_lead[i]:
+                _turn(s, p, i, speed, time, measured_step)
+    return back
 
 
 @compiled
@@ -82,10 +182,24 @@ def search_cause(
     if not time - s.home_begin <= p.home_longest:
         return Cause.HOMING_FAILED
     for i in range(3):
+        if s.home_free[i] == 0 and time > s.home_begin:
+            return Cause.HOMING_FAILED  # the device knows of no new search: an index of before proves nothing
+    # Off its stop a full chamber throws a joint, whose zero is proven by then.
+    faster = _FASTER if s.home_turn < 3 else 2.0 * _FASTER
+    turned = p.home_order[s.home_turn] if s.home_turn < 3 else -1
+    for i in range(3):
         if not abs(s.reference[i] - angle[i]) <= following[i]:
             return Cause.SHOULDER_FOLLOWING + i
-        if not abs(velocity[i]) <= _FASTER * p.home_speed[i]:
+        if not abs(velocity[i]) <= faster * p.home_speed[i]:
             return Cause.HOMING_FAILED
-        if not abs(angle[i] - s.home_from[i]) <= p.home_travel[i]:
+        if i != turned:
+            continue
+        if s.home_touching and p.home_stops:
+            beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
+            if not (beyond <= p.home_stop_tolerance[i] and time - s.home_pushed <= _LONGEST_PUSH):
+                return Cause.SHOULDER_ZERO + i
+        elif not time - s.home_pushed <= 1.1 * _LONGEST_PUSH:
+            return Cause.SHOULDER_FOLLOWING + i
+        elif not abs(angle[i] - s.home_from[i]) <= p.home_travel[i] + _BEYOND:
             return Cause.HOMING_FAILED
     return 0

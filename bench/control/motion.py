@@ -29,8 +29,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
     if s.swinging:
         _follow_swing(state, parameters, time)
     elif s.phase == Phase.HOMING:
-        indexed = state.encoder[0].indexed
-        if search(s, p, e.angle, indexed, s.zero_shift, time, measured_step):
+        if search(s, p, e, state.encoder[0].indexed, time, measured_step):
             s.homed = True
             begin_reaction(s, parameters, Reaction.BRAKE.value, time)  # no cause: to rest, then READY
     elif s.moving:

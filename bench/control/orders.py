@@ -10,7 +10,7 @@ from bench.control.homing import begin_search
 from bench.control.pid import reset_integral
 from bench.control.references import begin_move, follow_profile
 from bench.control.states import change_state, disarm
-from bench.lifecycle import Phase, Reaction, Request, State
+from bench.lifecycle import Reaction, Request, State
 from drivers.base.compiled import compiled
 
 
@@ -50,17 +50,12 @@ def _reset(s: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def _begin_homing(state: Any, parameters: Any, time: float) -> None:
-    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    s, p = state.control[0], parameters.control[0]
     if not change_state(s, parameters, State.HOMING, time):
         return
     s.homed, s.home_good = False, time
     if p.home_by_index:
-        reset_integral(state.pid)
-        s.disarming = s.tee = False
-        s.air_from = time + p.warning_time
-        s.move_start = s.home_begin = s.air_from + p.precharge_time
-        begin_search(s, p, e.angle, s.move_start)
-        s.phase = Phase.HOMING
+        begin_search(state, p, time)
 
 
 @compiled

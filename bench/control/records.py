@@ -69,6 +69,12 @@ CONTROL_PARAMETERS = np.dtype(
         ("home_speed", "f8", (3,)),
         ("home_opening", "f8"),
         ("home_longest", "f8"),
+        ("home_stops", "?"),
+        ("home_stop", "f8", (3,)),
+        ("home_stop_tolerance", "f8", (3,)),
+        ("home_touch_speed", "f8", (3,)),
+        ("home_touch_lead", "f8", (3,)),
+        ("home_touch_time", "f8"),
     ],
     align=True,
 )
@@ -109,6 +115,12 @@ CONTROL_STATE = np.dtype(
         ("home_turn", "i8"),
         ("home_since", "f8"),
         ("home_from", "f8", (3,)),
+        ("home_begun", "f8", (3,)),
+        ("home_free", "u1", (3,)),
+        ("home_way", "f8"),
+        ("home_touching", "?"),
+        ("home_pushed", "f8"),
+        ("home_at", "f8"),
         ("zero_shift", "f8", (3,)),
         ("vented", "?"),
         ("vent_start", "f8"),
@@ -145,6 +157,7 @@ CONTROL_STATE = np.dtype(
         ("swings", "i8"),
         ("stopped_at", "f8"),
         ("moved_at", "f8"),
+        ("calm", "f8", (3,)),
         ("unseen", "u1", (3,)),
         ("sensor_seen", "u1", (7,)),
         ("sensor_shown", "f8", (7,)),
@@ -159,8 +172,12 @@ CONTROL_STATE = np.dtype(
 """From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
+`home_begun` are the joints' angles when homing began (rad), `home_free` says whose index was forgotten since,
+`home_way` is -1 once the index is searched for in the other direction, `home_touching` says that the joint in
+turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
-`stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s).
+`stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
+`calm` are the velocities by which that is judged (rad/s).
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.
 `sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
 such value (Pa), for how long it has been in doubt (s), whether it is dead; whether a vent has feedback, when

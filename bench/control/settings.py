@@ -166,18 +166,29 @@ class HomingSettings:
     """rad, beyond the travel or from the pose."""
     time: Positive = 0.5
     """s for which the readings must agree."""
+    stops: bool = True
+    """Then turn each joint to its end stop, which must be where the encoder says; required with a real robot.
+    Reference and index do not show a coupling that slipped by less than the tolerance, or a moved index."""
+    stop_tolerance: PositiveTriple = (0.03, 0.03, 0.03)
+    """rad, of the angle at which a joint comes to its stop."""
+    touch_speed: PositiveTriple = (0.8, 0.5, 1.2)
+    """rad/s, towards the stop and back."""
+    touch_lead: PositiveTriple = (0.15, 0.12, 0.20)
+    """rad that a joint lags behind its reference at its stop: as much as presses it there firmly."""
+    touch_time: Positive = 0.15
+    """s for which it must rest there."""
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
     """In which the joints search, one at a time."""
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
-    """Of the search; -1 lowers the angle, which lifts the club away from the ground."""
-    travel: PositiveTriple = (1.0, 0.5, 1.0)
-    """rad, of the search at most."""
+    """Of the search and to the stop; -1 lowers the angle, which lifts the club away from the ground."""
+    travel: PositiveTriple = (1.5, 0.7, 1.5)
+    """rad, of the search at most, in either direction."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """rad/s, of the search."""
     opening: Annotated[float, Gt(0), Le(0.5)] = 0.15
     """Greatest valve opening of the search."""
-    longest: Positive = 30.0
-    """s, of the search."""
+    longest: Positive = 60.0
+    """s, of search and stops together."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a joint is named twice or a direction is 0."""
@@ -446,13 +457,15 @@ def _control_record(
                 value = getattr(settings, setting.name)
                 record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
-    for name in ("tolerance", "time", "direction", "travel", "speed", "opening", "longest"):
-        record[f"home_{name}"] = getattr(homing, name)
+    for setting in fields(homing):
+        if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":
+            record[f"home_{setting.name}"] = getattr(homing, setting.name)
     record["home_by_index"] = homing.method == "index"
+    lower, upper = joint_travel(plant)
+    record["home_stop"] = np.where(np.array(homing.direction) < 0, lower, upper)
     if homing.reference == "pose":
         record["home_pose"] = hanging_pose(plant)
     else:
-        lower, upper = joint_travel(plant)
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
     record["vent_delay"] = plant.supply.vent_delay

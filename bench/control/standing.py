@@ -12,9 +12,10 @@ from bench.control.air_watch import (
     emptiness_is_proven,
     manifold_shows_pressure,
 )
+from bench.control.homing import begin_search
 from bench.control.model import model_cause
 from bench.control.requests import manifold_is_full
-from bench.control.states import change_state, disarm, is_still, latch, resting_state
+from bench.control.states import change_state, disarm, is_calm, latch, resting_state
 from bench.lifecycle import Cause, State
 from drivers.base.compiled import compiled
 
@@ -33,7 +34,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     blind = s.lost != 0 or s.distrusted
     empty = not chambers_show_pressure(s, p)
     shut = not manifold_shows_pressure(s, p)
-    if not (empty and shut and (blind or is_still(p, e))):
+    if not (empty and shut and (blind or is_calm(s, p))):
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
@@ -55,7 +56,7 @@ def _name_trapped(s: Any, trapped: int) -> None:
 
 @compiled
 def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> None:
-    """Compare absolute encoders with the vented robot's pose; nothing moves."""
+    """Compare absolute encoders with the vented robot's pose; nothing moves before they agree."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     good = True
     for i in range(3):
@@ -63,7 +64,9 @@ def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> No
         good = good and readings[0].encoder_indexed[i] != 0
     if not good:
         s.home_good = time
-    if time - s.home_good >= p.home_time:
+    if time - s.home_good >= p.home_time and p.home_stops:
+        begin_search(state, p, time)
+    elif time - s.home_good >= p.home_time:
         s.homed = True
         change_state(s, parameters, State.READY, time)
     elif time - s.state_since >= 2.0 * p.home_time:

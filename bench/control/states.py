@@ -12,6 +12,29 @@ import numpy as np
 from bench.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
 from drivers.base.compiled import compiled
 
+_CALMING = 0.03
+"""s over which a resting robot's velocities are smoothed: an encoder's noise alone passes `still_speed`."""
+_MOVES = 3.0
+"""Times `still_speed` that count of a velocity: after a fast motion, too, rest shows soon."""
+
+
+@compiled
+def note_calm(s: Any, p: Any, e: Any, elapsed: float) -> None:
+    """Smooth the estimated velocities (rad/s) on by `elapsed` s; one that is no number counts as motion."""
+    for i in range(3):
+        most = _MOVES * p.still_speed[i]
+        velocity = min(max(e.velocity[i], -most), most) if np.isfinite(e.velocity[i]) else most
+        s.calm[i] += elapsed / (elapsed + _CALMING) * (velocity - s.calm[i])
+
+
+@compiled
+def is_calm(s: Any, p: Any) -> bool:
+    """Return whether the robot rests, as far as smoothed velocities show."""
+    calm = True
+    for i in range(3):
+        calm = calm and abs(s.calm[i]) <= p.still_speed[i]
+    return calm
+
 
 @compiled
 def is_still(p: Any, e: Any) -> bool:
@@ -113,7 +136,10 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
     """Enter the table's reaction to `cause`, unless a more severe one is under way."""
     s, p = state.control[0], parameters.control[0]
     s.emergency = _note(s, parameters, cause) or s.emergency
-    s.distrusted = s.distrusted or column == LOST or Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR
+    misfit = (
+        Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
+    )
+    s.distrusted = s.distrusted or column == LOST or misfit
     if s.cause == 0:
         s.cause = cause
     if begin_reaction(s, parameters, p.reactions[s.phase, column], time) and s.reaction == Reaction.VENT:

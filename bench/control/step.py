@@ -26,7 +26,7 @@ from bench.control.orders import carry_out
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import take_request, watch_local_reset
 from bench.control.standing import watch_standing
-from bench.control.states import is_still
+from bench.control.states import is_calm, note_calm
 from bench.control.stops import watch_motion, watch_permission
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from drivers.base.compiled import compiled
@@ -97,6 +97,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             if readings[0].encoder_indexed[i] == 0:
                 s.lost = Cause.SHOULDER_ENCODER + i
     s.seen = s.seen or s.lost == 0
+    note_calm(s, parameters.control[0], e, elapsed)
     _note_impact(parameters.control[0], s)
 
 
@@ -108,7 +109,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         time = s.time
     interlock = interlock_cause(readings)
     watch_local_reset(s, readings, time)
-    if not is_still(parameters.control[0], state.estimator[0]):
+    if not is_calm(s, parameters.control[0]):
         s.moved_at = time
     request = take_request(state, parameters, readings, time)
     asked = Cause.NONE
@@ -154,6 +155,9 @@ def limit_tick(
     c.supply_enable = c.exhaust_closed = powered
     state.model[0].exhaust_closed = state.air[0].exhaust_closed = powered
     c.beacon = s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
+    c.search_index = (
+        p.home_by_index and s.phase == Phase.HOMING and s.reaction < Reaction.PASSIVE and not p.read_only
+    )
     c.guard_lock = s.state != State.ACCESS or s.securing
     s.tee = s.tee and powered  # after a stop no ball rises by itself
     c.tee = s.tee

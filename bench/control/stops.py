@@ -133,6 +133,8 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
     doubted = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     if doubted != 0 and not charging(s, time):
         react(state, parameters, doubted, table_column(doubted), time)
+    elif Cause.SHOULDER_ZERO <= broken <= Cause.WRIST_ZERO:
+        react(state, parameters, broken, DISOBEYED, time)
     elif stuck:
         react(state, parameters, Cause.HOMING_FAILED, DISOBEYED, time)
     elif broken != 0:

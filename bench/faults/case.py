@@ -27,7 +27,7 @@ from sim.plant import Plant, build_plant
 
 _LONGEST = 40.0
 """Longest watch of a case, s."""
-_LONGEST_SEARCH = 10.0
+_LONGEST_SEARCH = 30.0
 """Additional time for a case that begins in the search and goes on to a swing, s."""
 _LONGEST_ACCESS = 60.0
 """Additional time for a case that vents, releases the guard and goes on to a swing, s."""

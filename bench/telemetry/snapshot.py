@@ -41,11 +41,14 @@ SNAPSHOT = np.dtype(
 
 _KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
 
+_HOMING = ("home_begun", "home_free", "home_way", "home_touching", "home_pushed", "home_at")
 _ADDED: Mapping[str, frozenset[str]] = {
     "control": frozenset(
         {
             "stopped_at",
             "moved_at",
+            "calm",
+            *_HOMING,
             "unseen",
             "sensor_seen",
             "sensor_shown",

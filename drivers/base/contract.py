@@ -52,7 +52,8 @@ class Readings(NamedTuple):
     chamber_pressure: tuple[float, float, float, float, float, float]
     """Pa absolute in the order of CHAMBERS; ABSENT when not fitted, INVALID when not believable."""
     encoder_indexed: tuple[bool, bool, bool] = (True, True, True)
-    """The count is absolute. An incremental encoder's is once its index has passed, which zeroes it."""
+    """The count is absolute. An incremental encoder's is once its index has passed, which zeroes it, until
+    `Command.search_index` rises."""
     vent_open: tuple[float, float] = (ABSENT, ABSENT)
     """Feedback of the two vents: 1 open, 0 shut; ABSENT when not fitted, INVALID when not believable."""
 
@@ -71,6 +72,9 @@ class Command(NamedTuple):
     beacon: bool = False
     tee: bool = False
     """True raises the next ball onto the tee (rising edge)."""
+    search_index: bool = False
+    """True lets incremental encoders forget an index that has passed and wait for the next one (rising edge);
+    one that has none yet goes on counting."""
 
 
 PASSIVE = Command()
@@ -120,6 +124,7 @@ COMMAND = np.dtype(
         ("guard_lock", "?"),
         ("beacon", "?"),
         ("tee", "?"),
+        ("search_index", "?"),
     ],
     align=True,
 )
@@ -189,8 +194,10 @@ def pack_command(command: Command, record: np.ndarray[Any, Any]) -> None:
 
 def unpack_command(record: np.ndarray[Any, Any]) -> Command:
     """Return the Command of a COMMAND record in plain Python types; 0.8 us."""
-    valve, supply_enable, exhaust_closed, guard_lock, beacon, tee = record.item()
-    return Command(tuple(valve.tolist()), supply_enable, exhaust_closed, guard_lock, beacon, tee)
+    valve, supply_enable, exhaust_closed, guard_lock, beacon, tee, search_index = record.item()
+    return Command(
+        tuple(valve.tolist()), supply_enable, exhaust_closed, guard_lock, beacon, tee, search_index
+    )
 
 
 def device_limited(command: Command) -> Command:

@@ -415,7 +415,9 @@ class CanopenDriver:
 
     def _packed(self, command: Command) -> bytes:
         """Return the frame of `command`, already limited."""
-        (a, b, c), supply, closed, lock, beacon, tee = command
+        (a, b, c), supply, closed, lock, beacon, tee = command[
+            :6
+        ]  # absolute encoders have no index to search
         first, second, third = self._valve_centre
         span, bits = self._valve_span, self._output_bits
         return COMMAND.pack(

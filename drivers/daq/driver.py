@@ -222,9 +222,10 @@ class DaqDriver:
             s.sync_line and device.ci_samp_clk_supported and single_point in device.ci_samp_modes
         )
         phase = "A" + s.index_phase.upper().replace(" ", "_B")
-        self._counters = []
+        self._counters, self._counter_tasks = [], []
         for counter in s.counters:
             task = self._task()
+            self._counter_tasks.append(task)
             task.ci_channels.add_ci_ang_encoder_chan(
                 self._full(counter),
                 decoding_type=self._daq.constants.EncoderType.X_4,
@@ -358,6 +359,8 @@ class DaqDriver:
         if self._beat >= 0 and not self.trouble:
             self._lines[self._beat] ^= True
         try:
+            if applied.search_index and not self.applied.search_index:
+                self._forget_index()
             self._write(applied)
             if self._watchdog is not None and not self.trouble and not self._watchdog.feed():
                 self._note_trouble("the card's watchdog has tripped: no command within its time")
@@ -366,6 +369,13 @@ class DaqDriver:
             self._try_passive()
         self.applied = PASSIVE if self.trouble else applied
         return self.applied
+
+    def _forget_index(self) -> None:
+        """Let counters whose index has passed begin at their preset again, until it passes the next time."""
+        for joint, task in enumerate(self._counter_tasks):
+            if self._indexed[joint]:
+                task.stop()
+                task.start()
 
     def _note_trouble(self, text: str) -> None:
         """Ignore commands from now on; keep the first reason."""

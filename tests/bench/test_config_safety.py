@@ -156,3 +156,8 @@ def test_nodes_of_this_machine_are_no_real_robot(interface: str, simulated: Conf
         canopen=replace(simulated.canopen, interface=interface),
     )
     assert ("lifecycle.local_reset" in mistakes(c)) == (interface == "socketcan")
+
+
+def test_a_real_robot_is_homed_at_its_stops(simulated: Configuration, real: Configuration) -> None:
+    for c, wrong in ((simulated, []), (real, ["homing.stops"])):
+        assert list(mistakes(replace(c, homing=replace(c.homing, stops=False)))) == wrong

@@ -52,7 +52,7 @@ NOISE, JITTER = 1e-5, 2e-6
 """Of the encoders at most, rad and s."""
 INDEX_FROM_HANGING = (0.6, 0.4, 0.4)
 """rad from the hanging pose to where each encoder's index is."""
-_CHUNK, _LONGEST_RETURN, _LONGEST_SEARCH = 500, 12_000, 40_000
+_CHUNK, _LONGEST_RETURN, _LONGEST_SEARCH = 500, 12_000, 80_000
 
 
 def drawn_plant(plant: PlantParameters, seed: int, spread: float = 1.0) -> PlantParameters:

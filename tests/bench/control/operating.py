@@ -40,7 +40,7 @@ def at_power_up(**settings: Any) -> Puppet:
         SHORT,
         CONTROL,
         lifecycle=replace(TIMES, **settings),
-        homing=HomingSettings(reference="pose", time=HOMING),
+        homing=HomingSettings(reference="pose", time=HOMING, stops=False),
         state=State.STARTING,
     )
     for name in PERMISSIONS:

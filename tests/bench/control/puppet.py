@@ -73,7 +73,7 @@ class Puppet:
         control: ControlSettings = QUICK,
         tick: float = 1e-3,
         lifecycle: LifecycleSettings = SIMULATED,
-        homing: HomingSettings = HomingSettings(reference="pose"),  # noqa: B008
+        homing: HomingSettings = HomingSettings(reference="pose", stops=False),  # noqa: B008
         *,
         state: State = State.READY,
         read_only: bool = False,

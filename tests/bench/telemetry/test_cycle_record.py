@@ -33,6 +33,8 @@ def test_everything_the_driver_reads_and_writes_is_recorded_in_the_same_type() -
         for name in contract.names or ():
             if name in ("time", "encoder_time"):  # the loop's own clock: tick, time and encoder_age hold it
                 continue
+            if name == "search_index":  # state, phase and the configuration's homing.method hold it
+                continue
             assert CYCLE[renamed.get(name, name)] == contract[name], name
 
 

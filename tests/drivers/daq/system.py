@@ -186,8 +186,10 @@ class System(base.BaseInterpreter):  # type: ignore[misc]  # the package has no 
         task.state = "running"
 
     def stop_task(self, task: Task) -> None:
-        self._of(task, "stop_task", state="running")
+        card = self._of(task, "stop_task", state="running")
         task.state = "idle"
+        if task.kind == "ci":  # the next start loads the initial count
+            card.indexed[task.channels[0].split("/", 1)[1]] = False
 
     def task_control(self, task: Task, action: int) -> None:
         self._of(task, "task_control", "watchdog", "idle")

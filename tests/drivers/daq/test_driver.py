@@ -176,6 +176,19 @@ def test_the_count_itself_tells_whether_the_index_has_passed(
     assert seen.encoder_count[1] == 2**17 - 7
 
 
+def test_a_search_of_the_index_begins_once_where_it_is_asked_for(driver: DaqDriver, card: Card) -> None:
+    assert driver.read(0.0).encoder_indexed == (True, True, True)
+    assert driver.write(PASSIVE._replace(search_index=True)).search_index
+    assert driver.read(0.001).encoder_indexed == (False, False, False)
+    card.indexed["ctr2"] = True
+    driver.write(PASSIVE._replace(search_index=True))
+    assert driver.read(0.002).encoder_indexed == (False, False, True)
+    driver.write(PASSIVE)
+    assert driver.read(0.003).encoder_indexed == (False, False, True)
+    driver.write(PASSIVE._replace(search_index=True))
+    assert driver.read(0.004).encoder_indexed == (False, False, False)
+
+
 def test_the_counters_are_set_up_as_the_encoders_are(driver: DaqDriver, system: System) -> None:
     counters = [task for task in system.tasks if task.kind == "ci"]
     assert [task.channels for task in counters] == [["Dev1/ctr0"], ["Dev1/ctr1"], ["Dev1/ctr2"]]
