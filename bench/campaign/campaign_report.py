@@ -30,7 +30,16 @@ from bench.campaign.ruling import DECISION_RULE
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import COLOURS
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, Standing
+from bench.store.campaigns import (
+    CampaignEntry,
+    CampaignState,
+    CampaignStore,
+    Event,
+    Hit,
+    Prompt,
+    ShotNote,
+    Standing,
+)
 from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000
@@ -64,6 +73,7 @@ class CampaignRecord:
     events: Sequence[Event]
     hits: Counter[Hit]
     prompts: Sequence[Prompt] = ()
+    notes: Sequence[ShotNote] = ()
 
 
 def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
@@ -76,6 +86,7 @@ def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
         store.events(entry.id),
         store.hits(entry.hit_scope),
         store.prompts(entry.id),
+        store.notes(entry.id),
     )
 
 
@@ -98,7 +109,12 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
     plan, entry, shots = record.plan, record.entry, record.shots
     flagged = {shot for section in found.sections for shot, _ in section.outliers}
     all_rows = len(shots) <= _ALL_ROWS
-    listed = [s for s in shots if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged]
+    noted = {note.shot for note in record.notes}
+    listed = [
+        s
+        for s in shots
+        if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged or s.shot in noted
+    ]
     rows, handwork = listed[:_MAX_ROWS], _handwork(record.prompts)
     filters: dict[str, Callable[..., Any]] = {
         "number": _number,
@@ -117,6 +133,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         found=found,
         first=min(times),
         last=max(times),
+        notes=_notes(record.notes),
         time_format="%H:%M:%S" if _one_day(record) else "%Y-%m-%d %H:%M:%S",
         facts=_facts(record),
         standing_words=_standing_words(record.standing),
@@ -148,6 +165,14 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         ),
         equipment=_equipment(record),
     )
+
+
+def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
+    """Return the marks and comments by shot."""
+    found: dict[int, list[str]] = {}
+    for note in notes:
+        found.setdefault(note.shot, []).append(f"{note.text or 'marked'} ({note.by})")
+    return {shot: "; ".join(texts) for shot, texts in found.items()}
 
 
 def _one_day(record: CampaignRecord) -> bool:

@@ -132,6 +132,15 @@ class AirSettings:
 
 
 @dataclass(frozen=True)
+class HandWork:
+    """Time that work by hand takes, for the expected duration."""
+
+    club_change: Annotated[float, Range(0.0, 36000.0, "s")]
+    """From the prompt until the guard is locked again."""
+    feeder_fill: Annotated[float, Range(0.0, 36000.0, "s")]
+
+
+@dataclass(frozen=True)
 class InterruptionSettings:
     """Reaction to a time without shots."""
 
@@ -258,6 +267,7 @@ class CampaignPlan:
     supply: SupplyRequirement
     air: AirSettings
     interruption: InterruptionSettings
+    hand_work: HandWork
     gate: Gate
     stop: Stop
     analysis: Analysis

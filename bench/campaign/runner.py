@@ -165,6 +165,9 @@ class Watcher:
     def shot(self, shot: Shot) -> None:
         """Receive a shot."""
 
+    def feeder(self, balls: int) -> None:
+        """Receive the number of balls left in a feeder that a person fills."""
+
     def set_aside(self, block: int) -> None:
         """Receive the number of a block that restarts: its shots so far do not count."""
 
@@ -400,6 +403,8 @@ class Runner:
             self._fitting = self._fitting.after(shot)
             self._locked_for = 0.0
             self._note(shot)
+            if self._plan.ball_handling.magazine:
+                self._watcher.feeder(len(self._fitting.feeder))
             if len(self._pending) >= self._batch:
                 self._commit()
             failures = 0 if shot.status is ShotStatus.VALID else failures + 1

@@ -210,9 +210,8 @@ def _run(
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
-    from bench.commands.campaign_screen import ProgressWatcher
+    from bench.commands.campaign_screen import ScreenWatcher, campaign_bar
     from bench.commands.campaign_terminal import TerminalOperator
-    from bench.commands.progress import progress_bar
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt
     from bench.store.campaigns import CampaignState
@@ -220,13 +219,13 @@ def _run(
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     typer.echo(f"campaign {entry.id}", err=True)
-    with deferred_interrupt() as asked, progress_bar() as bar:
+    with deferred_interrupt() as asked, campaign_bar() as bar:
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
         operator = TerminalOperator(bar, entry.id, asked_for)
         start = run_start(operator.name, configuration, facts)
         outcome = take(
-            entry, configuration, store, ProgressWatcher(bar, plan), asked.is_made, operator, start
+            entry, configuration, store, ScreenWatcher(entry, plan, bar), asked.is_made, operator, start
         )
     record = load_record(store, entry)
     found = findings(plan, record.shots, note_look(store, record, "end of a run"))
@@ -310,6 +309,78 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
     with _store(configuration) as store:
         entry = find_campaign(store, campaign)
         typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request, user_name())}")
+
+
+@app.command()
+def watch(
+    context: typer.Context,
+    campaign: Annotated[
+        str,
+        typer.Argument(metavar="[ID]", help="Campaign id or its beginning; without it the running one."),
+    ] = "",
+    json_: Json = False,
+) -> None:
+    """Show the progress of a running campaign, from any machine that reaches the bench.
+
+    Ctrl-C ends the watching only.
+    """
+    import json
+    import time
+
+    from bench.commands.campaign_screen import ProgressScreen, campaign_bar
+    from bench.errors import Refused
+    from bench.network.client import BenchClient
+
+    configuration = context.ensure_object(Session).configuration()
+
+    def running() -> dict[str, Any] | None:
+        found = [one for one in client.campaigns() if str(one.get("campaign")).startswith(campaign)]
+        return found[0] if found else None
+
+    with BenchClient.connect(configuration) as client, campaign_bar() as bar:
+        message = running()
+        if message is None:
+            place = f"campaign {campaign}" if campaign else f"bench {configuration.bench.id}"
+            raise Refused(place, "no runner publishes it", "a running campaign", "golfbench campaign list")
+        if json_:
+            typer.echo(json.dumps(message, indent=2))
+            return
+        screen, event, stood, last = ProgressScreen(bar), None, None, message
+        typer.echo(f"campaign {message['campaign']}", err=True)
+        while message is not None:
+            screen.show(message)
+            if message["event"] != event and (event := message["event"]):
+                screen.say(event["text"])
+            if (message["state"], message["reason"]) != stood and message["reason"]:
+                screen.say(f"{message['state']}: {message['reason']}")
+            last, stood = message, (message["state"], message["reason"])
+            time.sleep(1.0)
+            message = running()
+    typer.echo(f"{last['state']}; {last['shots']} shots, {last['valid']} valid; its runner has ended")
+
+
+@app.command()
+def mark(
+    context: typer.Context,
+    campaign: Id,
+    comment: Annotated[str, typer.Argument(metavar="[COMMENT]", help="What was seen.")] = "",
+    shot: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Shot.", show_default="the last one")
+    ] = None,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who saw it.", show_default="user@host")] = "",
+) -> None:
+    """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
+    from datetime import UTC, datetime
+
+    from bench.campaign.operate import find_campaign
+    from bench.commands.campaign_terminal import user_name
+    from bench.store.campaigns import ShotNote
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        entry = find_campaign(store, campaign)
+        number = store.last_shot(entry.id) if shot is None else shot
+        store.add_note(entry.id, ShotNote(number, datetime.now(UTC), by or user_name(), comment))
+    typer.echo(f"shot {number} marked{f': {comment}' if comment else ''}")
 
 
 @app.command()

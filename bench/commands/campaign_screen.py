@@ -2,46 +2,160 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.markup import escape
-from rich.progress import Progress
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column, Table
 from rich.text import Text
 
-from bench.campaign.course import is_settled
+from bench.campaign.interruptions import duration_text
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.runner import Watcher
-from bench.campaign.sequence import all_trials
+from bench.campaign.progress import CampaignProgress
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, Standing
+from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, Standing
 
+_SELDOM = 2.0
+"""Min time between plain lines for valid shots, s."""
+_FIGURES = (
+    ("club_speed_mps", "club", 2, "m/s"),
+    ("ball_speed_mps", "ball", 2, "m/s"),
+    ("launch_angle_deg", "launch", 1, "°"),
+    ("spin_rpm", "spin", 0, "rpm"),
+    ("carry_m", "carry", 1, "m"),
+)
 Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
 
 
-class ProgressWatcher(Watcher):
-    """Moves a progress bar: one step for each planned shot that is done with."""
+class CampaignBar(Progress):
+    """A progress bar with lines of text below it."""
 
-    def __init__(self, bar: Progress, plan: CampaignPlan) -> None:
-        self._bar, self._plan = bar, plan
-        self._task = bar.add_task("warming up", total=len(all_trials(plan)))
-        self._invalid = 0
+    lines: Sequence[Text] = ()
 
-    def shot(self, shot: Shot) -> None:
-        """Show a shot."""
-        self._invalid += shot.status is not ShotStatus.VALID
-        text = f"shot {shot.shot}, block {shot.block}" + (
-            f", {self._invalid} invalid" if self._invalid else ""
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """Yield the bar, then the lines."""
+        yield self.make_tasks_table(self.tasks)
+        yield from self.lines
+
+
+def campaign_bar() -> CampaignBar:
+    """Return a bar on standard error; without a terminal it shows nothing, see `ScreenWatcher`."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    return CampaignBar(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+class ProgressScreen:
+    """Shows the messages of a campaign's progress: a bar with lines, or plain lines without a terminal."""
+
+    def __init__(self, bar: CampaignBar) -> None:
+        self._bar = bar
+        self._task = bar.add_task("warming up", total=None)
+        self._printed = -_SELDOM
+        self._shots = 0
+
+    def show(self, message: Mapping[str, Any]) -> None:
+        """Show `message`; a plain line for a new shot, of many in a second only some and all invalid ones."""
+        if not self._bar.disable:
+            block = f"block {message['block']}/{message['blocks']}" if message["block"] else "warming up"
+            self._bar.update(
+                self._task, completed=message["done"], total=message["planned"], description=block
+            )
+            self._bar.lines = [Text(line, overflow="fold") for line in progress_lines(message)]
+            return
+        shot, now = message["last_shot"], time.monotonic()
+        if shot is None or message["shots"] == self._shots:
+            return
+        self._shots = message["shots"]
+        if shot["status"] == ShotStatus.VALID and now - self._printed < _SELDOM:
+            return
+        self._printed = now
+        left = _left(message)
+        typer.echo(
+            f"{shot['time_utc'][:19]}Z {message['done']}/{message['planned']} {shot_line(shot)}"
+            f"{f'; {left}' if left else ''}",
+            err=True,
         )
-        self._bar.update(self._task, advance=int(is_settled(self._plan, shot)), description=text)
 
     def say(self, text: str) -> None:
-        """Print above the bar."""
-        self._bar.console.print(escape(text), highlight=False)
+        """Print above the bar, or as a plain line with its time."""
+        if self._bar.disable:
+            typer.echo(f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}Z {text}", err=True)
+        else:
+            self._bar.console.print(escape(text), highlight=False)
+
+
+class ScreenWatcher(CampaignProgress):
+    """Shows the progress of the campaign that this process runs."""
+
+    def __init__(self, entry: CampaignEntry, plan: CampaignPlan, bar: CampaignBar) -> None:
+        super().__init__(entry, plan)
+        self._screen = ProgressScreen(bar)
+
+    def shot(self, shot: Shot) -> None:
+        """Show a shot; stored ones at once, when the run begins."""
+        super().shot(shot)
+        if not self._replaying:
+            self._screen.show(self.message)
+
+    def say(self, text: str) -> None:
+        """Show an event."""
+        super().say(text)
+        self._screen.say(text)
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Show what is done so far."""
+        before = self.message["state"], self._replaying
+        super().standing(state, reason)
+        self._screen.show(self.message)
+        if (state, False) != before and reason:
+            self._screen.say(f"{state}: {reason}")
+
+
+def progress_lines(message: Mapping[str, Any]) -> list[str]:
+    """Return the lines of `message` for a person: time, balls, last shot, next work by hand."""
+    lines = []
+    if left := _left(message):
+        lines.append(left)
+    if shot := message["last_shot"]:
+        lines.append(f"last: {shot_line(shot)}")
+    balls = [f"{name} {n['valid']}/{n['planned']}" for name, n in message["balls"].items()]
+    invalid = message["shots"] - message["valid"]
+    lines.append(f"valid: {', '.join(balls)}" + (f"; {invalid} invalid" if invalid else ""))
+    if work := message["next_work"]:
+        when = "now" if not work["shots"] else f"after {work['shots']} more shots"
+        if work["shots"] and work["seconds"] is not None:
+            when += f", in about {duration_text(work['seconds'])}"
+        lines.append(f"next by hand: {work['text']} {when}")
+    if message["state"] != CampaignState.RUNNING:
+        lines.append(f"{message['state']}: {message['reason']}")
+    return lines
+
+
+def shot_line(shot: Mapping[str, Any]) -> str:
+    """Return a shot of a message with its figures, and the reason unless it is valid."""
+    figures = [
+        f"{word} {shot[name]:.{digits}f} {unit}"
+        for name, word, digits, unit in _FIGURES
+        if shot[name] is not None
+    ]
+    ball = f"{shot['ball']} {shot['sample']}" if shot["sample"] else shot["ball"]
+    reason = f" {shot['reason']}" if shot["reason"] else ""
+    return f"shot {shot['shot']}, {ball}, {shot['status']}{reason}: {', '.join(figures) or 'not measured'}"
+
+
+def _left(message: Mapping[str, Any]) -> str:
+    if message["seconds_left"] is None or message["state"] in ENDED:
+        return ""
+    end = datetime.now().astimezone() + timedelta(seconds=message["seconds_left"])
+    return f"{duration_text(message['seconds_left'])} left, until {end:%H:%M}"
 
 
 def listing(found: Listed, console: Console) -> Table:

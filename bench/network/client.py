@@ -188,6 +188,28 @@ class BenchClient:
         finally:
             queryable.undeclare()
 
+    def campaigns(self) -> list[dict[str, Any]]:
+        """Return the state of each campaign that a runner publishes now, see `bench.campaign.progress`.
+
+        Raises:
+            BenchError: one of them is no JSON object.
+        """
+        found = []
+        for reply in self._session.get(f"{self._root}/campaign/*", timeout=self._timeout):
+            if reply.ok is None or not (content := reply.ok.payload.to_bytes()):
+                continue
+            try:
+                message = json.loads(content)
+            except ValueError:
+                message = None
+            if not isinstance(message, dict):
+                place = f"bench {self.bench}, {reply.ok.key_expr}"
+                raise BenchError(
+                    place, "no JSON object", "the state of a campaign", "Update golfbench there."
+                )
+            found.append(message)
+        return found
+
     def wait_for(
         self,
         state: str,

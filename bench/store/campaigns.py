@@ -304,15 +304,20 @@ class CampaignStore:
             connection.execute(update(_SHOTS).where(valid).values(**values))
             connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
 
+    def last_shot(self, campaign: str) -> int:
+        """Return the number of its last shot; 0 before the first."""
+        c = _SHOTS.c
+        with self._reading() as connection:
+            return connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
+
     def add_note(self, campaign: str, note: ShotNote) -> None:
         """Add a person's note on a shot.
 
         Raises:
             Refused: there is no such shot.
         """
-        c = _SHOTS.c
+        last = self.last_shot(campaign)
         with self._writing() as connection:
-            last = connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
             if not 1 <= note.shot <= last:
                 expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
                 raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
