@@ -25,6 +25,7 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
+from bench.campaign.suitability import unsuitable
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration, with_new_names
 from bench.errors import BenchError, Refused
@@ -154,6 +155,8 @@ def run_live(
             "No recent reading of the air: shots have none, carry is for the configured air. "
             "Enter one with golfbench campaign air, at any time."
         )
+    for text in unsuitable(plan, configuration):
+        watcher.say(text)
     with (
         runner_lock(data_dir, entry.id),
         bench_lock(data_dir, entry),

@@ -71,12 +71,18 @@ def check(
     from rich.console import Console
 
     from bench.campaign.preview import preview_record, show_preview
+    from bench.campaign.suitability import free_space, needs, needs_words, unsuitable
 
-    plan, _ = _checked(context, file)
+    plan, configuration = _checked(context, file)
+    free, warnings = free_space(configuration.bench.data_dir), list(unsuitable(plan, configuration))
     if json_:
-        typer.echo(json.dumps(preview_record(plan), indent=2))
-    else:
-        show_preview(plan, Console(), everything=everything)
+        beside = {"needs": needs(plan)._asdict(), "free_bytes": free, "warnings": warnings}
+        typer.echo(json.dumps(preview_record(plan) | beside, indent=2))
+        return
+    console = Console()
+    show_preview(plan, console, everything=everything)
+    for line in (*needs_words(plan, free), *warnings):
+        console.print(line, highlight=False, markup=False)
 
 
 def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration]:
