@@ -155,7 +155,9 @@ def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -
     balls = {"pole": "飛び", "seam": "공 ①"}
     shots = [replace(shot, ball=balls.get(shot.ball, shot.ball)) for shot in record.shots]
     design = replace(record.plan.design, balls=tuple(balls.values()))
-    plan = replace(record.plan, design=design)
+    renamed = [replace(ball, name=balls.get(name, name)) for name, ball in record.plan.balls.items()]
+    known = {ball.name: ball for ball in renamed}
+    plan = replace(record.plan, design=design, balls=known)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         page = render_campaign_report(replace(record, plan=plan, shots=shots), findings(plan, shots))
