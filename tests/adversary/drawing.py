@@ -7,6 +7,7 @@ from math import isfinite
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from bench.lifecycle import Phase, Request, State
 from sim.faults import MEANINGS, SIGNALS, Fault, sort_of
@@ -142,10 +143,10 @@ def next_step(player: Player, random: Generator, faults: int) -> Step:
     return ("press", None, None)
 
 
-def _weights(count: int) -> np.ndarray:
+def _weights(count: int) -> NDArray[np.float64]:
     weights = np.full(count, 1.0)
     weights[-2:] = 0.1
-    return weights / weights.sum()
+    return np.asarray(weights / weights.sum())
 
 
 def improvise(seed: int, steps: int = 60) -> tuple[Story, Player]:

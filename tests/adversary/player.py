@@ -79,6 +79,8 @@ class Player:
         self.accepted = self.asked = self.number = 0
         self.judge = Judge(setup, parameters)
         self._break(())
+        for _ in range(2):
+            self._advance(10)
 
     # What is seen ---------------------------------------------------------------------------------------
 
