@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from bench.campaign.carry import Measured
 from bench.campaign.plan import CampaignPlan
 from bench.shot.shot import Shot
+from sim.ball import Ball
 
 FLIGHT_OF: Mapping[str, str] = {
     "reference": "flown from the measured launch with the reference ball's aerodynamics, all balls alike: it "
@@ -43,9 +44,7 @@ def ball_table(plan: CampaignPlan, measured: Measured, *, simulated: bool) -> Eq
     for name in plan.ball_names:
         row = [name, "control" if name not in plan.design.balls else "compared"]
         if simulated:
-            ball = plan.balls[name]
-            row += [f"{1e3 * ball.mass:.2f}", f"{2e3 * ball.radius:.2f}", f"{ball.restitution_factor:g}"]
-            row += [f"{ball.friction:g}", f"{ball.drag_factor:g}", f"{ball.lift_factor:g}"]
+            row += _simulated_figures(plan.balls.get(name))
         row.append(measured[name].text if name in measured else "none")
         rows.append(tuple(row))
     caption = "Balls" + (
@@ -54,6 +53,13 @@ def ball_table(plan: CampaignPlan, measured: Measured, *, simulated: bool) -> Eq
         else "; what they are is measured, nothing of it comes from the plan"
     )
     return EquipmentTable(f"{caption}.", tuple(head), tuple(rows))
+
+
+def _simulated_figures(ball: Ball | None) -> list[str]:
+    if ball is None:
+        return ["–"] * 6
+    figures = (ball.restitution_factor, ball.friction, ball.drag_factor, ball.lift_factor)
+    return [f"{1e3 * ball.mass:.2f}", f"{2e3 * ball.radius:.2f}", *(f"{figure:g}" for figure in figures)]
 
 
 def club_table(plan: CampaignPlan) -> EquipmentTable:
