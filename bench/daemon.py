@@ -98,8 +98,10 @@ class Daemon:
         """
         self._now, self.read_only = now, read_only
         self.calibration = calibration_of(configuration, now())
-        self.configuration = apply(self.calibration, configuration).running()
-        self.profile = load_profile(find_profile(self.configuration.swing.profile))
+        running = apply(self.calibration, configuration).running()
+        path = find_profile(running.swing.profile)
+        self.profile = load_profile(path)
+        self.configuration = running.for_profile(self.profile, path)
         self._basis, self._profile_digest = basis_of(self.profile), digest_of(self.profile)
         self.wall = not configuration.driver.paced
         """Whether the loop runs in wall-clock time."""

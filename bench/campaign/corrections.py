@@ -21,6 +21,7 @@ from bench.learning.learner import LearningSettings
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
 from bench.simulation.series import Bench
 from bench.store.campaigns import CampaignEntry
+from bench.swing.library import find_profile
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
@@ -159,9 +160,12 @@ class CampaignCorrections:
 
     def _lecture(self, arm: Arm) -> LearningProblem:
         if arm not in self._lectures:
-            c = self._configuration
+            profile, plant = self._profiles[arm], self._plant(arm)
+            c = replace(self._configuration, plant=plant).for_profile(
+                profile, find_profile(self._plan.profile(*arm))
+            )
             require_planned_openings(c.control)
-            bench = Bench(self._plant(arm), self._profiles[arm], c.control, c.envelope, c.estimator)
+            bench = Bench(plant, profile, c.control, c.envelope, c.estimator)
             self._lectures[arm] = prepare(bench)
         return self._lectures[arm]
 

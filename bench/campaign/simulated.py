@@ -28,6 +28,7 @@ from bench.shot.shot_matcher import told_figures
 from bench.simulation.series import Series
 from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
 from bench.simulation.variation import Variation
+from bench.swing.library import find_profile
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import fly
@@ -278,10 +279,16 @@ class SimulatedShots:
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
         """Return the bench armed with a swing and a club, and the metadata of all its records."""
         if (swing, club) not in self._armed:
-            c = self._configuration
+            profile = self._swings.profile((swing, club))
+            # The limits are for the robot without the plan's scatter.
+            plant = replace(self._nominal(club), encoders=self._configuration.plant.encoders)
+            file = find_profile(self._plan.profile(swing, club))
+            c = replace(self._configuration, plant=plant).for_profile(
+                self._swings.designed((swing, club)), file
+            )
             around = FlightConditions(c.air, c.wind, c.turf)
             bench = SimulatedBench(
-                self._swings.profile((swing, club)),
+                profile,
                 self._nominal(club),
                 c.control,
                 c.envelope,

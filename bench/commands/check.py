@@ -41,6 +41,12 @@ def check_all(session: Session, name: str | None, console: Console) -> None:
     console.print(
         f"swing {path}: readable, {len(profile.angle)} samples, all finite and in range", highlight=False
     )
+    if configuration.envelope.model.check != "off":
+        used = configuration.limits_in_use(profile, path)
+        style = "yellow" if used.stale else ""
+        console.print(
+            f"limits of the model-based check: {used.source}", style=style, highlight=False, soft_wrap=True
+        )
     checks = check_profile(profile, configuration.plant, configuration.envelope, str(path))
     console.print(_table(checks))
     if faults := [fault for check in checks for fault in check.faults]:

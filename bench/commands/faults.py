@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -88,7 +89,10 @@ def run(
     _must_be_known("--phase", phase or (), PHASES)
     _must_be_known("--family", family or (), FAMILIES)
     configuration = context.ensure_object(Session).configuration()
-    swing = load_profile(find_profile(profile))
+    path = find_profile(profile)
+    swing = load_profile(path)
+    envelope = configuration.envelope.with_model_check("always")
+    configuration = replace(configuration, envelope=envelope).for_profile(swing, path)
     folder = output or configuration.bench.data_dir / "faults"
     folder.mkdir(parents=True, exist_ok=True)
     plan = plan_matrix(

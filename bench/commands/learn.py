@@ -106,6 +106,7 @@ def learn(
     path = find_profile(profile)
     swing, plant = load_profile(path), configuration.plant
     require_possible(swing, plant, configuration.envelope, str(path))
+    configuration = configuration.for_profile(swing, path)
     truth = _robot(plant, robot, draw)
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     measured, origin = source or "encoders+model", _Origin(identified, recorded)

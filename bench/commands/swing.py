@@ -146,6 +146,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     swing = load_profile(path)
     plant = configuration.plant_with(ball=ball)
     require_possible(swing, plant, configuration.envelope, str(path))
+    configuration = configuration.for_profile(swing, path)
     around = FlightConditions(configuration.air, configuration.wind, configuration.turf)
     bench = SimulatedBench(
         swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
@@ -189,8 +190,9 @@ def check(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    configuration = context.ensure_object(Session).configuration()
-    swing = load_profile(find_profile(profile))
+    path = find_profile(profile)
+    swing = load_profile(path)
+    configuration = context.ensure_object(Session).configuration().for_profile(swing, path)
     bench = SwingCheck(
         configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
     )
@@ -390,11 +392,11 @@ def _show_highest_speed(
     """Print the highest head speed, its limit, and what would raise it."""
     from bench.design.designer import highest_speed
 
-    c = configuration
+    c, unwatched = configuration, configuration.envelope.with_model_check("off")
     start = _profile_named(begin)
     with _design_progress() as progress:
         found = highest_speed(
-            plant, demand, c.control, c.envelope, c.estimator, start=start, progress=progress
+            plant, demand, c.control, unwatched, c.estimator, start=start, progress=progress
         )
     typer.echo(
         f"At most {found.plan.speed:.1f} m/s at the ball, {100 * demand.margin:g} % of each valve left to "
@@ -427,7 +429,7 @@ def _save_design(
             golfer="robot" if golfer is None else golfer.name,
             text="" if golfer is None else f"as close to a golfer as the robot can: {golfer.text}",
             control=configuration.control,
-            envelope=configuration.envelope,
+            envelope=configuration.envelope.with_model_check("off"),  # it has no limits yet
             estimator=configuration.estimator,
             start=start,
             progress=progress,
@@ -448,6 +450,48 @@ def _save_design(
     if given:
         typer.echo("Gave way: " + "; ".join(given) + ".")
     return swing
+
+
+@app.command()
+def limits(
+    context: typer.Context,
+    profile: Name,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to write.",
+            show_default="beside the profile; of one that comes with golfbench DATA_DIR/limits",
+        ),
+    ] = None,
+    draws: Annotated[int, typer.Option(min=30, help="Robots drawn; half as many more to learn on.")] = 300,
+) -> None:
+    """Make the limits of the model-based check for a profile on the configured plant.
+
+    Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
+    their deviations. Minutes.
+    """
+    from rich.console import Console
+
+    from bench.commands.progress import progress_bar
+    from bench.control.model_limits import save_limits
+    from bench.design.model_limits import make_limits
+    from bench.simulation.series import Bench
+    from bench.swing.library import PROFILES, find_profile
+    from bench.swing.profile import load_profile
+
+    c = context.ensure_object(Session).configuration()
+    path = find_profile(profile)
+    swing = load_profile(path)
+    beside, stored = c.limits_files(path)
+    file = output or (stored if path.parent == PROFILES else beside)
+    with progress_bar() as bar:
+        task = bar.add_task(f"swinging {swing.name}", total=1.0)
+        bench = Bench(c.plant, swing, c.control, c.envelope, c.estimator)
+        made = make_limits(bench, draws, lambda part: bar.update(task, completed=part))
+    file.parent.mkdir(parents=True, exist_ok=True)
+    save_limits(file, made)
+    Console().print(f"{file}: limits from {draws} known robots", highlight=False)
 
 
 @app.command()

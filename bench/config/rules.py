@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.config.safety import Mistake, check_safety
 from bench.config.settings import Configuration
-from bench.control.settings import MODEL_PHASES, EnvelopeSettings, ModelSettings
+from bench.control.settings import MODEL_PHASES, OPTIONAL_ROWS, EnvelopeSettings, ModelSettings
 from bench.errors import BenchError
 from bench.from_toml import Leaf, Tree, format_value
 from drivers.base.ranges import short
@@ -92,7 +92,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
     for kind in MODEL_PHASES:
         watched = getattr(ModelSettings(), kind).keys()
-        for name in getattr(c.envelope.model, kind).keys() ^ watched:
+        for name in (getattr(c.envelope.model, kind).keys() - OPTIONAL_ROWS) ^ watched:
             found = "nothing" if name in watched else "an unknown phase"
             expected = f"each of {', '.join(watched)} once"
             yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."

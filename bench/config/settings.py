@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import asdict, dataclass, field, replace
 from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from bench.control.model_limits import LimitsInUse, MadeFor, limits_in_use, limits_path
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -17,6 +19,7 @@ from bench.control.settings import (
 )
 from bench.errors import BenchError
 from bench.from_toml import format_value
+from bench.swing.profile import Profile
 from drivers.base.ranges import Range
 from drivers.canopen.settings import CanopenSettings
 from drivers.daq.settings import DaqSettings
@@ -29,6 +32,7 @@ from sim.plant import PlantParameters
 from sim.robot import Club
 from sim.turf import Turf
 
+_log = logging.getLogger("golfbench")
 _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
 
 
@@ -111,6 +115,10 @@ def _clubs() -> dict[str, Club]:
     return {club.name: club for club in (Club.driver(), Club.thesis())}
 
 
+def _watched() -> EnvelopeSettings:
+    return EnvelopeSettings().with_model_check("simulated")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Configuration:
     """A checked configuration, SI and radians."""
@@ -128,7 +136,7 @@ class Configuration:
     control: ControlSettings = field(default_factory=ControlSettings)
     lifecycle: LifecycleSettings = field(default_factory=LifecycleSettings)
     homing: HomingSettings = field(default_factory=HomingSettings)
-    envelope: EnvelopeSettings = field(default_factory=EnvelopeSettings)
+    envelope: EnvelopeSettings = field(default_factory=_watched)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     clubs: dict[str, Club] = field(default_factory=_clubs)
     balls: dict[str, Ball] = field(default_factory=lambda: {"tour": Ball(name="tour")})
@@ -171,6 +179,35 @@ class Configuration:
         if self.driver.paced or self.envelope.model.check != "simulated":
             return self
         return replace(self, envelope=self.envelope.with_model_check("off"))
+
+    def limits_files(self, profile: Path) -> tuple[Path, ...]:
+        """Return where limits for the model-based check of the profile in file `profile` are looked for."""
+        beside = limits_path(profile)
+        return beside, self.bench.data_dir / "limits" / beside.name
+
+    def limits_in_use(self, profile: Profile, file: Path) -> LimitsInUse:
+        """Return the limits of the model-based check for `profile`, read from `file`.
+
+        Raises:
+            BenchError: a file of limits is invalid.
+        """
+        bench = MadeFor.of(profile, self.plant, self.control, self.envelope, self.estimator)
+        return limits_in_use(self.envelope.model, bench, self.limits_files(file))
+
+    def for_profile(self, profile: Profile, file: Path) -> Configuration:
+        """Return the configuration with the limits of the model-based check for `profile`, read from `file`.
+
+        Stale limits are named in the log and not used.
+
+        Raises:
+            BenchError: a file of limits is invalid.
+        """
+        if self.envelope.model.check == "off":
+            return self
+        found = self.limits_in_use(profile, file)
+        if found.stale:
+            _log.warning("model-based check of %s: %s", profile.name, found.source)
+        return replace(self, envelope=replace(self.envelope, model=found.settings))
 
     @property
     def is_machine(self) -> bool:

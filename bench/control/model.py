@@ -12,10 +12,10 @@ jump      each encoder's sample against what the motion so far predicts: steps, 
 effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
           whose scale or time is wrong, a head that came off
 
-A pressure that is ABSENT, or the supply's, leaves out what would need it. When a joint, or its reference,
-runs into its cushion, in whichever phase a swing has that, velocity and jump have the limits of the
-follow-through for a while and efforts are not compared: the blow is in no prediction. All pure, time is an
-argument.
+A pressure that is ABSENT, or the supply's, leaves out what would need it. A blow is in no prediction: when a
+joint, or its reference, runs into its cushion, or the club's head is at the ball or at the turf at speed, the
+limits of blows hold for a while if they are wider, and efforts are not compared. BRAKE has limits of its own.
+All pure, time is an argument.
 """
 
 from __future__ import annotations
@@ -33,19 +33,29 @@ from sim.kane import kane_terms
 from sim.motion import chambers
 
 PHASES = len(Phase)
+BRAKING = PHASES
+"""Row of the limits in BRAKE, plus the phase in which it began."""
+BLOW = 2 * PHASES
+"""Row of the limits while a blow counts."""
+LEARNING = BLOW + 1
+"""First row of the limits, as above, of a robot or reference that differs from the planned one on purpose."""
+KINDS = ("air", "flow", "velocity", "jump", "effort")
+"""Comparisons, as their limits are named."""
 
 MODEL_LIMITS = np.dtype(
     [
         ("check", "?"),
-        ("air", "f8", (PHASES, 3)),
-        ("flow", "f8", (PHASES, 3)),
-        ("velocity", "f8", (PHASES, 3)),
-        ("jump", "f8", (PHASES, 3)),
-        ("effort", "f8", (PHASES, 3)),
+        ("first_row", "i8"),
+        ("air", "f8", (2 * LEARNING, 3)),
+        ("flow", "f8", (2 * LEARNING, 3)),
+        ("velocity", "f8", (2 * LEARNING, 3)),
+        ("jump", "f8", (2 * LEARNING, 3)),
+        ("effort", "f8", (2 * LEARNING, 3)),
     ],
     align=True,
 )
-"""Whether to check at all; limits by phase and joint: Pa, Pa, rad/s, rad, N m."""
+"""Whether to check at all; first row of the limits in force, 0 or LEARNING; limits by row and joint: Pa, Pa,
+rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brake began, or BLOW."""
 
 MODEL_STATE = np.dtype(
     [
@@ -70,7 +80,7 @@ MODEL_STATE = np.dtype(
 """The observer: spools, pressures as `sim.motion.chambers` takes them (chambers from 6 on, supply), what each
 sensor showed last and for how long (s); residuals of the chambers (Pa; NaN if unknown), the
 same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed; which joint
-and which joint's reference is at its cushion; s for which the blow of one that ran into it still counts."""
+and which joint's reference is at its cushion; s for which the latest blow still counts."""
 
 _MEMORY = 0.010
 """s in which the observer takes over what is measured."""
@@ -84,19 +94,34 @@ _BOTH = 0.2
 """Share of the limit that the other chamber must be off, too, for a valve to be at fault."""
 _CLOSE = 1e-4
 _BLOW = 0.030
-"""s for which a joint that ran into its cushion shakes all of them."""
+"""s for which a blow shakes all joints."""
 _FAST = 0.5
-"""rad/s from which on running into it is a blow."""
+"""rad/s from which on running into a cushion is a blow."""
+_FAST_HEAD = 3.0
+"""m/s from which on ball or turf give the head a blow."""
+_NEAR_BALL = (0.08, 0.12)
+"""m to either side of the ball, and over the turf: the head's way in a tick and the ball's size."""
+_NEAR_TURF = 0.010
+"""m"""
 
 
 @compiled
 def observe(
-    m: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, reference: Any, step: float
+    m: Any,
+    robot: Any,
+    plant: Any,
+    envelope: Any,
+    estimator: Any,
+    readings: Any,
+    applied: Any,
+    reference: Any,
+    head: Any,
+    step: float,
 ) -> None:
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
-    `estimator` and `readings` are this tick's, `reference` (3,) rad is the last one's; `plant` is the
-    machine's PLANT_PARAMETERS.
+    `estimator`, `readings` and `head` (6,) of `head_motion` are this tick's, `reference` (3,) rad is the last
+    one's; `plant` is the machine's PLANT_PARAMETERS.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
@@ -108,11 +133,7 @@ def observe(
     vent = p.vent_conductance if m.vent_timer > p.vent_delay else 0.0
     m.air[12] = r.supply_pressure
     for i in range(3):
-        for _ in range(2 * p.substeps):  # exact for a command held over the tick
-            wanted = applied[i] - p.centre[i]
-            offset, rate = m.spool[i] - wanted, m.spool_speed[i]
-            m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
-            m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+        _move_spool(m, p, applied[i] - p.centre[i], i)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
@@ -142,8 +163,18 @@ def observe(
                 m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
     m.started = True
     _note_blows(m, robot, p, e, reference, step)
+    _note_contact(m, envelope[0], head)
     if fresh:
         _compare_efforts(m, robot, p, e, step)
+
+
+@compiled
+def _move_spool(m: Any, p: Any, wanted: float, i: int) -> None:
+    """Move the spool of actuator `i` on by a tick, exactly for an opening `wanted` held over it."""
+    for _ in range(2 * p.substeps):
+        offset, rate = m.spool[i] - wanted, m.spool_speed[i]
+        m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+        m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
 
 
 @compiled
@@ -158,6 +189,16 @@ def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float)
             if at_cushion and m.pressed[k] == 0 and abs(e.velocity[i]) > _FAST:
                 m.blow = _BLOW
             m.pressed[k] = at_cushion
+
+
+@compiled
+def _note_contact(m: Any, envelope: Any, head: Any) -> None:
+    """Notice a head that is at the ball or at the turf at speed."""
+    over_turf = head[1] - envelope.sole_depth - envelope.ground
+    at_ball = abs(head[0] - envelope.ball_x) < _NEAR_BALL[0] and over_turf < _NEAR_BALL[1]
+    fast = head[3] * head[3] + head[4] * head[4] > _FAST_HEAD * _FAST_HEAD
+    if fast and (at_ball or over_turf < _NEAR_TURF):
+        m.blow = _BLOW
 
 
 @compiled
@@ -188,28 +229,48 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
 
 
 @compiled
-def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, phase: int) -> int:
-    """Return the first comparison that fails in `phase`, or 0. Unknown residuals fail no comparison."""
+def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> int:
+    """Return the first comparison that fails by the limits of `row`, a phase or BRAKING + a phase, or 0.
+
+    Unknown residuals fail no comparison.
+    """
     p, e = limits[0], estimator[0]
     if not p.check or m.settled < _SETTLING:
         return 0
-    loosest = Phase.FOLLOW_THROUGH.value if m.blow > 0.0 else phase
+    row += p.first_row
+    loosest = p.first_row + BLOW if m.blow > 0.0 else row
     for i in range(3):
-        if abs(e.innovation[i]) > max(p.jump[phase, i], p.jump[loosest, i]):
+        if abs(e.innovation[i]) > max(p.jump[row, i], p.jump[loosest, i]):
             return Cause.SHOULDER_JUMP + i
+        air = max(p.air[row, i], p.air[loosest, i])
         a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
-        if max(a, b) > p.air[phase, i]:
+        if max(a, b) > air:
             # A spool moves air in both chambers, a sensor shows what is not there in one.
-            return (
-                Cause.SHOULDER_AIR + i if min(a, b) > _BOTH * p.air[phase, i] else Cause.SHOULDER_SENSOR + i
-            )
-        if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[phase, i], p.velocity[loosest, i]):
+            return Cause.SHOULDER_AIR + i if min(a, b) > _BOTH * air else Cause.SHOULDER_SENSOR + i
+        if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[row, i], p.velocity[loosest, i]):
             return Cause.SHOULDER_VELOCITY + i
-        if abs(m.effort[i]) > p.effort[phase, i]:
+        if abs(m.effort[i]) > max(p.effort[row, i], p.effort[loosest, i]):
             return Cause.SHOULDER_EFFORT + i
+        flow = max(p.flow[row, i], p.flow[loosest, i])
         a, b = abs(m.flow[2 * i]), abs(m.flow[2 * i + 1])
-        if max(a, b) > p.flow[phase, i]:
-            return (
-                Cause.SHOULDER_FLOW + i if min(a, b) > _BOTH * p.flow[phase, i] else Cause.SHOULDER_SENSOR + i
-            )
+        if max(a, b) > flow:
+            return Cause.SHOULDER_FLOW + i if min(a, b) > _BOTH * flow else Cause.SHOULDER_SENSOR + i
     return 0
+
+
+@compiled
+def note_deviations(largest: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> None:
+    """Raise `largest` (5, LEARNING, 3), KINDS in order, to what `model_cause` compares in this tick."""
+    e = estimator[0]
+    if m.settled < _SETTLING:
+        return
+    if m.blow > 0.0:
+        row = BLOW
+    for i in range(3):
+        # A comparison with NaN, what is unknown, raises nothing.
+        for k in range(2 * i, 2 * i + 2):
+            largest[0, row, i] = max(largest[0, row, i], abs(m.residual[k]))
+            largest[1, row, i] = max(largest[1, row, i], abs(m.flow[k]))
+        largest[2, row, i] = max(largest[2, row, i], abs(reference_velocity[i] - e.velocity[i]))
+        largest[3, row, i] = max(largest[3, row, i], abs(e.innovation[i]))
+        largest[4, row, i] = max(largest[4, row, i], abs(m.effort[i]))

@@ -14,7 +14,7 @@ from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
 from bench.control.feed_forward import CODES, FeedForward, kane_gains
-from bench.control.model import MODEL_LIMITS
+from bench.control.model import BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
@@ -200,7 +200,11 @@ class HomingSettings:
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """The model-based check (`bench.control.model`): limits by phase, above what healthy swings show."""
+    """The model-based check (`bench.control.model`) and its limits by phase.
+
+    These hold for profiles without limits of their own (`bench.control.model_limits`): half as wide again as
+    any shipped profile's, and never tighter than the first ones, which were made for the default swing.
+    """
 
     check: Literal["off", "simulated", "always"] = "off"
     """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver."""
@@ -208,41 +212,41 @@ class ModelSettings:
         default_factory=lambda: {
             "homing": (4.0e4, 3.0e5, 8.0e4),
             "hold": (3.0e4, 3.0e4, 3.0e4),
-            "backswing": (3.0e4, 3.0e4, 4.0e4),
-            "top": (3.0e4, 3.0e4, 4.0e4),
-            "downswing": (3.5e4, 4.0e4, 6.0e4),
-            "committed": (3.0e4, 5.0e4, 5.0e4),
-            "impact": (3.0e4, 7.0e4, 6.0e4),
-            "follow_through": (4.0e4, 4.0e5, 1.5e5),
-            "return": (3.0e4, 6.0e4, 8.0e4),
+            "backswing": (6.9e4, 5.1e4, 7.6e4),
+            "top": (4.8e4, 4.0e4, 5.9e4),
+            "downswing": (9.5e4, 1.7e5, 2.2e5),
+            "committed": (3.8e4, 2.0e5, 2.3e5),
+            "impact": (3.0e4, 8.3e4, 2.0e5),
+            "follow_through": (7.7e4, 7.1e5, 2.4e5),
+            "return": (3.0e4, 6.0e4, 1.1e5),
         }
     )
     """Chamber pressures from the observer's, Pa."""
     flow: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (4.0e3, 1.2e5, 1.2e4),
-            "hold": (5.0e2, 4.0e3, 9.0e3),
-            "backswing": (2.6e3, 7.0e3, 1.1e4),
-            "top": (1.7e3, 7.0e3, 1.5e4),
-            "downswing": (3.5e3, 7.0e3, 1.1e4),
-            "committed": (2.0e3, 9.0e3, 7.0e3),
-            "impact": (2.2e3, 7.5e3, 6.0e3),
-            "follow_through": (6.0e3, 6.0e4, 1.3e4),
-            "return": (1.0e3, 1.1e4, 1.3e4),
+            "hold": (1.5e3, 1.3e4, 1.5e4),
+            "backswing": (6.8e3, 1.2e4, 2.5e4),
+            "top": (5.8e3, 1.1e4, 1.9e4),
+            "downswing": (1.1e4, 2.1e4, 2.8e4),
+            "committed": (7.2e3, 3.5e4, 2.6e4),
+            "impact": (7.0e3, 2.9e4, 1.9e4),
+            "follow_through": (1.1e4, 8.5e4, 2.4e4),
+            "return": (1.8e3, 2.1e4, 2.1e4),
         }
     )
     """The same smoothed over 50 ms, Pa."""
     velocity: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (5.0, 5.0, 15.0),
-            "hold": (0.8, 0.6, 0.8),
-            "backswing": (2.4, 1.8, 5.0),
-            "top": (1.5, 1.5, 6.5),
-            "downswing": (3.5, 3.0, 10.0),
-            "committed": (7.0, 3.5, 13.0),
+            "hold": (1.2, 1.2, 1.5),
+            "backswing": (5.1, 3.5, 7.0),
+            "top": (2.2, 1.9, 8.6),
+            "downswing": (5.5, 5.6, 22.0),
+            "committed": (8.1, 6.0, 16.0),
             "impact": (30.0, 30.0, 60.0),
-            "follow_through": (18.0, 25.0, 30.0),
-            "return": (1.5, 1.2, 2.5),
+            "follow_through": (56.0, 54.0, 86.0),
+            "return": (2.9, 1.7, 5.7),
         }
     )
     """Joint velocities from their reference, rad/s."""
@@ -250,31 +254,36 @@ class ModelSettings:
         default_factory=lambda: {
             "standing": (0.01, 0.01, 0.01),
             "homing": (0.002, 0.002, 0.002),
-            "hold": (0.001, 0.001, 0.001),
-            "backswing": (0.001, 0.001, 0.001),
-            "top": (0.001, 0.001, 0.001),
+            "hold": (0.0015, 0.0015, 0.0015),
+            "backswing": (0.0015, 0.0015, 0.0015),
+            "top": (0.0015, 0.0015, 0.0015),
             "downswing": (0.0015, 0.0015, 0.002),
-            "committed": (0.0015, 0.0015, 0.002),
+            "committed": (0.0015, 0.0015, 0.0029),
             "impact": (0.004, 0.004, 0.04),
-            "follow_through": (0.02, 0.025, 0.025),
-            "return": (0.001, 0.001, 0.001),
+            "follow_through": (0.027, 0.034, 0.045),
+            "return": (0.0015, 0.0015, 0.0015),
         }
     )
     """Samples from their prediction, rad."""
     effort: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (1500.0, 1500.0, 300.0),
-            "hold": (30.0, 70.0, 15.0),
-            "backswing": (25.0, 60.0, 12.0),
-            "top": (25.0, 60.0, 12.0),
-            "downswing": (30.0, 50.0, 12.0),
-            "committed": (30.0, 50.0, 12.0),
+            "hold": (47.0, 80.0, 27.0),
+            "backswing": (38.0, 110.0, 24.0),
+            "top": (30.0, 150.0, 12.0),
+            "downswing": (32.0, 120.0, 41.0),
+            "committed": (58.0, 180.0, 47.0),
             "impact": (120.0, 150.0, 50.0),
-            "follow_through": (150.0, 120.0, 60.0),
-            "return": (30.0, 70.0, 15.0),
+            "follow_through": (150.0, 180.0, 60.0),
+            "return": (30.0, 76.0, 15.0),
         }
     )
     """Torque from the chambers' pressures from what the motion needs, N m."""
+
+    @property
+    def knows_learning(self) -> bool:
+        """Whether there are limits for a robot or reference that differs from the planned one on purpose."""
+        return "learning_blow" in self.air
 
 
 @dataclass(frozen=True)
@@ -344,11 +353,16 @@ _FOLLOWED = {
 
 
 _WATCHED = _FOLLOWED | {"impact": Phase.IMPACT}
-MODEL_PHASES = {
-    kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {})
-    for kind in ("air", "flow", "velocity", "jump", "effort")
-}
+MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump" else {}) for kind in KINDS}
 """Phases that have a limit, by comparison. While the robot stands only a jump means something."""
+_ROWS = {name: phase.value for name, phase in MODEL_PHASES["jump"].items()} | {
+    **{f"braking_{name}": BRAKING + phase for name, phase in _WATCHED.items()},
+    "blow": BLOW,
+}
+MODEL_ROWS = _ROWS | {f"learning_{name}": LEARNING + row for name, row in _ROWS.items()}
+"""Row of the limits, by its name in a table."""
+OPTIONAL_ROWS = MODEL_ROWS.keys() - MODEL_PHASES["jump"].keys()
+"""Rows that a table may leave out: those of BRAKE, of blows, and of learning."""
 
 SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
 """Of a bench without anybody beside it: no warning, and the address is held after a swing."""
@@ -402,7 +416,7 @@ def build_controller(
             highest=(1.0,) * 3,
         ),
         envelope=_envelope_record(envelope, plant, profile),
-        model=_model_record(envelope.model),
+        model=_model_record(envelope.model, learning=profile.corrected),
         robot=robot.record,
         plant=machine,
         profile=_profile_record(profile),
@@ -414,6 +428,13 @@ def build_controller(
         force=demand.force,
         force_rate=demand.rate,
     )
+
+
+def for_learning(parameters: ControlParameters, settings: ModelSettings) -> ControlParameters:
+    """Return `parameters` with the limits of learning; without such limits nothing is compared."""
+    record = _model_record(settings, learning=True)
+    record["check"] = settings.check != "off" and settings.knows_learning
+    return parameters._replace(model=record)
 
 
 def angle_travel(plant: PlantParameters) -> tuple[_Span, _Span, _Span]:
@@ -438,6 +459,18 @@ def with_tables_of(
         force=demand.force,
         force_rate=demand.rate,
     )
+
+
+def with_correction(
+    parameters: ControlParameters,
+    profile: Profile,
+    control: ControlSettings,
+    envelope: EnvelopeSettings,
+    plant: PlantParameters,
+) -> ControlParameters:
+    """Return `parameters` with the tables of `profile`, and the limits of learning if it is corrected."""
+    record = _model_record(envelope.model, learning=profile.corrected)
+    return with_tables_of(parameters, profile, control, plant)._replace(model=record)
 
 
 def _control_record(
@@ -511,13 +544,24 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
     return record
 
 
-def _model_record(settings: ModelSettings) -> np.ndarray:
+def _model_record(settings: ModelSettings, *, learning: bool) -> np.ndarray:
+    """Return the limits; those of `learning`, if they are given, are in force.
+
+    If not given BRAKE has the limits of its phase, and a blow those of the follow-through.
+    """
     record = new_record(MODEL_LIMITS)
     record["check"] = settings.check != "off"
+    record["first_row"] = LEARNING if learning and settings.knows_learning else 0
     for kind, phases in MODEL_PHASES.items():
-        record[kind] = inf
-        for name, limits in getattr(settings, kind).items():
-            record[kind][0, phases[name]] = limits
+        table, limits = getattr(settings, kind), record[kind][0]
+        limits[:] = inf
+        limits[[BLOW, LEARNING + BLOW]] = table["follow_through"]
+        for name, phase in phases.items():
+            if name in table:
+                for first in (0, LEARNING):
+                    limits[first + phase] = limits[first + BRAKING + phase] = table[name]
+        for name in table.keys() - phases.keys():
+            limits[MODEL_ROWS[name]] = table[name]
     return record
 
 

@@ -72,10 +72,12 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             state.model[0],
             parameters.robot,
             parameters.plant,
+            parameters.envelope,
             state.estimator,
             readings,
             s.applied,
             s.reference,
+            s.head,
             elapsed,
         )
     if parameters.control[0].feed_forward == PNEUMATIC:

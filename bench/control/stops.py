@@ -7,7 +7,7 @@ from typing import Any
 from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
 from bench.control.homing import search_cause
-from bench.control.model import model_cause
+from bench.control.model import BRAKING, model_cause
 from bench.control.references import charging
 from bench.control.states import disarm, react
 from bench.lifecycle import (
@@ -93,7 +93,7 @@ def _watch_braking(state: Any, parameters: Any, time: float) -> None:
             # A stop past the no-return instant may still strike the ball, and keeps the phase it began in.
             state.model[0].blow = max(state.model[0].blow, _STRIKE)
         # The estimated velocity as reference: a brake has none.
-        broken = model_cause(parameters.model, state.model[0], state.estimator, e.velocity, s.phase)
+        broken = model_cause(parameters.model, state.model[0], state.estimator, e.velocity, BRAKING + s.phase)
         if broken != 0:
             if table_column(broken) == LOST:
                 _note_doubted(s, parameters.model[0], e, broken)
@@ -114,9 +114,9 @@ def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
 
     One that jumps, or gives no sample, spoils the torques of all: then it is meant, whichever is named.
     """
-    found = False
+    found, row = False, limits.first_row + BRAKING + s.phase
     for i in range(3):
-        if e.without_sample[i] > 0.0 or abs(e.innovation[i]) > limits.jump[s.phase, i]:
+        if e.without_sample[i] > 0.0 or abs(e.innovation[i]) > limits.jump[row, i]:
             s.unseen[i] = 1
             found = True
     if not found:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from bench.clock import GridClock, PacedClock
-from bench.control.settings import build_controller, with_tables_of
+from bench.control.settings import build_controller, with_correction
 from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
@@ -244,7 +244,9 @@ class LoopProcess:
         )
         if taken is not None:
             c = self.plan.configuration
-            self.cycle.parameters = with_tables_of(self.cycle.parameters, taken, c.control, c.plant)
+            self.cycle.parameters = with_correction(
+                self.cycle.parameters, taken, c.control, c.envelope, c.plant
+            )
 
     def _watch_device(self) -> None:
         """Report why the device went passive, if its driver knows."""

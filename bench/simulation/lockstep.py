@@ -6,12 +6,15 @@ give bit-equal records, with faults (`sim.faults`) too.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from bench.control.model import BRAKING, note_deviations
 from bench.control.records import ControlParameters, ControlState, new_control_state
+from bench.control.references import charging
 from bench.control.step import step
+from bench.lifecycle import Phase, Reaction
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
 from drivers.base.compiled import compiled, new_record
@@ -112,6 +115,39 @@ def note_processes(state: ControlState, faults: Faults) -> None:
     s.device_operational = not faults.device[0].passive
 
 
+@compiled
+def run_noting(
+    robot: Any,
+    plant: Any,
+    impact: Any,
+    plant_state: Any,
+    state: ControlState,
+    parameters: ControlParameters,
+    readings: Any,
+    command: Any,
+    requests: Any,
+    first_tick: int,
+    cycle: Any,
+    largest: Any,
+) -> None:
+    """Run len(requests) ticks as `lockstep.run` does; note deviations wherever the check compares them."""
+    period = plant[0].tick
+    for k in range(len(requests)):
+        time = (first_tick + k) * period
+        sense(plant, plant_state, readings)
+        s = state.control[0]
+        if requests[k] != 0:
+            s.request = requests[k]
+        step(state, parameters, readings, time, command, cycle)
+        if s.phase != Phase.STANDING and not charging(s, time):
+            if s.reaction <= Reaction.COMPLETE:
+                note_deviations(largest, state.model[0], state.estimator, s.reference_velocity, s.phase)
+            elif s.reaction == Reaction.BRAKE:
+                velocity = state.estimator[0].velocity
+                note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)
+        advance(robot, plant, impact, plant_state, command)
+
+
 class Lockstep:
     """A simulated bench on a virtual clock, driven by the compiled loop."""
 
@@ -137,9 +173,9 @@ class Lockstep:
             self.faults.device["commanded"] = True
             self.faults.received[:] = self.command
 
-    def copy(self) -> Lockstep:
+    def copy(self) -> Self:
         """Return an independent bench in the same state, without faults."""
-        other = object.__new__(Lockstep)
+        other = object.__new__(type(self))
         other.plant, other.parameters, other.tick, other.faults = self.plant, self.parameters, self.tick, None
         other.plant_state = self.plant_state.copy()
         other.state = ControlState(*(record.copy() for record in self.state))

@@ -13,6 +13,7 @@ from bench.control.settings import (
     EnvelopeSettings,
     EstimatorSettings,
     build_controller,
+    for_learning,
     with_tables_of,
 )
 from bench.errors import Refused
@@ -64,10 +65,10 @@ class Bench(NamedTuple):
     def controller(self) -> ControlParameters:
         """Return the records that the control step takes.
 
-        Without the model-based check: the plant that is swung differs from the model by intent.
+        With the limits of learning: the plant that is swung differs from the model by intent.
         """
-        unwatched = self.envelope.with_model_check("off")
-        return build_controller(self.model, self.profile, self.control, unwatched, self.estimator)
+        made = build_controller(self.model, self.profile, self.control, self.envelope, self.estimator)
+        return for_learning(made, self.envelope.model)
 
 
 class Series:

@@ -51,6 +51,7 @@ class Correction:
             angle=np.ascontiguousarray(profile.angle + self.angle),
             velocity=np.ascontiguousarray(profile.velocity + self.velocity),
             valve=np.ascontiguousarray(np.clip(profile.valve + self.valve, -1.0, 1.0)),
+            corrected=True,
         )
 
 

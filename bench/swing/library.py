@@ -13,7 +13,7 @@ THESIS = "thesis"
 
 def profile_names() -> list[str]:
     """Return the names of the profiles that come with golfbench."""
-    return sorted(path.stem for path in PROFILES.glob("*.toml"))
+    return sorted(path.stem for path in PROFILES.glob("*.toml") if "." not in path.stem)
 
 
 def find_profile(name_or_path: str | Path) -> Path:

@@ -70,6 +70,8 @@ class Profile:
     """Planned head_speed_mps, attack_angle_deg, shaft_lean_deg, ball_position; for people and checks."""
     limits: dict[str, float] = field(default_factory=dict)
     """Limits of the design: supply_pressure_pa, greatest_opening, ..."""
+    corrected: bool = False
+    """Whether a learned correction is in its tables."""
 
     @property
     def duration(self) -> float:

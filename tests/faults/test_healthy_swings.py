@@ -5,8 +5,9 @@ from __future__ import annotations
 import numba
 import pytest
 
+from bench.simulation.variation import healthy_plant
 from sim.plant import PlantParameters
-from tests.benchmarks.healthy_swings import drawn_plant, run
+from tests.benchmarks.healthy_swings import run
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
@@ -15,9 +16,9 @@ def test_no_alarm_without_a_fault() -> None:
     assert (row.value, row.holds) == (0, True), row.note
 
 
-def test_the_drawn_plants_differ_and_repeat() -> None:
+def test_the_healthy_plants_differ_and_repeat() -> None:
     plant = PlantParameters()
-    assert drawn_plant(plant, 3) == drawn_plant(plant, 3) != drawn_plant(plant, 4)
-    nominal = drawn_plant(plant, 0)
+    assert healthy_plant(plant, 3) == healthy_plant(plant, 3) != healthy_plant(plant, 4)
+    nominal = healthy_plant(plant, 0)
     assert nominal.shoulder.valve == plant.shoulder.valve
     assert nominal.supply == plant.supply

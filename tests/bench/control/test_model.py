@@ -11,8 +11,18 @@ import numpy as np
 import pytest
 
 import bench.swing
+from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import ESTIMATOR_STATE
-from bench.control.model import MODEL_LIMITS, MODEL_STATE, model_cause, observe
+from bench.control.model import (
+    BLOW,
+    BRAKING,
+    LEARNING,
+    MODEL_LIMITS,
+    MODEL_STATE,
+    model_cause,
+    note_deviations,
+    observe,
+)
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.lifecycle import Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
@@ -28,7 +38,11 @@ needs_speed = pytest.mark.skipif(
 )
 PLANT = build_plant(PlantParameters()).plant
 ROBOT = RobotParameters().record
+ENVELOPE = new_record(ENVELOPE_PARAMETERS)
+ENVELOPE["ground"], ENVELOPE["sole_depth"], ENVELOPE["ball_x"] = -1.62, 0.03, 0.25
 SPEEDS = np.zeros(3)
+AWAY = np.array([-1.0, 0.5, 0.0, 40.0, 0.0, 0.0])
+"""A fast head far from ball and turf."""
 
 
 def limits() -> np.ndarray[Any, Any]:
@@ -157,10 +171,17 @@ def still() -> tuple[Any, Any, Any]:
 
 
 def watch(
-    model: Any, estimator: Any, readings: Any, ticks: int, step: float = 1e-3, valve: float = 0.0
+    model: Any,
+    estimator: Any,
+    readings: Any,
+    ticks: int,
+    step: float = 1e-3,
+    valve: float = 0.0,
+    head: Any = AWAY,
 ) -> None:
     for _ in range(ticks):
-        observe(model[0], ROBOT, PLANT, estimator, readings, np.array([valve, 0.0, 0.0]), SPEEDS, step)
+        applied = np.array([valve, 0.0, 0.0])
+        observe(model[0], ROBOT, PLANT, ENVELOPE, estimator, readings, applied, SPEEDS, head, step)
 
 
 def test_it_settles_and_begins_anew_after_a_stall() -> None:
@@ -182,7 +203,7 @@ def run_into_cushion(model: Any, estimator: Any, readings: Any, joint: int, spee
 @pytest.mark.parametrize("joint", range(3))
 def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -> None:
     built = limits()
-    built["velocity"][0, Phase.FOLLOW_THROUGH], built["jump"][0, Phase.FOLLOW_THROUGH] = 200.0, 300.0
+    built["velocity"][0, BLOW], built["jump"][0, BLOW] = 200.0, 300.0
     model, estimator, readings = still()
     run_into_cushion(model, estimator, readings, joint, 5.0)
     assert model["effort"].tolist() == [[0.0, 0.0, 0.0]]
@@ -198,6 +219,75 @@ def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -
     watch(model, estimator, readings, 31)  # it stays there
     assert cause(31.0, 0.0) is Cause.SHOULDER_JUMP
     assert cause(0.0, 21.0) is Cause.SHOULDER_VELOCITY
+
+
+@pytest.mark.parametrize(
+    ("x", "over_turf", "speed", "blow"),
+    [
+        (0.25 + 0.07, 0.05, 40.0, True),
+        (0.25 - 0.09, 0.05, 40.0, False),
+        (0.25, 0.13, 40.0, False),
+        (0.25, 0.03, 2.0, False),
+        (-0.5, 0.005, 40.0, True),
+        (-0.5, 0.02, 40.0, False),
+    ],
+)
+def test_a_fast_head_at_ball_or_turf_is_a_blow(x: float, over_turf: float, speed: float, blow: bool) -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 60)
+    head = np.array([x, -1.62 + 0.03 + over_turf, 0.0, speed, 0.0, 0.0])
+    watch(model, estimator, readings, 1, head=head)
+    assert (model["blow"][0] > 0.0) == blow
+
+
+@pytest.mark.parametrize("kind", ["air", "flow", "effort"])
+def test_a_blow_loosens_pressures_and_torques_where_its_limits_are_wider(kind: str) -> None:
+    built = limits()
+    built[kind][0, BLOW] = 1e3
+    model, estimator = settled()
+    field = {"air": "residual", "flow": "flow", "effort": "effort"}[kind]
+    model[field] = 900.0
+    row = int(Phase.DOWNSWING)
+    assert model_cause(built, model[0], estimator, SPEEDS, row) != 0
+    model["blow"] = 0.01
+    assert model_cause(built, model[0], estimator, SPEEDS, row) == 0
+    built[kind][0, BLOW] = 1.0
+    model[field] = 9.0
+    assert model_cause(built, model[0], estimator, SPEEDS, row) == 0  # never tighter than the phase's
+
+
+def test_braking_and_learning_have_limits_of_their_own() -> None:
+    built = limits()
+    built["jump"][0, BRAKING + Phase.TOP], built["jump"][0, LEARNING + Phase.TOP] = 1.0, 50.0
+    model, estimator = settled()
+    estimator["innovation"] = 20.0
+    top = int(Phase.TOP)
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
+    assert model_cause(built, model[0], estimator, SPEEDS, BRAKING + top) == Cause.SHOULDER_JUMP
+    estimator["innovation"] = 40.0
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == Cause.SHOULDER_JUMP
+    built["first_row"] = LEARNING
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
+
+
+def test_deviations_are_noted_as_they_are_compared() -> None:
+    largest = np.zeros((5, LEARNING, 3))
+    model, estimator = settled()
+    model["residual"], model["flow"] = [[3.0, -4.0, np.nan, 1.0, 0.0, 0.0]], 0.0
+    model["effort"], estimator["innovation"] = [[-7.0, np.nan, 1.0]], [[0.1, -0.2, 0.3]]
+    estimator["velocity"] = [[5.0, 0.0, 0.0]]
+    note_deviations(largest, model[0], estimator, np.array([1.0, 2.0, 3.0]), int(Phase.TOP))
+    row = largest[:, Phase.TOP]
+    assert row[[0, 2, 3, 4]].tolist() == [[4, 1, 0], [4, 2, 3], [0.1, 0.2, 0.3], [7, 0, 1]]
+    model["residual"] = 1.0
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.TOP))
+    assert largest[0, Phase.TOP].tolist() == [4, 1, 1]
+    model["blow"] = 0.01
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.TOP))
+    assert largest[0, BLOW].tolist() == [1, 1, 1]
+    model["settled"] = 0.0
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.HOLD))
+    assert not largest[:, Phase.HOLD].any()
 
 
 def test_a_joint_that_creeps_into_its_cushion_shakes_nothing() -> None:
@@ -292,15 +382,17 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
         readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
         readings["supply_pressure"] = 8e5
         applied = random.uniform(-1.0, 1.0, 3)
-        observe(one[0], ROBOT, PLANT, estimator, readings, applied, SPEEDS, 1e-3)
+        observe(one[0], ROBOT, PLANT, ENVELOPE, estimator, readings, applied, SPEEDS, AWAY, 1e-3)
         slow(
             two[0],
             robot,
             plant,
+            ENVELOPE.view(np.recarray),
             estimator.view(np.recarray),
             readings.view(np.recarray),
             applied,
             SPEEDS,
+            AWAY,
             1e-3,
         )
     for name in MODEL_STATE.names or ():

@@ -1,0 +1,165 @@
+"""Limits of the model-based check for one profile, plant and controller, from swings of drawn robots.
+
+Per comparison, row and joint a limit is the largest of: the deviation that one swing in a million exceeds, by
+a Gumbel distribution of the swings' maxima; a quarter more than the largest seen, as rare blows are no
+Gumbel's; and a floor, below which real sensors and encoders deviate by themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import log, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.model import KINDS, LEARNING
+from bench.control.model_limits import FROM_SETTINGS, REQUIRED, LimitTables, MadeFor, ModelLimits
+from bench.control.records import ControlParameters
+from bench.control.settings import MODEL_ROWS, Triple, build_controller, with_tables_of
+from bench.errors import Refused
+from bench.lifecycle import CAUSE_TEXT
+from bench.simulation.deviations import HealthyRun, healthy_run
+from bench.simulation.series import Bench
+from bench.simulation.variation import healthy_plant, unknown_plant
+from bench.swing.correction import basis_of
+
+Array = NDArray[np.float64]
+
+DRAWS = 300
+"""Number of known robots; of robots to learn on half as many, as their limits are wide by themselves."""
+FIRST_SEED = 1_000_000
+"""Seed of the first robot: no test of healthy swings comes there."""
+EXCEEDED = 1e-6
+"""Probability that a healthy swing exceeds one limit."""
+MARGIN = 1.25
+"""Times the largest deviation seen."""
+FLOORS: dict[str, Triple] = {
+    "air": (1.0e4, 1.0e4, 1.0e4),
+    "flow": (1.0e3, 1.0e3, 1.0e3),
+    "velocity": (0.8, 0.8, 1.0),
+    "jump": (0.001, 0.001, 0.001),
+    "effort": (15.0, 30.0, 8.0),
+}
+"""Min limits: one per cent of a pressure sensor's range, a tenth of that where it is smoothed, the encoders'
+eccentricity, friction within its tolerance."""
+MAX_STOPPED = 0.2
+"""Share of known robots that the envelope may stop before the profile counts as unfit for the controller."""
+_FEWEST = 20
+"""Swings that must have come to a row for a distribution of its maxima."""
+_EULER = 0.5772156649
+_LONGEST_CORRECTION = 1.5
+"""Longest correction drawn, the norm of its weights: learning's longest first step."""
+
+
+def gumbel_quantile(maxima: Array, exceeded: float = EXCEEDED) -> Array:
+    """Return what the next maximum exceeds with probability `exceeded`, by column of `maxima` (n, k)."""
+    scale = maxima.std(axis=0, ddof=1) * sqrt(6.0) / pi
+    quantile: Array = maxima.mean(axis=0) + scale * (-log(-log(1.0 - exceeded)) - _EULER)
+    return quantile
+
+
+def make_limits(
+    bench: Bench,
+    draws: int = DRAWS,
+    progress: Callable[[float], None] = lambda part: None,
+) -> ModelLimits:
+    """Return the limits of `bench` from `draws` known robots around its model, half as many to learn on.
+
+    Raises:
+        Refused: robots without a fault are stopped by the envelope.
+    """
+    parameters = _unlimited(bench)
+
+    def known_robot(seed: int) -> HealthyRun | None:
+        return healthy_run(healthy_plant(bench.model, seed), parameters, bench.profile, seed)
+
+    def robot_to_learn_on(seed: int) -> HealthyRun | None:
+        corrected = _with_drawn_correction(bench, parameters, seed)
+        return healthy_run(unknown_plant(bench.model, seed), corrected, bench.profile, seed)
+
+    runs = _drawn(known_robot, draws, lambda part: progress(part / 1.5))
+    causes = [run.cause for run in runs if run.cause]
+    if len(runs) < draws or len(causes) > MAX_STOPPED * draws:
+        why = CAUSE_TEXT[causes[0]] if causes else "they do not reach their address"
+        raise Refused(
+            f"limits of profile {bench.profile.name!r}",
+            f"{len(causes) + draws - len(runs)} of {draws} healthy robots stopped: {why}",
+            "a profile that this controller can swing",
+            "Choose the configuration that the profile was designed for, such as `--config steady`.",
+        )
+    known = [run.largest for run in runs]
+    learning_runs = _drawn(robot_to_learn_on, draws // 2, lambda part: progress((2.0 + part) / 3.0))
+    unknown = [run.largest for run in learning_runs]
+    tables = _tables(np.array(known), "")
+    learning = _tables(np.array(unknown), "learning_")
+    return ModelLimits(
+        bench.profile.name,
+        draws,
+        MadeFor.of(bench.profile, bench.model, bench.control, bench.envelope, bench.estimator),
+        {kind: {**tables[kind], **learning[kind]} for kind in KINDS},
+    )
+
+
+def _drawn(
+    robot: Callable[[int], HealthyRun | None], draws: int, progress: Callable[[float], None]
+) -> list[HealthyRun]:
+    """Return the runs of `draws` robots that reach their address, of a third more drawn at most."""
+    runs = list[HealthyRun]()
+    for seed in range(FIRST_SEED, FIRST_SEED + draws + draws // 3):
+        if len(runs) < draws and (run := robot(seed)) is not None:
+            runs.append(run)
+            progress(len(runs) / draws)
+    return runs
+
+
+def _unlimited(bench: Bench) -> ControlParameters:
+    """Return the controller whose check observes and never stops."""
+    envelope = bench.envelope.with_model_check("always")
+    made = build_controller(bench.model, bench.profile, bench.control, envelope, bench.estimator)
+    for kind in KINDS:
+        made.model[kind] = np.inf
+    return made
+
+
+def _with_drawn_correction(bench: Bench, parameters: ControlParameters, seed: int) -> ControlParameters:
+    """Return `parameters` with the tables of a correction in a random direction, drawn with `seed`."""
+    random, basis = np.random.default_rng([seed, 3]), basis_of(bench.profile)
+    weights = random.standard_normal(basis.size)
+    weights *= _LONGEST_CORRECTION * random.uniform() / np.linalg.norm(weights)
+    return with_tables_of(
+        parameters, basis.corrected(bench.profile, weights.tolist()), bench.control, bench.model
+    )
+
+
+def _tables(largest: Array, prefix: str) -> LimitTables:
+    """Return the limits from maxima `largest` (n, 5, LEARNING, 3), rows named with `prefix`."""
+    tables: dict[str, dict[str, Triple]] = {}
+    rows = {name: row for name, row in MODEL_ROWS.items() if row < LEARNING and name not in FROM_SETTINGS}
+    for k, kind in enumerate(KINDS):
+        found = {name: _limit(largest[:, k, row], FLOORS[kind]) for name, row in rows.items()}
+        seen = [limit for limit in found.values() if limit is not None]
+        # Where hardly a swing came to: the widest limits of all rows.
+        widest = np.max(seen, axis=0) if seen else np.array(FLOORS[kind])
+        tables[kind] = {
+            prefix + name: _rounded(widest if limit is None else limit)
+            for name, limit in found.items()
+            if limit is not None or name in REQUIRED or name == "blow"
+        }
+    return tables
+
+
+def _limit(maxima: Array, floor: Triple) -> Array | None:
+    """Return the limits (3,) from `maxima` (n, 3) of the swings; None if too few came to the row."""
+    came = maxima[maxima.max(axis=1) > 0.0]
+    if len(came) < _FEWEST:
+        return None
+    bounds: Array = np.maximum.reduce([gumbel_quantile(came), MARGIN * came.max(axis=0), np.array(floor)])
+    return bounds
+
+
+def _rounded(limits: Array) -> Triple:
+    """Return `limits` rounded up to three digits."""
+    digits = 10.0 ** (np.floor(np.log10(limits)) - 2)
+    a, b, c = (float(f"{v:.3g}") for v in np.ceil(limits / digits - 1e-9) * digits)
+    return a, b, c

@@ -1,0 +1,144 @@
+"""Healthy swings and stops of a drawn robot, with the largest deviations that the model-based check sees."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.model import KINDS, LEARNING
+from bench.control.records import ControlParameters
+from bench.errors import Refused
+from bench.lifecycle import Cause, Phase, Reaction, Request
+from bench.simulation.engine import LONGEST_RETURN, LockstepEngine
+from bench.simulation.lockstep import Lockstep, run_noting
+from bench.swing.profile import PHASES, Profile
+from bench.telemetry.cycle_record import CYCLE
+from drivers.base.compiled import new_record
+from sim.driver import hanging_pose
+from sim.plant import Plant, PlantParameters, build_plant
+
+Array = NDArray[np.float64]
+
+_BEGIN, _HOLD = 200, 400
+"""Ticks before arming, and at the address before a swing."""
+_LONGEST_STOP, _LOOK = 6_000, 20
+"""Ticks of a stop at most, and between two looks at it."""
+
+
+class HealthyRun(NamedTuple):
+    """Two swings of one robot, and stops of copies of it in all phases of the first."""
+
+    largest: Array
+    """(5, LEARNING, 3) largest deviations by comparison, row and joint; 0 where a row was not seen."""
+    cause: Cause
+    """What stopped a swing; NONE when both came back to the address."""
+    stops: int
+    """Number of stops."""
+    escalated: tuple[str, ...]
+    """Stops that became more severe than asked for: phase and kind."""
+
+
+class NotingLockstep(Lockstep):
+    """A lock-step bench that notes deviations; its copies note into the same array."""
+
+    def __init__(self, plant: Plant, parameters: ControlParameters, angle: Array) -> None:
+        """Stand vented at joint angles `angle` (3,) rad."""
+        super().__init__(plant, parameters, angle)
+        self.largest = np.zeros((len(KINDS), LEARNING, 3))
+
+    def copy(self) -> Self:
+        """Return an independent bench in the same state that notes into the same array."""
+        other = super().copy()
+        other.largest = self.largest
+        return other
+
+    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
+        """Run `ticks` ticks with `request` in the first; return the record of the last."""
+        requests = np.zeros(ticks, np.uint8)
+        if ticks:
+            requests[0] = request
+        cycle = new_record(CYCLE)
+        run_noting(
+            *self.plant.records,
+            self.plant_state,
+            self.state,
+            self.parameters,
+            self.readings,
+            self.command,
+            requests,
+            self.tick,
+            cycle,
+            self.largest,
+        )
+        self.tick += ticks
+        return cycle
+
+
+def healthy_run(
+    plant: PlantParameters, parameters: ControlParameters, profile: Profile, seed: int
+) -> HealthyRun | None:
+    """Swing twice on `plant`, once with a ball and once as `seed` has it, and stop copies of the first swing.
+
+    `parameters` decide whether a deviation stops it. None if the robot does not reach its address.
+    """
+    random = np.random.default_rng([seed, 2])
+    stepper = NotingLockstep(build_plant(plant), parameters, hanging_pose(plant))
+    bench, trial = LockstepEngine(stepper), _StopTrial(random)
+    stepper.advance(_BEGIN)
+    try:
+        bench.arm()
+    except Refused:
+        return None
+    for swing in range(2):
+        bench.tee_up(ball=swing == 1 or seed % 4 != 3)
+        stepper.advance(_HOLD)
+        instants = [] if swing else _instants(profile, random)
+        if instants:
+            trial.stop(stepper)
+        request, at = int(Request.SWING), 0
+        for tick in (*instants, len(profile.angle)):
+            stepper.advance(tick - at, request)
+            request, at = 0, tick
+            if tick in instants and not bench.cause:
+                trial.stop(stepper)
+        bench.run_until(bench.holding, LONGEST_RETURN)
+        if bench.cause:
+            break
+    return HealthyRun(stepper.largest, bench.cause, trial.number, tuple(trial.escalated))
+
+
+def _instants(profile: Profile, random: np.random.Generator) -> list[int]:
+    """Return ticks of a swing, one drawn in each of its phases that lasts, and one in the return."""
+    ends = (*profile.begins[1:], len(profile.angle))
+    spans = [
+        (begin, end)
+        for phase, begin, end in zip(PHASES, profile.begins, ends, strict=True)
+        if phase is not Phase.HOLD and end - begin > 1
+    ]
+    return sorted({int(random.integers(max(begin, 1), end)) for begin, end in spans})
+
+
+class _StopTrial:
+    """Stops copies of a bench, by request and by the emergency stop in turn as drawn."""
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._random, self.number, self.escalated = random, 0, list[str]()
+
+    def stop(self, bench: Lockstep) -> None:
+        """Stop a copy of `bench` and run it until it stands."""
+        copy, emergency = bench.copy(), bool(self._random.integers(2))
+        control, phase = copy.state.control, Phase(int(bench.state.control["phase"][0]))
+        if emergency:
+            copy.plant_state["emergency_stop_clear"] = False
+        copy.advance(1, 0 if emergency else Request.STOP)
+        severe = False
+        for _ in range(_LONGEST_STOP // _LOOK):
+            severe = severe or control["reaction"][0] in (Reaction.PASSIVE, Reaction.BLIND_BRAKE)
+            if control["phase"][0] == Phase.STANDING:
+                break
+            copy.advance(_LOOK)
+        self.number += 1
+        if severe or control["distrusted"][0]:
+            self.escalated.append(f"{phase.name}, {'emergency stop' if emergency else 'stop'}")

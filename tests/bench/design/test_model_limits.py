@@ -1,0 +1,72 @@
+"""Limits made from drawn robots: above all that healthy ones show, and refused where healthy ones stop."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.model import KINDS
+from bench.control.model_limits import FROM_SETTINGS, REQUIRED
+from bench.control.settings import MODEL_ROWS
+from bench.design.model_limits import FLOORS, _rounded, _tables, gumbel_quantile, make_limits
+from bench.errors import Refused
+from bench.simulation.series import Bench
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.plant import PlantParameters
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def default_profile() -> Profile:
+    return load_profile(find_profile("default"))
+
+
+def test_the_quantile_is_that_of_a_gumbel_distribution() -> None:
+    maxima = np.random.default_rng(1).gumbel(3.0, 0.5, (200_000, 2))
+    expected = 3.0 - 0.5 * np.log(-np.log1p(-1e-6))
+    assert gumbel_quantile(maxima) == pytest.approx([expected, expected], rel=0.02)
+
+
+def largest(n: int) -> np.ndarray:
+    made = np.zeros((n, len(KINDS), 21, 3))
+    made[:, :, MODEL_ROWS["hold"]] = 1e6 + np.linspace(0.0, 1e3, n)[:, None, None]
+    return made
+
+
+def test_a_limit_is_above_all_that_was_seen() -> None:
+    made = largest(50)
+    made[7, 0, MODEL_ROWS["hold"], 1] = 5e7
+    table = _tables(made, "")["air"]
+    assert table["hold"][1] >= 1.25 * 5e7
+    assert 1.25e6 <= table["hold"][0] < 1.3e6
+
+
+def test_a_limit_is_never_below_its_floor_and_rows_of_few_swings_get_the_widest() -> None:
+    made = largest(50)
+    made[:, :, MODEL_ROWS["top"]] = 1e-6
+    made[:3, :, MODEL_ROWS["braking_top"]] = 9e9
+    tables = _tables(made, "learning_")
+    for kind in KINDS:
+        assert tables[kind]["learning_top"] == FLOORS[kind]
+        assert "learning_braking_top" not in tables[kind]
+        assert tables[kind]["learning_impact"] == tables[kind]["learning_hold"]
+        assert {f"learning_{row}" for row in REQUIRED} <= tables[kind].keys()
+        assert not {f"learning_{row}" for row in FROM_SETTINGS} & tables[kind].keys()
+
+
+def test_limits_are_rounded_up() -> None:
+    assert _rounded(np.array([12345.0, 0.001, 99.99])) == (12400.0, 0.001, 100.0)
+
+
+@needs_speed
+def test_a_profile_that_healthy_robots_cannot_swing_gets_no_limits(default_profile: Profile) -> None:
+    valve = default_profile.valve.copy()
+    valve[1000:1300, 0] = 1.0
+    broken = default_profile.__class__(**{**default_profile.__dict__, "valve": valve})
+    with pytest.raises(Refused, match="healthy robots stopped"):
+        make_limits(Bench(PlantParameters(), broken), draws=4)

@@ -1,0 +1,55 @@
+"""Limits that come with golfbench are those of the shipped profiles, plant and controllers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import pytest
+
+from bench.config import load_configuration
+from bench.config.settings import Configuration
+from bench.control.model_limits import ENDING
+from bench.control.settings import build_controller
+from bench.lifecycle import Cause
+from bench.simulation.deviations import healthy_run
+from bench.simulation.variation import healthy_plant
+from bench.swing.library import PROFILES, find_profile
+from bench.swing.profile import load_profile
+
+SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph"}
+"""Profiles designed for the shipped gains; the others are for those of `steady`."""
+WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
+CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE --output FILE"
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+def watched(name: str) -> Configuration:
+    """Return the configuration that the profile `name` was designed for, with its limits."""
+    c = load_configuration(None if name in SHIPPED_GAINS else Path("steady"))
+    path = find_profile(name)
+    return replace(c, envelope=c.envelope.with_model_check("always")).for_profile(load_profile(path), path)
+
+
+@pytest.mark.parametrize("name", WITH_LIMITS)
+def test_shipped_limits_are_not_stale(name: str) -> None:
+    c, path = load_configuration(None if name in SHIPPED_GAINS else Path("steady")), find_profile(name)
+    found = c.limits_in_use(load_profile(path), path)
+    assert not found.stale, f"{found.source}: {CURE}"
+    assert found.source.endswith(f"{name}{ENDING}")
+
+
+@needs_speed
+@pytest.mark.parametrize("name", WITH_LIMITS[:1])
+def test_no_healthy_swing_or_stop_is_stopped(name: str) -> None:
+    c, profile = watched(name), load_profile(find_profile(name))
+    parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
+    for seed in range(300, 303):
+        run = healthy_run(healthy_plant(c.plant, seed), parameters, profile, seed)
+        assert run is not None
+        assert (run.cause, run.escalated) == (Cause.NONE, ())
+        assert run.stops > 5
