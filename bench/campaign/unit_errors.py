@@ -28,6 +28,9 @@ from bench.campaign.block_model import Array, BlockFit, Codes, Contrast
 _MOST_UNITS = 480
 """Max number of units that are kept apart; of more, some of one level are taken together."""
 
+_MOST_CELLS = 2_400_000
+"""Max number of shots times units, so that ten thousand shots take some ten megabytes."""
+
 _SINGULAR = 0.05
 """Share of the largest singular value below which variances of levels are not told apart."""
 
@@ -101,7 +104,8 @@ class UnitErrors(NamedTuple):
 
 def units_of(level: Codes, ball: Codes, levels: int) -> Units:
     """Return the units of shots of `ball` (any codes), the same code of two levels being two balls."""
-    most = max(_MOST_UNITS // max(levels, 1), 4)
+    kept = min(_MOST_UNITS, _MOST_CELLS // max(len(level), 1))
+    most = max(kept // max(levels, 1), 4)
     of_shot = np.zeros(len(level), dtype=np.intp)
     of_level: list[int] = []
     balls = np.zeros(levels, dtype=np.intp)

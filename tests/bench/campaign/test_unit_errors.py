@@ -97,7 +97,7 @@ def test_one_ball_of_a_level_is_judged_by_its_shots() -> None:
 
 def test_ten_thousand_shots_are_few_units() -> None:
     units = units_of(np.tile(np.arange(10), 1000), np.repeat(np.arange(1000), 10), 10)
-    assert len(units.level) == 480
+    assert len(units.level) == 240
     assert list(units.balls) == [1000] * 10
 
 
