@@ -9,9 +9,8 @@ The table's cases are known: `--shift` (ms) moves all instants, and other delays
 looked at before. `--check off` leaves the model-based check out, `--energy` sets the ratings of the cushions
 (shoulder, right arm, wrist, J), and `--json` writes every case.
 
-With `--healthy` nothing breaks: each stop is of another plant, drawn from its seed within the tolerances of
-`healthy_swings`, at an instant drawn over the swing, and ends as the stopping table says, without another
-cause.
+With `--healthy` nothing breaks: each stop is of another plant, a `healthy_plant` of its seed, at an instant
+drawn over the swing, and ends as the stopping table says, without another cause.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import JOINTS
 from sim.driver import hanging_pose
 from sim.faults import Fault, own_records
 from sim.plant import build_plant
-from tests.benchmarks.healthy_swings import drawn_plant
 from tests.benchmarks.row import Row
 
 STOPS = {
@@ -195,7 +194,7 @@ def with_cushions(c: Configuration, energy: Sequence[float] | None) -> Configura
 def healthy_stop(c: Configuration, profile: Profile, seed: int) -> str:
     """Return how the stop of the robot of `seed` was escalated; empty if it was not, or did not begin."""
     random = np.random.default_rng(seed)
-    plant = drawn_plant(c.plant, seed)
+    plant = healthy_plant(c.plant, seed)
     envelope = c.envelope.with_model_check("always")
     parameters = build_controller(c.plant, profile, c.control, envelope, c.estimator)
     bench = LockstepEngine(Lockstep(build_plant(plant), parameters, hanging_pose(plant)))
