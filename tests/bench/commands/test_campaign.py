@@ -89,8 +89,12 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert shots[4].club_speed_mps is not None
     assert shots[4].carry_m is None
     assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
+    assert call("mark", campaign, "a gust", "--shot", "3").stdout == "shot 3 marked: a gust\n"
+    assert "no shot 99" in str(call("mark", campaign, "--shot", "99").exception)
     report = call("report", campaign)
-    assert "guard opened" in Path(report.stdout.strip()).read_text()
+    page = Path(report.stdout.strip()).read_text()
+    assert "guard opened" in page
+    assert "note: a gust (" in page
     refused = call("resume", campaign)
     assert isinstance(refused.exception, Refused)
 
