@@ -76,6 +76,8 @@ def search(s: Any, p: Any, e: Any, indexed: Any, time: float, measured_step: flo
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
         if indexed[i] == 0:
             s.home_free[i] = 1
+        if time < s.air_from:  # a vented robot may still sink while it warns
+            s.reference[i] = s.home_from[i] = s.home_begun[i] = e.angle[i]
     if not (time > s.home_since and measured_step > 0.0):
         return False
     if s.home_turn >= 3:

@@ -33,6 +33,9 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
             s.homed = True
             begin_reaction(s, parameters, Reaction.BRAKE.value, time)  # no cause: to rest, then READY
     elif s.moving:
+        if time < s.air_from:
+            # Without air a vented robot may still sink while it warns: the move begins where it is by then.
+            begin_move(parameters, s, e.angle, s.move_start)
         if not follow_move(parameters, s, time) and near_address(parameters, state.estimator):
             arrive(s, parameters, time)
     else:
