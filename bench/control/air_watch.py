@@ -57,6 +57,8 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
     opened = not s.device_operational or not r.emergency_stop_clear
     allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
     for k in range(VENTS):
+        if s.tick <= 1:
+            s.vent_agreed[k] = time
         position = r.vent_open[k]
         fitted = s.vent_fitted[k] != 0 or not np.isnan(position)
         s.vent_fitted[k] = fitted
@@ -112,7 +114,7 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     Chambers by a sensor in each. For a dead one, by a vent that reports open and the longest time; without
     that feedback it may as well be full. Without sensors, by a vent that reports open and the time for
     venting; without feedback by that time alone. A manifold with a dead sensor is proven by nothing. A doubt
-    keeps out who is not in yet, and sends out nobody.
+    refuses access, and does not end it.
     """
     whole, dead = True, False
     for k in range(SENSORS):

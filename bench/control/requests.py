@@ -69,7 +69,7 @@ def manifold_is_full(p: Any, readings: Any) -> bool:
 
 @compiled
 def _not_vented(p: Any, s: Any, readings: Any) -> int:
-    """Return the refusal that names where the pressure may be, or whose sensor could tell."""
+    """Return the refusal that names where the pressure may be, or that its sensor is dead."""
     if Cause.SUPPLY_SENSOR <= air_cause(s) < Cause.VENT_1:
         return Refusal.SENSOR.value
     return Refusal.MANIFOLD.value if manifold_is_full(p, readings) else Refusal.NOT_VENTED.value

@@ -49,9 +49,14 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
 
 @compiled
 def _name_trapped(s: Any, trapped: int) -> None:
-    """Name trapped pressure in ESTOP and FAULT, too: it endangers whoever comes to clear the first cause."""
+    """Name trapped pressure in ESTOP and FAULT, too: it endangers whoever comes to clear the first cause.
+
+    A sensor or vent that fails then is the latest cause; what it may hide is no proof for access.
+    """
     if trapped != 0 and s.cause not in (Cause.NOT_VENTED, Cause.MANIFOLD):
         s.cause = s.latest_cause = trapped
+    elif trapped == 0 and air_cause(s) != 0:
+        s.latest_cause = air_cause(s)
 
 
 @compiled
@@ -71,6 +76,15 @@ def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> No
         change_state(s, parameters, State.READY, time)
     elif time - s.state_since >= 2.0 * p.home_time:
         latch(s, parameters, Cause.HOMING_FAILED, time)
+
+
+@compiled
+def _cause_in_access(p: Any, s: Any, readings: Any) -> int:
+    """Return why the released guard's proof is gone."""
+    failing: int = air_cause(s)
+    if failing != 0:
+        return failing
+    return Cause.MANIFOLD.value if manifold_is_full(p, readings) else Cause.NOT_VENTED.value
 
 
 @compiled
@@ -103,12 +117,7 @@ def watch_standing(
         latch(s, parameters, Cause.DEVICE_PASSIVE if s.supervisor_alive else Cause.SUPERVISOR, time)
     elif s.state == State.ACCESS:
         if not s.vented:
-            full = manifold_is_full(p, readings)
-            failing = air_cause(s)
-            if failing != 0:
-                latch(s, parameters, failing, time)
-            else:
-                latch(s, parameters, Cause.MANIFOLD if full else Cause.NOT_VENTED, time)
+            latch(s, parameters, _cause_in_access(p, s, readings), time)
         elif s.securing and interlock == 0:
             s.securing = False
             change_state(s, parameters, resting_state(s), time)

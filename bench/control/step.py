@@ -44,8 +44,6 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     if np.isfinite(time):
         if not s.started:
             s.vent_start = time
-            for k in range(VENTS):
-                s.vent_agreed[k] = time
         s.measured_step = time - s.time if s.started else 0.0
         s.started, s.time = True, time
     else:
@@ -93,14 +91,19 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
         )
     watch_air(s, parameters.control[0], readings, state.model[0].exhaust_closed, elapsed, time)
     s.lost = readings_cause(parameters.envelope, state.estimator)
-    for i in range(3):
-        # A count that is no longer absolute, as after a loss of the encoder's power.
-        if s.lost == 0 and s.homed and readings[0].encoder_valid[i] != 0:
-            if readings[0].encoder_indexed[i] == 0:
-                s.lost = Cause.SHOULDER_ENCODER + i
+    _note_lost_index(s, readings)
     s.seen = s.seen or s.lost == 0
     note_calm(s, parameters.control[0], e, elapsed)
     _note_impact(parameters.control[0], s)
+
+
+@compiled
+def _note_lost_index(s: Any, readings: Any) -> None:
+    """Distrust a count that is no longer absolute, as after a loss of the encoder's power."""
+    for i in range(3):
+        if s.lost == 0 and s.homed and readings[0].encoder_valid[i] != 0:
+            if readings[0].encoder_indexed[i] == 0:
+                s.lost = Cause.SHOULDER_ENCODER + i
 
 
 @compiled

@@ -101,6 +101,15 @@ def _valve(joint: str) -> tuple[Breakage, ...]:
     )
 
 
+def _vent(signal: str) -> tuple[Breakage, ...]:
+    return (
+        _broken(signal, "stuck", 1.0, f"{signal} stuck shut", "stop"),
+        _broken(signal, "stuck", 0.0, f"{signal} stuck open"),
+        _broken(f"{signal} feedback", "stuck", event="stop"),
+        _broken(f"{signal} feedback", "off"),
+    )
+
+
 def _switch(signal: str, event: Event) -> tuple[Breakage, ...]:
     return (
         _broken(signal, "off"),
@@ -138,6 +147,8 @@ SINGLE: tuple[Breakage, ...] = (
     _broken("supply", "intermittent", 0.3, "supply valve intermittent 30 %"),
     _broken("vents", "stuck", 1.0, "vents stuck shut", "stop"),
     _broken("vents", "off", text="vents without energy"),
+    *_vent("vent 1"),
+    *_vent("vent 2"),
     *_switch("emergency stop", "emergency stop"),
     *_switch("guard closed", "guard opened"),
     *_switch("guard locked", "guard opened"),
@@ -217,11 +228,11 @@ HARDWARE: tuple[tuple[str, str], ...] = (
     ("guard closed", "guard switches of two channels, wired into the same circuit"),
     ("guard locked", "guard switches of two channels, wired into the same circuit"),
     ("supply", "relief valve at the manifold; a second, monitored dump valve in series"),
-    ("vents", "two vents a chamber, or a dump valve with feedback; a gauge that a person reads"),
-    (
-        "valve",
-        "a second valve in series that cuts the actuator's air; absorbers for the whole swing's energy",
-    ),
+    ("vents", "each vent's coil on an output of its own, both through the emergency stop; a gauge"),
+    ("vent", "the other vent; the position switch names the one that sticks"),
+    ("vent 1 feedback", "not needed: a wrong position is named as a vent that does not obey"),
+    ("vent 2 feedback", "not needed: a wrong position is named as a vent that does not obey"),
+    ("valve", "absorbers for the whole swing's energy; a valve in series acts only from the detection on"),
     ("encoder", "a second encoder on the joint; absorbers for the whole swing's energy"),
     ("pressure", "a gauge beside the guard that a person reads; the lock's own pressure switch"),
     ("club head", "a fence that stops a head of 0.2 kg at 50 m/s; inspection of the club"),

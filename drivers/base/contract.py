@@ -26,7 +26,7 @@ ABSENT = float("nan")
 
 INVALID = float("inf")
 """A channel that is fitted and gives no believable value: cable cut, short circuit, device silent. It is no
-smaller than any limit, so that whoever forgets to look takes a chamber for full, not for empty."""
+smaller than any limit: code that only compares takes a chamber for full, not for empty."""
 
 Triple = tuple[float, float, float]
 

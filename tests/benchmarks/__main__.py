@@ -43,6 +43,7 @@ LONG = (
     "healthy_swings",
     "during_stops",
     "homing_offsets",
+    "stuck_valves",
     "canopen_reactions",
     "canopen_bus",
     "kills",

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import COMMAND
 from drivers.base.compiled import new_record
-from sim.plant import Plant, PlantParameters, Site, advance, build_plant, initial_state
+from sim.plant import SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
 
 POSE = np.array([-0.2, 4.1, 5.6])
@@ -157,6 +157,28 @@ def test_peaks_are_those_of_the_motion() -> None:
     clearance = states["head"][:, 1] - plant.parameters.site.sole_depth - plant.parameters.site.ground
     assert state["lowest_clearance"][0] == clearance.min()
     assert state["peak_head_speed"][0] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("stuck", "positions"),
+    [((0, 0), [1, 1]), ((SHUT, 0), [0, 1]), ((0, SHUT), [1, 0]), ((SHUT, SHUT), [0, 0])],
+)
+def test_either_vent_empties_the_chambers_as_fast_as_both(
+    stuck: tuple[int, int], positions: list[int]
+) -> None:
+    pressures = []
+    for now in ((0, 0), stuck):
+        plant = build_plant(PlantParameters())
+        plant.plant["vent_stuck"] = now
+        state = initial_state(plant, POSE, pressurised=True)
+        states = history(plant, state, 3000, command_of())
+        pressures.append(state["pressure"][0].copy())
+    assert state["vent_open"][0].tolist() == positions
+    assert not states["vent_open"][:400].any()  # after their delay
+    if any(positions):
+        assert (pressures[1] == pressures[0]).all()
+    else:
+        assert (pressures[1] > 1.5 * pressures[0]).all()
 
 
 def test_equal_inputs_give_equal_bits() -> None:

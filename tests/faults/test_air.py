@@ -1,0 +1,46 @@
+"""What fails in the air is named by its place, and nobody is let in on time alone."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from bench.faults.case import Workbench
+from bench.faults.catalogue import Breakage
+from bench.faults.instants import Instant
+from bench.lifecycle import Cause
+from drivers.base import CHAMBERS
+from sim.faults import Fault
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+HOLD = Instant("hold", 0)
+SENSORS = {"supply sensor": Cause.SUPPLY_SENSOR} | {
+    f"{chamber} sensor": Cause(Cause.SHOULDER_A_SENSOR + k) for k, chamber in enumerate(CHAMBERS)
+}
+
+
+@pytest.mark.parametrize("signal", SENSORS)
+def test_a_sensor_that_dies_at_the_address_is_named(workbench: Workbench, signal: str) -> None:
+    case = workbench.run(Breakage(Fault(f"{signal} off", signal, "off")), HOLD)
+    assert case.verdict == "safe", case.reasons
+    assert case.detected_by == SENSORS[signal].name
+    assert case.detection_ticks <= 150
+
+
+@pytest.mark.parametrize("signal", ["vent 1", "vent 2", "vent 1 feedback", "vent 2 feedback"])
+def test_a_vent_that_stays_shut_is_named_and_the_other_one_vents(workbench: Workbench, signal: str) -> None:
+    value = 1.0 if signal in ("vent 1", "vent 2") else float("nan")
+    case = workbench.run(Breakage(Fault(f"{signal} stuck", signal, "stuck", value), event="stop"), HOLD)
+    assert (case.verdict, case.detected_by) == ("safe", "VENT_1" if "1" in signal else "VENT_2"), case.reasons
+
+
+@pytest.mark.parametrize("signal", ["vent 1", "vent 2", "vent 1 feedback", "vent 2 feedback"])
+def test_a_vent_that_stays_open_lets_nothing_arm(workbench: Workbench, signal: str) -> None:
+    value = 0.0 if signal in ("vent 1", "vent 2") else 1.0  # of the vent its command, of its switch "open"
+    fault = Fault(f"{signal} stuck open", signal, "stuck", value)
+    case = workbench.run(Breakage(fault), Instant("standing", 0))
+    assert (case.verdict, case.detected_by) == ("safe", "VENT_1" if "1" in signal else "VENT_2"), case.reasons
+    assert case.head_share < 0.1
