@@ -124,19 +124,6 @@ def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
 
 
 @compiled
-def _knows_pose(cause: int, indexed: Any) -> bool:
-    """Return whether the comparison of `cause` had the angles it needs: torques all, chambers their joint's.
-
-    A joint whose index has not passed is somewhere in its travel: the volumes of its chambers are not known.
-    """
-    if Cause.SHOULDER_EFFORT <= cause <= Cause.WRIST_EFFORT:
-        return bool(indexed[0] != 0 and indexed[1] != 0 and indexed[2] != 0)
-    if Cause.SHOULDER_VELOCITY <= cause <= Cause.WRIST_JUMP:
-        return True
-    return bool(indexed[(cause - Cause.SHOULDER_AIR) % 3] != 0)
-
-
-@compiled
 def _watch_search(state: Any, parameters: Any, time: float) -> None:
     """Stop the search for an index that leaves its limits, or does not fit the model."""
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
@@ -144,7 +131,7 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
     broken = search_cause(s, parameters.control[0], following, limits.max_gap, e.angle, e.velocity, time)
     stuck = Cause.SHOULDER_FOLLOWING <= broken < Cause.SHOULDER_FOLLOWING + 3
     doubted = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
-    if doubted != 0 and not charging(s, time) and _knows_pose(doubted, state.encoder[0].indexed):
+    if doubted != 0 and not charging(s, time):
         react(state, parameters, doubted, table_column(doubted), time)
     elif Cause.SHOULDER_ZERO <= broken <= Cause.WRIST_ZERO:
         react(state, parameters, broken, DISOBEYED, time)
