@@ -3,7 +3,7 @@
 Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
 the plan says so, and the delivery by the plan's covariates; the other way stands beside it, and so does a
 mixed model. Balls are random where a model had more than one, and each level has a scatter of its own
-(`bench.campaign.unit_errors`): what is said of a difference holds for balls that were not hit, or for "this
+(`bench.campaign.unit_errors`): a statement on a difference holds for balls that were not hit, or for "this
 ball" where there was one only. All pairs of a section err together with the plan's level (the distribution of
 the largest |t|, single step: a pair differs exactly if its joint interval leaves out 0); two one-sided tests
 (TOST), adjusted by Holm, say "the same". Before the plan's end a look has its share of the error
@@ -30,7 +30,7 @@ from bench.campaign.power import power_of_shift, same_power_of_error
 from bench.campaign.repeatability import variance_components
 from bench.campaign.scatter import ScatterRatio, scatter_ratios
 from bench.campaign.sequence import Role
-from bench.campaign.unit_errors import Together, UnitErrors, UnitLayout, together, units_of
+from bench.campaign.unit_errors import JointErrors, UnitErrors, UnitLayout, together, units_of
 from bench.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
@@ -237,6 +237,22 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
     )
 
 
+def _described(
+    plan: CampaignPlan,
+    names: Sequence[str],
+    pair: tuple[int, int, Contrast],
+    hits: Codes,
+    balls: Codes,
+) -> _Described:
+    """Return a `pair` of levels with the fewest hits and balls of the two."""
+    one, two, contrast = pair
+    models = plan.design.compare == "ball"
+    fewest = int(min(balls[one], balls[two])) if models else 0
+    return _Described(
+        names[one], names[two], contrast, int(min(hits[one], hits[two])), fewest, models and fewest > 1
+    )
+
+
 def _compared(
     plan: CampaignPlan,
     tests: Sequence[Shot],
@@ -266,18 +282,7 @@ def _compared(
     if not found and len(names) > 1:
         return None, kept
     joint = together(errors, [(one, two) for one, two, _ in found], fit.freedom)
-    models = plan.design.compare == "ball"
-    described = [
-        _Described(
-            names[one],
-            names[two],
-            contrast,
-            int(min(hits[one], hits[two])),
-            int(min(units.balls[one], units.balls[two])) if models else 0,
-            models and bool(min(units.balls[one], units.balls[two]) > 1),
-        )
-        for one, two, contrast in found
-    ]
+    described = [_described(plan, names, pair, hits, units.balls) for pair in found]
     slope = slope_error = None
     if controls:
         slope = float(fit.effects[count])
@@ -346,7 +351,7 @@ class _Described(NamedTuple):
 
 
 def _judged(
-    plan: CampaignPlan, found: Sequence[_Described], joint: Together, alpha: float
+    plan: CampaignPlan, found: Sequence[_Described], joint: JointErrors, alpha: float
 ) -> tuple[Pair, ...]:
     """Adjust all pairs together and put each into one word."""
     a, single = plan.analysis, joint.single(alpha)

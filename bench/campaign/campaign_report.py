@@ -107,15 +107,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
-    flagged = {shot for section in found.sections for shot, _ in section.outliers}
-    all_rows = len(shots) <= _ALL_ROWS
-    noted = {note.shot for note in record.notes}
-    listed = [
-        s
-        for s in shots
-        if all_rows or s.status is not ShotStatus.VALID or s.shot in flagged or s.shot in noted
-    ]
-    rows, handwork = listed[:_MAX_ROWS], _handwork(record.prompts)
+    listed, handwork = _listed(record, found), _handwork(record.prompts)
     filters: dict[str, Callable[..., Any]] = {
         "number": _number,
         "signed": _signed,
@@ -151,9 +143,9 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         handwork=handwork[:_MAX_LINES],
         more_handwork=max(0, len(handwork) - _MAX_LINES),
         table=TABLE,
-        all_rows=all_rows,
+        all_rows=len(shots) <= _ALL_ROWS,
         listed=len(listed),
-        rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in rows],
+        rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in listed[:_MAX_ROWS]],
         many_clubs=len(plan.design.clubs) > 1,
         many_swings=len(plan.design.swings) > 1,
         sources=_sources(shots),
@@ -165,6 +157,15 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         ),
         equipment=_equipment(record),
     )
+
+
+def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
+    """Return all shots of a short campaign; of a long one those that are invalid, outliers or noted."""
+    if len(record.shots) <= _ALL_ROWS:
+        return list(record.shots)
+    flagged = {shot for section in found.sections for shot, _ in section.outliers}
+    flagged |= {note.shot for note in record.notes if note.shot is not None}
+    return [s for s in record.shots if s.status is not ShotStatus.VALID or s.shot in flagged]
 
 
 def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:

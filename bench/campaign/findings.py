@@ -14,7 +14,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.ruling import RuleFinding, judge_rules
 from bench.campaign.sequence import sections
-from bench.campaign.series import Series, series_needed
+from bench.campaign.series import SeriesSize, series_needed
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
 from bench.shot.shot import Shot
 
@@ -33,7 +33,7 @@ class Findings:
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
     """For each section."""
-    needed: tuple[tuple[Series | None, Series | None], ...]
+    needed: tuple[tuple[SeriesSize | None, SeriesSize | None], ...]
     """For each section: balls and hits of each level to find a difference, and to call them the same."""
     notes: tuple[tuple[str, ...], ...]
     """For each section: looks, covariates and what more shots would do, in sentences."""
@@ -45,8 +45,8 @@ class Findings:
 def findings(plan: CampaignPlan, shots: Sequence[Shot], looks: Sequence[int] | None = None) -> Findings:
     """Return all figures of the campaign's `shots`.
 
-    `looks` are the numbers of shots after which somebody looked before; None: not known, then an unfinished
-    campaign counts as looked at after each block.
+    `looks` are the numbers of shots after which results were looked at before; None: not known, then an
+    unfinished campaign counts as looked at after each block.
     """
     analyses, models = [], []
     named = as_flown(plan, shots)
@@ -75,7 +75,7 @@ def as_flown(plan: CampaignPlan, shots: Sequence[Shot]) -> CampaignPlan:
     return replace(plan, analysis=replace(plan.analysis, carry=""))
 
 
-def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[Series | None, Series | None]:
+def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[SeriesSize | None, SeriesSize | None]:
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         return None, None

@@ -13,7 +13,7 @@ KIND = "look"
 def note_look(store: CampaignStore, record: CampaignRecord, occasion: str) -> list[int]:
     """Store a look at an unfinished campaign; return the numbers of shots at which there was one, this too.
 
-    A second look at the same shots tells nothing new: it is not counted. At the end of the plan there is
+    A second look at the same shots adds nothing: it is not counted. At the end of the plan there is
     nothing to pay for.
     """
     shots = len(record.shots)

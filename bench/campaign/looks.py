@@ -91,8 +91,8 @@ def share_done(plan: CampaignPlan, shots: Iterable[Shot]) -> float:
 def look_now(plan: CampaignPlan, shots: Sequence[Shot], looks: Sequence[int] | None) -> Look:
     """Return the look at a section's `shots` now.
 
-    `looks` are the numbers of shots of the campaign at which somebody looked before; None: unknown, then an
-    unfinished section counts as looked at after each of its blocks. The stopping rule's own looks are added.
+    `looks` are the numbers of shots at which results were looked at before; None: unknown, then an unfinished
+    section counts as looked at after each of its blocks. The stopping rule's own looks are added.
     """
     alpha, now = 1 - plan.analysis.confidence, share_done(plan, shots)
     first = min((shot.block for shot in shots if shot.block), default=1)

@@ -122,6 +122,12 @@ def run_simulated(
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
+_NO_AIR = (
+    "No recent reading of the air: shots have none, carry is for the configured air. "
+    "Enter one with golfbench campaign air, at any time."
+)
+
+
 def run_live(
     entry: CampaignEntry,
     configuration: Configuration,
@@ -151,10 +157,7 @@ def run_live(
         return None if reading is None else reading.air
 
     if not entry.simulated and air() is None:
-        watcher.say(
-            "No recent reading of the air: shots have none, carry is for the configured air. "
-            "Enter one with golfbench campaign air, at any time."
-        )
+        watcher.say(_NO_AIR)
     for text in unsuitable(plan, configuration):
         watcher.say(text)
     with (
@@ -284,7 +287,7 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
     `by` is who asks.
 
     Raises:
-        Refused: it is over, or nobody runs it.
+        Refused: it is over, or has no runner.
     """
     store.entry(campaign)
     standing = store.standing(campaign)

@@ -249,7 +249,7 @@ def _carry(plan: CampaignPlan) -> Iterator[Mistake]:
 
 
 def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield an error if a covariate would take away what is compared."""
+    """Yield an error if a covariate would take away the compared difference."""
     a = plan.analysis
     if a.covariates and plan.design.compare != "ball":
         found = f"{format_value(list(a.covariates))}, comparing {plan.design.compare}s"

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
-from bench.campaign.series import Series, alpha_at_end, foreseen, series_needed
+from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",
@@ -170,7 +170,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
         return ["No standard deviation is stated (analysis.deviation): what can be resolved is not known."]
     together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
     between = f" and {a.ball_deviation:g} {unit} between balls" if a.ball_deviation else ""
-    needed = None if found.needed is None else Series(found.balls or 0, found.needed)
+    needed = None if found.needed is None else SeriesSize(found.balls or 0, found.needed)
     lines = [
         f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot{between}, a difference of "
         f"{_figure(found.resolution)} {unit} is found with a chance of {100 * a.power:.0f} %"
@@ -188,7 +188,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     if plan.design.compare == "ball":
         balls = min(plan.ball_handling.samples, plan.design.blocks)
         lines.append(
-            "One ball of each: what is found holds for these balls, not for their models."
+            "One ball of each: results hold for these balls, not for their models."
             if balls == 1
             else f"Each model is judged by its balls: {balls} of each, hit {plan.design.blocks / balls:.3g} "
             f"times on average; differences have {found.freedom:.0f} degrees of freedom."
@@ -203,7 +203,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     return lines
 
 
-def series_words(series: Series | None) -> str:
+def series_words(series: SeriesSize | None) -> str:
     """Return a size in words."""
     if series is None:
         return "too many valid shots to name"

@@ -1,4 +1,4 @@
-"""Progress of a campaign as a message: what is done, how long it takes, what is next by hand."""
+"""Progress of a campaign as a message: the work done, the time left, the next work by hand."""
 
 from __future__ import annotations
 

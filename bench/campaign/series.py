@@ -27,7 +27,7 @@ _REFERENCE = 40
 """Max number of blocks laid out as planned; larger series are scaled from there."""
 
 
-class Series(NamedTuple):
+class SeriesSize(NamedTuple):
     """Size of a series for each level."""
 
     balls: int
@@ -127,7 +127,7 @@ def alpha_at_end(plan: CampaignPlan) -> float:
 
 def series_needed(
     plan: CampaignPlan, deviation: float, ball_deviation: float
-) -> tuple[Series | None, Series | None]:
+) -> tuple[SeriesSize | None, SeriesSize | None]:
     """Return the series that finds the difference worth finding, and that calls equal levels the same.
 
     Each with the wished power, by the plan's balls if they may be hit often enough, else by more balls. None:
@@ -135,7 +135,7 @@ def series_needed(
     """
     a = plan.analysis
     if deviation <= 0:
-        return Series(2, 2), Series(2, 2) if a.margin else None
+        return SeriesSize(2, 2), SeriesSize(2, 2) if a.margin else None
     known = foreseen(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
@@ -155,18 +155,18 @@ def series_needed(
         error, freedom = scaled(shots, most)
         return same_power_of_error(a.margin, error, freedom, alpha / known.pairs)
 
-    results: list[Series | None] = []
+    results: list[SeriesSize | None] = []
     for chance in (found, same) if a.margin else (found,):
         most = balls or 1
         limit = balls * plan.ball_handling.hits if balls else 1_000_000
         shots = blocks_needed(lambda n: chance(n, most), a.power)  # noqa: B023 - called at once
         if shots is not None and shots <= limit:
-            results.append(Series(min(shots, balls), shots))
+            results.append(SeriesSize(min(shots, balls), shots))
             continue
         more = None
         if balls > 1:
             more = blocks_needed(lambda n: chance(n * hits, n), a.power)  # noqa: B023 - called at once
-        results.append(None if more is None else Series(more, more * hits))
+        results.append(None if more is None else SeriesSize(more, more * hits))
     return results[0], results[1] if a.margin else None
 
 

@@ -32,7 +32,7 @@ _MOST_CELLS = 2_400_000
 """Max number of shots times units, so that ten thousand shots take some ten megabytes."""
 
 _SINGULAR = 0.05
-"""Share of the largest singular value below which variances of levels are not told apart."""
+"""Share of the largest singular value below which variances of levels cannot be separated."""
 
 _LEAST = 0.1
 """Least share of a difference's likely variance that is believed."""
@@ -262,7 +262,7 @@ def _draws(width: int) -> Array:
     return np.asarray(stats.norm.ppf(np.clip(even, 1e-12, 1 - 1e-12)))
 
 
-class Together(NamedTuple):
+class JointErrors(NamedTuple):
     """Distribution of the largest |t| of all pairs if no levels differ, each t as a normal figure."""
 
     largest: Array
@@ -315,15 +315,15 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
     return Draws(means[:, first] - means[:, second], np.maximum(variances, 1e-300), freedom)
 
 
-def together(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) -> Together:
+def together(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) -> JointErrors:
     """Return the joint distribution of all pairs, as `drawn_pairs` draws them."""
     if len(pairs) < 2:
-        return Together(np.zeros(0), len(pairs))
+        return JointErrors(np.zeros(0), len(pairs))
     differences, variances, freedom = drawn_pairs(errors, pairs, most)
     # Student's t as a normal figure (Wallace 1959).
     factor = freedom * ((8 * freedom + 1) / (8 * freedom + 3)) ** 2
     squared = np.log1p(differences**2 / variances / freedom) * factor
-    return Together(np.sqrt(np.sort(squared.max(axis=1))), len(pairs))
+    return JointErrors(np.sqrt(np.sort(squared.max(axis=1))), len(pairs))
 
 
 def _root(covariance: Array) -> Array:

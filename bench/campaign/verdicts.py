@@ -14,7 +14,7 @@ from bench.campaign.page import MPH
 from bench.campaign.plan import FLOWN, CampaignPlan, levels
 from bench.campaign.preview import COVARIATES, UNITS, series_words
 from bench.campaign.repeatability import Repeatability, successive_scatter
-from bench.campaign.series import Series, series_needed
+from bench.campaign.series import SeriesSize, series_needed
 
 NAMES = {
     "carry_m": "carry",
@@ -53,8 +53,8 @@ class Verdict(NamedTuple):
     detail: str
 
 
-Needed = tuple[Series | None, Series | None]
-"""Series that finds a difference, and that calls equal levels the same."""
+Needed = tuple[SeriesSize | None, SeriesSize | None]
+"""SeriesSize that finds a difference, and that calls equal levels the same."""
 
 
 def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed) -> tuple[Verdict, ...]:
@@ -237,7 +237,7 @@ def _pair(
 
 
 def _covariate_words(
-    plan: CampaignPlan, comparison: Comparison, found: Covariates, needed: Series | None
+    plan: CampaignPlan, comparison: Comparison, found: Covariates, needed: SeriesSize | None
 ) -> str:
     unit = UNITS[plan.analysis.quantity]
     names = ", ".join(COVARIATES[name] for name in found.names)

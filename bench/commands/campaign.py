@@ -216,7 +216,7 @@ def _run(
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
-    from bench.commands.campaign_screen import ScreenWatcher, campaign_bar
+    from bench.commands.campaign_screen import CampaignScreen, campaign_bar
     from bench.commands.campaign_terminal import TerminalOperator
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt
@@ -231,7 +231,7 @@ def _run(
         operator = TerminalOperator(bar, entry.id, asked_for)
         start = run_start(operator.name, configuration, facts)
         outcome = take(
-            entry, configuration, store, ScreenWatcher(entry, plan, bar), asked.is_made, operator, start
+            entry, configuration, store, CampaignScreen(entry, plan, bar), asked.is_made, operator, start
         )
     record = load_record(store, entry)
     found = findings(plan, record.shots, note_look(store, record, "end of a run"))

@@ -46,7 +46,7 @@ class CampaignBar(Progress):
 
 
 def campaign_bar() -> CampaignBar:
-    """Return a bar on standard error; without a terminal it shows nothing, see `ScreenWatcher`."""
+    """Return a bar on standard error; without a terminal it shows nothing, see `CampaignScreen`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     return CampaignBar(*columns, console=console, transient=True, disable=not console.is_terminal)
@@ -92,7 +92,7 @@ class ProgressScreen:
             self._bar.console.print(escape(text), highlight=False)
 
 
-class ScreenWatcher(CampaignProgress):
+class CampaignScreen(CampaignProgress):
     """Shows the progress of the campaign that this process runs."""
 
     def __init__(self, entry: CampaignEntry, plan: CampaignPlan, bar: CampaignBar) -> None:
@@ -111,7 +111,7 @@ class ScreenWatcher(CampaignProgress):
         self._screen.say(text)
 
     def standing(self, state: CampaignState, reason: str) -> None:
-        """Show what is done so far."""
+        """Show the work done so far."""
         before = self.message["state"], self._replaying
         super().standing(state, reason)
         self._screen.show(self.message)

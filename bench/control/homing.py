@@ -13,8 +13,8 @@ index; the angle, from there on the joint's, is taken over without a jump of the
 (`bench.control.step.estimate_tick`).
 
 No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead, which
-bounds the flow and so the speed at which a joint can move, not the force at which it presses against what is
-in its way; the following error ends that.
+bounds the flow and so the speed at which a joint can move, not the force at which it presses against an
+obstacle; the following error ends that.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The model-based check: what is measured against what the plant's model says must come of it.
+"""The model-based check: measurements against what the plant's model says must come of it.
 
 Five comparisons, each against a limit by phase that healthy swings stay below:
 

@@ -184,7 +184,7 @@ class CanopenDriver:
         """Whether answers received now belong to this tick's SYNC."""
         self._inputs = 0
         self._pressures = dict.fromkeys(self.settings.valve_node.analogue_inputs, INVALID) | {0: ABSENT}
-        """By sub-index; 0 is that of what is not fitted."""
+        """By sub-index; 0 where nothing is fitted."""
         self._pressures_received = [-math.inf] * len(self._pressure_groups)
         self._last_heard = [0.0] * 4
         self._listened = 0.0

@@ -33,10 +33,25 @@ from tests.adversary.story import Setup
 MOTION = np.array([State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING])
 LATCHED = np.array([State.ESTOP, State.FAULT])
 _NUMBERS = (
-    "time", "measured_step", "angle", "velocity", "angle_variance", "reference_angle", "reference_velocity",
-    "proportional", "integral", "derivative", "feedforward", "desired_valve", "applied_valve",
-    "head_position", "head_orientation", "plant_angle", "plant_velocity", "plant_pressure",
-)  # fmt: skip
+    "time",
+    "measured_step",
+    "angle",
+    "velocity",
+    "angle_variance",
+    "reference_angle",
+    "reference_velocity",
+    "proportional",
+    "integral",
+    "derivative",
+    "feedforward",
+    "desired_valve",
+    "applied_valve",
+    "head_position",
+    "head_orientation",
+    "plant_angle",
+    "plant_velocity",
+    "plant_pressure",
+)
 _PAIRS = np.eye(len(State), dtype=bool)
 for _edge in EDGES:
     _PAIRS[_edge.source, _edge.target] = True
@@ -50,10 +65,16 @@ _MARGIN = 1.05
 """On the pressure that counts as vented: what fills a chamber again from its own tube."""
 _ASKED_FOR = frozenset(
     {
-        Cause.NONE, Cause.EMERGENCY_STOP, Cause.GUARD, Cause.OPERATOR_STOP, Cause.NETWORK_STOP,
-        Cause.POWER_UP, Cause.RESTART, Cause.SUPERVISOR,
+        Cause.NONE,
+        Cause.EMERGENCY_STOP,
+        Cause.GUARD,
+        Cause.OPERATOR_STOP,
+        Cause.NETWORK_STOP,
+        Cause.POWER_UP,
+        Cause.RESTART,
+        Cause.SUPERVISOR,
     }
-)  # fmt: skip
+)
 """Causes that people and network give."""
 
 

@@ -17,10 +17,17 @@ pytestmark = pytest.mark.skipif(
 )
 
 DAY = (
-    ("press", None, None), ("ask", "reset", None), ("wait", 3000, None), ("ask", "home", None),
-    ("wait", 20000, None), ("ask", "arm", None), ("wait", 9000, None), ("ask", "tee", None),
-    ("ask", "swing", None), ("wait", 9000, None),
-)  # fmt: skip
+    ("press", None, None),
+    ("ask", "reset", None),
+    ("wait", 3000, None),
+    ("ask", "home", None),
+    ("wait", 20000, None),
+    ("ask", "arm", None),
+    ("wait", 9000, None),
+    ("ask", "tee", None),
+    ("ask", "swing", None),
+    ("wait", 9000, None),
+)
 
 
 def test_a_day_without_trouble_breaks_nothing() -> None:

@@ -175,9 +175,16 @@ def cases(
         bench = stopped(workbench, instant, stop, fault)
         loads, why = bench.loads(), tuple(unsafe(bench))
         yield StopCase(
-            instant.name, stop, delay, broken.kind, broken.fault.name,
-            round(loads.stop_share, 3), loads.stop, why, reactions(bench),
-        )  # fmt: skip
+            instant.name,
+            stop,
+            delay,
+            broken.kind,
+            broken.fault.name,
+            round(loads.stop_share, 3),
+            loads.stop,
+            why,
+            reactions(bench),
+        )
 
 
 def with_cushions(c: Configuration, energy: Sequence[float] | None) -> Configuration:

@@ -28,12 +28,13 @@ from bench.lifecycle import Cause, Phase, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import JOINTS
 from sim.driver import hanging_pose
 from sim.plant import build_plant
-from tests.benchmarks.healthy_swings import counting, drawn_plant
+from tests.benchmarks.healthy_swings import counting
 from tests.benchmarks.row import Row
 
 FOUND_FROM = 0.05
@@ -72,7 +73,7 @@ def home_and_swing(
         np.array(offset) * np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
     )
     zeros = np.array(encoders.zero_count) + shift
-    plant = drawn_plant(c.plant, seed, spread)
+    plant = healthy_plant(c.plant, seed, spread)
     encoders = replace(
         plant.encoders,
         incremental=incremental,

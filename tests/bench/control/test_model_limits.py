@@ -46,7 +46,7 @@ def default_profile() -> Profile:
 
 
 def made_for(profile: Profile, **changed: Any) -> MadeFor:
-    given = {
+    given: dict[str, Any] = {
         "plant": PLANT,
         "control": ControlSettings(),
         "envelope": EnvelopeSettings(),

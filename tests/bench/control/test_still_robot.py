@@ -10,8 +10,12 @@ from bench.lifecycle import Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import COUNTS, Puppet
 
-CASES = ((State.FAULT, Request.RESET), (State.ESTOP, Request.RESET), (State.READY, Request.ARM))
-CASES += ((State.READY, Request.HOME),)
+CASES = (
+    (State.FAULT, Request.RESET),
+    (State.ESTOP, Request.RESET),
+    (State.READY, Request.ARM),
+    (State.READY, Request.HOME),
+)
 each_case = pytest.mark.parametrize(
     ("state", "request_"), CASES, ids=[f"{state.name}-{request.name}" for state, request in CASES]
 )
