@@ -164,7 +164,7 @@ def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
     if len(record.shots) <= _ALL_ROWS:
         return list(record.shots)
     flagged = {shot for section in found.sections for shot, _ in section.outliers}
-    flagged |= {note.shot for note in record.notes if note.shot is not None}
+    flagged |= {note.shot for note in record.notes}
     return [s for s in record.shots if s.status is not ShotStatus.VALID or s.shot in flagged]
 
 

@@ -130,9 +130,9 @@ def test_nothing_is_changed_before_the_onset() -> None:
     assert bed.angle == pytest.approx(bed.true_angle, abs=1e-4)
     assert bed.readings["encoder_valid"].all()
     assert bed.readings["emergency_stop_clear"][0]
-    assert bed.faults.sent.tobytes() == bed.command.tobytes()
-    assert bed.plant.plant.tobytes() == bed.faults.healthy_plant.tobytes()
-    assert bed.plant.robot.tobytes() == bed.faults.healthy_robot.tobytes()
+    assert (bed.faults.sent == bed.command).all()
+    assert (bed.plant.plant == bed.faults.healthy_plant).all()
+    assert (bed.plant.robot == bed.faults.healthy_robot).all()
 
 
 def test_encoders_off_stuck_and_wrong() -> None:

@@ -167,6 +167,7 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
     stuck: tuple[int, int], positions: list[int]
 ) -> None:
     pressures = []
+    state = states = np.empty(0)
     for now in ((0, 0), stuck):
         plant = build_plant(PlantParameters())
         plant.plant["vent_stuck"] = now

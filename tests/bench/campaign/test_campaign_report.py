@@ -139,7 +139,7 @@ def test_long_lists_say_what_they_leave_out(record: CampaignRecord) -> None:
     prompts = [Prompt(n, n, "club", f"Mount it, number {n}.", {}, NOW, NOW, "erika") for n in range(1, 203)]
     invalid = [
         replace(shot, shot=n, status=ShotStatus.EXCLUDED, reason="lost")
-        for n, shot in enumerate(record.shots[:11] * 100, 1)
+        for n, shot in enumerate([*record.shots[:11]] * 100, 1)
     ]
     many = replace(record, shots=invalid, events=events, prompts=prompts)
     page = _words(render_campaign_report(many, findings(record.plan, record.shots)))
