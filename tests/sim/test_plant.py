@@ -167,7 +167,8 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
     stuck: tuple[int, int], positions: list[int]
 ) -> None:
     pressures = []
-    state = states = np.empty(0)
+    state: Any = None
+    states: Any = None
     for now in ((0, 0), stuck):
         plant = build_plant(PlantParameters())
         plant.plant["vent_stuck"] = now
