@@ -92,7 +92,7 @@ REFUSAL_TEXT = {
     Refusal.STATE: "not possible in this state",
     Refusal.STOPPING: "a stop is under way: wait for standstill",
     Refusal.EMERGENCY_STOP: "the emergency stop circuit is open: release it",
-    Refusal.GUARD: "the guard is open or not locked: close it",
+    Refusal.GUARD: "the guard is open or not locked: close it, after an access also secure it",
     Refusal.READINGS: "an encoder gives no valid readings: check cables and supply",
     Refusal.NOT_AT_ADDRESS: "the robot does not rest at its address yet: wait, then ask again",
     Refusal.NO_LEASE: "the lease is not held: take it",
@@ -361,7 +361,7 @@ ACCEPTED_IN: dict[Request, frozenset[State]] = {
     Request.EMERGENCY_STOP: frozenset(State),
     Request.HOME: frozenset({_S.SAFE, _S.READY}),
     Request.ACCESS: frozenset({_S.SAFE, _S.READY, _S.ESTOP, _S.FAULT}),
-    Request.SECURE: frozenset({_S.ACCESS}),
+    Request.SECURE: frozenset({_S.ACCESS, _S.ESTOP, _S.FAULT}),
     Request.TEE: frozenset({_S.ARMED}),
 }
 """The states in which a request may be accepted, if its guard holds."""

@@ -10,8 +10,9 @@ import numpy as np
 
 from bench.clock import Clock
 from bench.control.records import ControlParameters, ControlState, new_control_state
+from bench.control.states import give_up
 from bench.control.step import decide_tick, estimate_tick, limit_tick
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.lifecycle import Cause, Phase, Request, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import (
     ABSENT,
@@ -107,7 +108,7 @@ class Cycle:
                 self._note_truth(self.record)
             marks[5] = now()
         except BaseException as error:
-            self._give_up(decided, time)
+            self.give_up(time, decided=decided)
             where = f"driver {self.name!r}, tick {int(state.control['tick'][0])}"
             if isinstance(error, DriverError):
                 raise DriverError(f"{where}: {error}; the passive command was sent") from error
@@ -140,19 +141,11 @@ class Cycle:
             control["cause"] = self.record["trip"] = before or Cause.EXCEPTION
             control["latest_cause"] = Cause.EXCEPTION
 
-    def _give_up(self, decided: bool, time: float) -> None:
+    def give_up(self, time: float, *, decided: bool = False) -> None:
         """Make the driver passive, latch the exception, and publish the tick if it was decided."""
         self.driver.make_passive()
         control = self.state.control
-        if control["cause"][0] == 0:
-            control["cause"] = Cause.EXCEPTION
-        control["latest_cause"] = Cause.EXCEPTION
-        control["reaction"], control["phase"] = Reaction.PASSIVE, Phase.STANDING
-        control["state"] = State.ESTOP if control["emergency"][0] else State.FAULT
-        control["state_since"] = control["vent_start"] = time
-        control["reset_pressed"] = -np.inf
-        for name in ("swinging", "moving", "disarming", "air", "vented", "tee"):
-            control[name] = False
+        give_up(control, self.parameters, time)
         if decided:
             for name, field in (("trip", "cause"), ("reaction", "reaction"), ("state", "state")):
                 self.record[name] = control[field]

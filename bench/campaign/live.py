@@ -33,6 +33,7 @@ from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
+from bench.lifecycle import REFUSAL_TEXT, Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
@@ -56,6 +57,11 @@ HOLDER = "campaign "
 """Prefix of a campaign's name as holder of the lease."""
 LEASE = 15.0
 """Duration of the lease, s: a dead runner holds the bench no longer."""
+_AT_THE_ROBOT = {
+    REFUSAL_TEXT[Refusal.GUARD]: "Leave the robot and close the guard.",
+    REFUSAL_TEXT[Refusal.LOCAL_RESET]: "Press the reset button beside the robot.",
+}
+"""Refusals that a person beside the robot cures, and the cures."""
 _READY = 60.0
 """Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
 _SWING = 60.0
@@ -255,23 +261,35 @@ class LiveShots:
             self._take_lease()
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
-    def take_back(self, kind: PromptKind) -> None:
-        """Lock the guard once it is closed."""
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        """Lock the guard once it is closed and the button beside the robot, if there is one, was pressed."""
         if kind is PromptKind.BENCH:
             return
         with _suspending():
             self._take_lease()
-            self._until(lambda status: status["state"] != "ACCESS", self._client.secure)
+            self._until(lambda status: status["state"] != "ACCESS", self._client.secure, ask)
 
-    def _until(self, holds: Callable[[BenchStatus], bool], ask: Callable[[], object]) -> None:
-        """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed."""
-        deadline = time.monotonic() + _READY
+    def _until(
+        self,
+        holds: Callable[[BenchStatus], bool],
+        request: Callable[[], object],
+        ask: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed.
+
+        `ask` shows each new cure for which the bench waits.
+        """
+        deadline, shown = time.monotonic() + _READY, ""
         while not holds(self._client.status()):
             try:
-                ask()
-            except CommandRefused:
+                request()
+            except CommandRefused as refused:
                 if time.monotonic() > deadline:
                     raise
+                cure = _AT_THE_ROBOT.get(refused.answer.reason, shown)
+                if cure != shown:
+                    shown = cure
+                    ask(cure)
             self._pause()
 
     # Moving the bench ------------------------------------------------------------------------------

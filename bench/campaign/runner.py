@@ -114,8 +114,11 @@ class ShotSource(Protocol):
         """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
         ...
 
-    def take_back(self, kind: PromptKind) -> None:
-        """Go on after the person has said that it is done; also when nothing was handed over. Raises so."""
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        """Go on after the person has said that it is done; also when nothing was handed over. Raises so.
+
+        `ask` shows what else the person has to do, such as to press a button.
+        """
         ...
 
 
@@ -470,7 +473,7 @@ class Runner:
         """Take the bench back after an answer that came without a runner."""
         waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
         if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
-            self._source.take_back(PromptKind(prompts[-1].kind))
+            self._source.take_back(PromptKind(prompts[-1].kind), self._ask_also)
         if self._open is None:
             self._stand(CampaignState.RUNNING, "")
 
@@ -485,7 +488,7 @@ class Runner:
                 now = self._source.time_of(number)
                 prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
                 self._source.hand_over(wish.kind)
-                self._source.take_back(wish.kind)
+                self._source.take_back(wish.kind, self._ask_also)
                 self._done_by_itself.append(prompt)
                 self._watcher.say(f"{wish.text} The simulation has done it by itself.")
             else:
@@ -534,9 +537,13 @@ class Runner:
         finally:
             if operator:
                 operator.hide()
-        self._source.take_back(kind)
+        self._source.take_back(kind, self._ask_also)
         self._stand(CampaignState.RUNNING, "")
         return None
+
+    def _ask_also(self, text: str) -> None:
+        """Show what the person has to do after the answer."""
+        self._stand(CampaignState.WAITING, text)
 
     def _stand(self, state: CampaignState, reason: str) -> None:
         self._store.change(self._entry.id, state=state, reason=reason)

@@ -157,7 +157,7 @@ class SimulatedShots:
     def hand_over(self, kind: PromptKind) -> None:
         """No action needed."""
 
-    def take_back(self, kind: PromptKind) -> None:
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """No action needed."""
 
     def arm_all(self) -> None:

@@ -127,6 +127,7 @@ CONTROL_STATE = np.dtype(
         ("air", "?"),
         ("air_from", "f8"),
         ("securing", "?"),
+        ("entered", "?"),
         ("disarming", "?"),
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),
@@ -178,6 +179,7 @@ turn looks for its stop, `home_pushed` and `home_at` since when and where it pre
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
 `calm` are the velocities by which that is judged (rad/s).
+`entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.
 `sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
 such value (Pa), for how long it has been in doubt (s), whether it is dead; whether a vent has feedback, when

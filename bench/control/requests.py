@@ -13,7 +13,8 @@ from drivers.base.compiled import compiled
 
 STOP_HOLDS = 1.5
 """s after a stop in which nothing that moves begins: requests on their way when it came are older than it.
-The command plane does no request that waited for longer than a second."""
+The command plane does no request that has waited for longer than this less half a second, in which the loop
+takes it."""
 
 
 @compiled
@@ -39,6 +40,15 @@ def note_local_reset(s: Any, pressed: bool, time: float) -> None:
 
 
 @compiled
+def is_released(s: Any) -> bool:
+    """Return whether the guard's lock is released: in ACCESS, and after it until SECURE if somebody went in.
+
+    A cause found in ACCESS ends that state, but does not lock in who may be inside.
+    """
+    return bool((s.state == State.ACCESS or s.entered) and not s.securing)
+
+
+@compiled
 def watch_local_reset(s: Any, readings: Any, time: float) -> None:
     """Note a press of the local reset, and forget one that cannot speak for what is now.
 
@@ -50,7 +60,7 @@ def watch_local_reset(s: Any, readings: Any, time: float) -> None:
     note_local_reset(s, r.local_reset, time)
     if not (s.device_operational and r.emergency_stop_clear):
         s.reset_was_low = False
-    released = s.state == State.ACCESS
+    released = is_released(s)
     if not (r.emergency_stop_clear and r.guard_closed and (r.guard_locked or released)):
         s.reset_pressed = -np.inf
 
@@ -84,6 +94,8 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if p.read_only:
         return Refusal.READ_ONLY
     if request >= len(p.accepted) or p.accepted[request, s.state] == 0:
+        return Refusal.STATE
+    if request == Request.SECURE and s.state != State.ACCESS and not s.entered:
         return Refusal.STATE
     if s.reaction > Reaction.COMPLETE and s.phase != Phase.STANDING:
         return Refusal.STOPPING

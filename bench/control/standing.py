@@ -14,7 +14,7 @@ from bench.control.air_watch import (
 )
 from bench.control.homing import begin_search
 from bench.control.model import model_cause
-from bench.control.requests import manifold_is_full
+from bench.control.requests import is_released, manifold_is_full
 from bench.control.states import change_state, disarm, is_calm, latch, resting_state
 from bench.lifecycle import Cause, State
 from drivers.base.compiled import compiled
@@ -88,6 +88,15 @@ def _cause_in_access(p: Any, s: Any, readings: Any) -> int:
 
 
 @compiled
+def _end_securing(s: Any, interlock: int, time: float) -> None:
+    """End the locking of a guard whose ACCESS a cause has ended; released again if it is not seen locked."""
+    if interlock == 0:
+        s.securing = s.entered = False
+    elif time - s.state_since >= _SECURING_TIME:
+        s.securing = False
+
+
+@compiled
 def watch_standing(
     state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
 ) -> None:
@@ -102,6 +111,10 @@ def watch_standing(
         if s.warm:
             latch(s, parameters, int(s.first_cause), time)
         return
+    if is_released(s) and not readings[0].guard_closed:
+        s.entered = True
+    elif s.securing and s.state != State.ACCESS:
+        _end_securing(s, interlock, time)
     if interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP:
         if s.state != State.ESTOP:
             by_circuit = interlock == Cause.EMERGENCY_STOP
@@ -119,7 +132,7 @@ def watch_standing(
         if not s.vented:
             latch(s, parameters, _cause_in_access(p, s, readings), time)
         elif s.securing and interlock == 0:
-            s.securing = False
+            s.securing = s.entered = False
             change_state(s, parameters, resting_state(s), time)
         elif s.securing and time - s.state_since >= _SECURING_TIME:
             latch(s, parameters, Cause.GUARD, time)

@@ -168,3 +168,13 @@ def arrive(s: Any, parameters: Any, time: float) -> None:
         change_state(s, parameters, State.ARMED, time)
     elif s.reaction == Reaction.NONE:
         stand(s, parameters, time)
+
+
+@compiled
+def give_up(control: Any, parameters: Any, time: float) -> None:
+    """Latch a tick that failed, in the records `control`: the driver is passive, nothing is under way."""
+    s = control[0]
+    s.swinging = s.moving = s.disarming = s.air = s.vented = s.tee = False
+    s.phase, s.vent_start = Phase.STANDING, time
+    latch(s, parameters, Cause.EXCEPTION.value, time)
+    s.reaction = Reaction.PASSIVE

@@ -24,11 +24,11 @@ from bench.control.model import observe
 from bench.control.motion import follow
 from bench.control.orders import carry_out
 from bench.control.records import ControlParameters, ControlState
-from bench.control.requests import take_request, watch_local_reset
+from bench.control.requests import is_released, take_request, watch_local_reset
 from bench.control.standing import watch_standing
 from bench.control.states import is_calm, note_calm
 from bench.control.stops import watch_motion, watch_permission
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.lifecycle import Cause, Phase, Reaction, Request
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
@@ -163,7 +163,7 @@ def limit_tick(
     c.search_index = (
         p.home_by_index and s.phase == Phase.HOMING and s.reaction < Reaction.PASSIVE and not p.read_only
     )
-    c.guard_lock = s.state != State.ACCESS or s.securing
+    c.guard_lock = not is_released(s)
     s.tee = s.tee and powered  # after a stop no ball rises by itself
     c.tee = s.tee
     _record(state, readings, command, cycle)

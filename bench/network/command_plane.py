@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
+from bench.control.requests import STOP_HOLDS
 from bench.errors import BenchError
 from bench.lifecycle import State
 from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
@@ -46,7 +47,7 @@ from bench.network.lease import Lease, LeaseBook, LeaseRefused
 QUEUE = 64
 """Max messages waiting in a lane."""
 
-LONGEST_WAIT = 1.0
+LONGEST_WAIT = STOP_HOLDS - 0.5
 """Max waiting time of a request in its lane, s; the sender of an older one has given up: it is dropped."""
 
 HEARTBEAT = 0.2

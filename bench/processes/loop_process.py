@@ -152,6 +152,7 @@ class LoopProcess:
         spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
         first = 0.0 if self.paced else wall.monotonic()
         spare.run_tick(first)
+        spare.give_up(first)  # a tick that fails must not wait for a compiler either
         begin = int(spare.marks[0])
         TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
 

@@ -50,6 +50,7 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "calm",
             *_HOMING,
             "unseen",
+            "entered",
             "sensor_seen",
             "sensor_shown",
             "sensor_doubt",

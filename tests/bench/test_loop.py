@@ -238,6 +238,7 @@ def test_after_an_exception_nothing_arms_without_a_reset(holding: Loop, driver: 
     holding.advance(1, Request.ARM)
     assert control(holding)["answer"] == Answer.REFUSED
     assert driver.applied == PASSIVE
+    holding.advance(100)  # a robot that has just been let go is not still
     holding.advance(1, Request.RESET)
     assert (control(holding)["answer"], control(holding)["cause"]) == (Answer.ACCEPTED, Cause.NONE)
     holding.advance(1, Request.ARM)

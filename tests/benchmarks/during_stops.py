@@ -211,7 +211,8 @@ def healthy_stop(c: Configuration, profile: Profile, seed: int) -> str:
         bench.arm()
         bench.control["tee"] = seed % 4 != 3
         bench.advance(400)
-        bench.advance(int(random.integers(1, len(profile.angle))), Request.SWING)
+        if bench.start_swing(60, 50):
+            bench.advance(int(random.integers(1, len(profile.angle))))
     if bench.cause or bench.phase in (Phase.STANDING, Phase.HOLD):
         return "did not begin"
     stop_and_rest(bench, stop)

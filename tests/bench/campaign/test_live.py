@@ -31,7 +31,7 @@ from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
-from bench.lifecycle import Phase, State
+from bench.lifecycle import REFUSAL_TEXT, Phase, Refusal, State
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.live_swing import SwingRecord
@@ -319,10 +319,29 @@ def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
     with shots_of(plan, bench) as source:
         source.hand_over(PromptKind.CLUB)
         assert bench.asked == ["disarm", "access", "access"]
-        source.take_back(PromptKind.CLUB)
+        source.take_back(PromptKind.CLUB, print)
         assert bench.asked[3:] == ["secure"]
-        source.take_back(PromptKind.CLUB)
+        source.take_back(PromptKind.CLUB, print)
         assert bench.asked[4:] == []
+
+
+def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan: CampaignPlan) -> None:
+    refusals = [Refusal.GUARD, Refusal.GUARD, Refusal.LOCAL_RESET, Refusal.LOCAL_RESET]
+
+    class Doors(StandingBench):
+        """Locks once the guard is closed and the button was pressed."""
+
+        def secure(self) -> None:
+            if refusals:
+                reason = REFUSAL_TEXT[refusals.pop(0)]
+                raise CommandRefused("b", Verb.SECURE, CommandAnswer(False, "ACCESS", reason))
+            self._status["state"] = "READY"
+
+    bench = Doors(state="ACCESS")
+    asked: list[str] = []
+    with shots_of(plan, bench) as source:
+        source.take_back(PromptKind.CLUB, asked.append)
+    assert asked == ["Leave the robot and close the guard.", "Press the reset button beside the robot."]
 
 
 def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(

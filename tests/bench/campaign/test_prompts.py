@@ -54,7 +54,7 @@ class Rig(Scripted):
     def hand_over(self, kind: PromptKind) -> None:
         self.doors.append(f"{kind} open")
 
-    def take_back(self, kind: PromptKind) -> None:
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         self.doors.append(f"{kind} shut")
         self.lacking = None
 

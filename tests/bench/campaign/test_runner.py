@@ -76,7 +76,7 @@ class Scripted:
     def hand_over(self, kind: PromptKind) -> None:
         pass
 
-    def take_back(self, kind: PromptKind) -> None:
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         pass
 
     def take(self, step: Step, number: int, sample: int) -> Taken:

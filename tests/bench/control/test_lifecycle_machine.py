@@ -350,8 +350,14 @@ class Bench(RuleBasedStateMachine):
             self.pressed_at = -inf  # one press, one reset
 
     def check_guard(self, after: Look, record: Any) -> None:
-        """The guard is unlocked in ACCESS only, with manifold and all chambers seen empty."""
+        """The guard is unlocked in ACCESS only, with manifold and all chambers seen empty.
+
+        A cause that ends ACCESS leaves it unlocked for who went in.
+        """
         if record["guard_lock"]:
+            return
+        if after.state in LATCHED:
+            assert self.puppet.control["entered"]
             return
         assert after.state is State.ACCESS
         assert self.puppet.control["vented"]

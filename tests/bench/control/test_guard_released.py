@@ -1,0 +1,102 @@
+"""Whoever went in during ACCESS is not locked in: only a press beside the robot and SECURE lock the guard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from bench.lifecycle import Cause, Refusal, Request, State
+from tests.bench.control.operating import TIMES, asked, press, reach
+from tests.bench.control.puppet import ATMOSPHERE, Puppet
+
+FULL, EMPTY = (TIMES.vented_pressure + 1e5,) * 6, (ATMOSPHERE,) * 6
+CAUSES: dict[str, tuple[Callable[[Puppet], Puppet], State]] = {
+    "chambers": (lambda puppet: puppet.give(chamber_pressure=FULL), State.FAULT),
+    "manifold": (lambda puppet: puppet.give(supply_pressure=5e5), State.FAULT),
+    "supervisor": (lambda puppet: puppet.give(supervisor_alive=False), State.FAULT),
+    "device": (lambda puppet: puppet.give(device_operational=False), State.FAULT),
+    "emergency stop": (lambda puppet: puppet.give(emergency_stop_clear=False), State.ESTOP),
+}
+each_cause = pytest.mark.parametrize("name", CAUSES)
+
+
+def released(puppet: Puppet) -> bool:
+    return not puppet.record["guard_lock"][0]
+
+
+def entered(name: str) -> Puppet:
+    """Return a bench that somebody has gone into and shut the guard from inside, and then the cause."""
+    puppet = reach(State.ACCESS, local_reset=True)
+    puppet.give(guard_closed=False).run(10)
+    puppet.give(guard_closed=True).run(10)
+    change, state = CAUSES[name]
+    change(puppet).run(5)
+    assert puppet.bench is state
+    return puppet
+
+
+def clear(puppet: Puppet) -> None:
+    """Let the cause be gone."""
+    good = {"supervisor_alive": True, "device_operational": True, "emergency_stop_clear": True}
+    puppet.give(chamber_pressure=EMPTY, supply_pressure=ATMOSPHERE, **good).run(30)
+
+
+@each_cause
+def test_a_cause_in_access_does_not_lock_in_who_went_in(name: str) -> None:
+    puppet = entered(name)
+    assert released(puppet)
+    clear(puppet)
+    assert released(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.LOCAL_RESET
+    assert released(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.GUARD
+
+
+@each_cause
+def test_a_press_and_secure_lock_it_and_the_cause_stays(name: str) -> None:
+    puppet = entered(name)
+    clear(puppet)
+    state = puppet.bench
+    press(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.NONE
+    assert not released(puppet)
+    puppet.give(guard_locked=True).run(5)
+    assert puppet.bench is state
+    assert not puppet.control["entered"]
+    assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET  # one press, one answer
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert not released(puppet)
+
+
+@each_cause
+def test_a_guard_that_does_not_lock_is_released_again(name: str) -> None:
+    puppet = entered(name)
+    clear(puppet)
+    press(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.NONE
+    puppet.give(guard_closed=False).run(2100)
+    puppet.give(guard_closed=True).run(10)
+    assert released(puppet)
+
+
+@each_cause
+def test_where_nobody_went_in_a_cause_keeps_people_out(name: str) -> None:
+    puppet = reach(State.ACCESS, local_reset=True)
+    change, state = CAUSES[name]
+    change(puppet).run(5)
+    assert puppet.bench is state
+    assert not released(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.STATE
+
+
+def test_a_guard_that_fails_to_lock_at_the_end_of_access_lets_people_out() -> None:
+    puppet = reach(State.ACCESS, local_reset=True)
+    puppet.give(guard_closed=False).run(10)
+    puppet.give(guard_closed=True).run(10)
+    press(puppet)
+    assert asked(puppet, Request.SECURE) is Refusal.NONE
+    puppet.run(2100)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD)
+    assert released(puppet)
