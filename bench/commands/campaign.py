@@ -322,7 +322,7 @@ def watch(
     context: typer.Context,
     campaign: Annotated[
         str,
-        typer.Argument(metavar="[ID]", help="Campaign id or its beginning; without it the running one."),
+        typer.Argument(metavar="ID", help="Campaign id or its beginning; without it the running one."),
     ] = "",
     json_: Json = False,
 ) -> None:
@@ -369,7 +369,7 @@ def watch(
 def mark(
     context: typer.Context,
     campaign: Id,
-    comment: Annotated[str, typer.Argument(metavar="[COMMENT]", help="What was seen.")] = "",
+    comment: Annotated[str, typer.Argument(metavar="COMMENT", help="What was seen.")] = "",
     shot: Annotated[
         int | None, typer.Option(metavar="NUMBER", help="Shot.", show_default="the last one")
     ] = None,

@@ -49,7 +49,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
 
 @compiled
 def _name_trapped(s: Any, trapped: int) -> None:
-    """Name trapped pressure in ESTOP and FAULT, too: it endangers whoever comes to clear the first cause.
+    """Name trapped pressure in ESTOP and FAULT, too: it endangers who comes to clear the first cause.
 
     A sensor or vent that fails then is the latest cause; what it may hide is no proof for access.
     """
@@ -97,6 +97,26 @@ def _end_securing(s: Any, interlock: int, time: float) -> None:
 
 
 @compiled
+def _forget_lost_index(s: Any, readings: Any) -> None:
+    """Forget the homing when a valid encoder has lost its index."""
+    for i in range(3):
+        if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
+            s.homed = False
+
+
+@compiled
+def _watch_access(s: Any, parameters: Any, readings: Any, interlock: int, time: float) -> None:
+    """Latch pressure that comes back while the guard is released; end ACCESS once it is seen locked."""
+    if not s.vented:
+        latch(s, parameters, _cause_in_access(parameters.control[0], s, readings), time)
+    elif s.securing and interlock == 0:
+        s.securing = s.entered = False
+        change_state(s, parameters, resting_state(s), time)
+    elif s.securing and time - s.state_since >= _SECURING_TIME:
+        latch(s, parameters, Cause.GUARD, time)
+
+
+@compiled
 def watch_standing(
     state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
 ) -> None:
@@ -104,9 +124,7 @@ def watch_standing(
     s, p = state.control[0], parameters.control[0]
     trapped = _watch_vent(p, s, state.estimator[0], readings, time)
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
-    for i in range(3):
-        if readings[0].encoder_valid[i] != 0 and readings[0].encoder_indexed[i] == 0:
-            s.homed = False
+    _forget_lost_index(s, readings)
     if s.state == State.STARTING:
         if s.warm:
             latch(s, parameters, int(s.first_cause), time)
@@ -129,13 +147,7 @@ def watch_standing(
     if not s.supervisor_alive or not s.device_operational:
         latch(s, parameters, Cause.DEVICE_PASSIVE if s.supervisor_alive else Cause.SUPERVISOR, time)
     elif s.state == State.ACCESS:
-        if not s.vented:
-            latch(s, parameters, _cause_in_access(p, s, readings), time)
-        elif s.securing and interlock == 0:
-            s.securing = s.entered = False
-            change_state(s, parameters, resting_state(s), time)
-        elif s.securing and time - s.state_since >= _SECURING_TIME:
-            latch(s, parameters, Cause.GUARD, time)
+        _watch_access(s, parameters, readings, interlock, time)
     elif s.tick > 1 and not s.measured_step > 0.0:
         latch(s, parameters, Cause.TICK_GAP, time)
     elif interlock != 0:

@@ -59,6 +59,8 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
         s.reaction = Reaction.PASSIVE
     elif s.lost != 0:
         react(state, parameters, int(s.lost), LOST, time)
+        if not s.device_operational:
+            react(state, parameters, Cause.DEVICE_PASSIVE, DISOBEYED, time)
     else:
         if interlock != 0:
             react(state, parameters, interlock, EMERGENCY if emergency else TRUSTED, time)

@@ -20,7 +20,7 @@ import bench.faults.matrix
 from bench.commands.faults import app
 from bench.commands.faults_page import matrix_page, matrix_table
 from bench.commands.session import Session
-from bench.config import load_configuration, shipped_configuration
+from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant
 from bench.faults.combined import CATALOGUE
@@ -238,9 +238,11 @@ def test_what_stands_in_the_store_is_not_run_again(
 
 
 def test_the_command_ends_with_1_when_a_case_ends_unsafe(
-    few: tuple[MatrixPlan, list[CaseOutcome]], tmp_path: Path, profile: Profile
+    few: tuple[MatrixPlan, list[CaseOutcome]],
+    tmp_path: Path,
+    profile: Profile,
+    configuration: Configuration,
 ) -> None:
-    configuration = load_configuration(shipped_configuration())
     _plan, outcomes = few
     CaseStore(tmp_path / "cases.jsonl", digest_of(configuration, profile, True)).add(outcomes)
     arguments = ["run", "--output", str(tmp_path), "--phase", "top", "--phase", "hold", "--signal", "launch"]

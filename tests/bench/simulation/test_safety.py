@@ -50,8 +50,8 @@ def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: s
         ("head_share", nan, "profile's speed"),
         ("creep", 0.03, "moved by 0.03 rad"),
         ("creep", nan, "moved by"),
-        ("access_pressure", 2.0e5, "released at 2.0 bar"),
-        ("access_pressure", nan, "released at"),
+        ("access_pressure", 2.0e5, "released with 2.0 bar"),
+        ("access_pressure", nan, "released with"),
         ("armed_again", True, "armed again"),
     ],
 )
