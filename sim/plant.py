@@ -114,6 +114,7 @@ def _shoulder() -> Actuator:
         dead_volume=6.0e-5,
         lower=-1.7,
         upper=2.7,
+        clearance=0.15,
         friction=Friction(viscous=0.3, coulomb=6.0, static=8.0),
         stop=EndStop(energy=250.0, travel=0.15),
     )
@@ -126,8 +127,9 @@ def _right_arm() -> Actuator:
         dead_volume=3.0e-5,
         lower=0.0,
         upper=0.22,
+        clearance=0.012,
         friction=Friction(viscous=30.0, coulomb=60.0, static=80.0),
-        stop=EndStop(energy=40.0, travel=0.012, damping_speed=0.5),
+        stop=EndStop(energy=40.0, travel=0.01386, damping_speed=0.5),
     )
 
 
@@ -138,8 +140,9 @@ def _wrist() -> Actuator:
         dead_volume=3.0e-5,
         lower=2 * pi - np.deg2rad(80.0).item(),
         upper=2 * pi,
+        clearance=0.12,
         friction=Friction(viscous=20.0, coulomb=45.0, static=60.0),
-        stop=EndStop(energy=90.0, travel=0.12, damping_speed=4.0),
+        stop=EndStop(energy=90.0, travel=0.174, damping_speed=4.0),
     )
 
 
@@ -346,8 +349,8 @@ def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:
         "dead_volume": actuator.dead_volume,
         "lower": actuator.lower,
         "upper": actuator.upper,
-        "volume_lower": actuator.lower - stop.travel,
-        "volume_upper": actuator.upper + stop.travel,
+        "volume_lower": actuator.chamber_ends[0],
+        "volume_upper": actuator.chamber_ends[1],
         "viscous": friction.viscous,
         "coulomb": friction.coulomb,
         "static": friction.static,

@@ -124,11 +124,13 @@ class Actuator:
     area_b: Area
     """Area of chamber B: m2 of a cylinder, m3/rad of a vane."""
     dead_volume: Annotated[float, Range(1e-7, 0.01, "m3")]
-    """Dead volume of each chamber with its hose, m3."""
+    """Volume of each chamber with its hose at `clearance` beyond the range, m3."""
     lower: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
     """Lower end of the range: joint angle (rad), or rod extension of the right arm (m)."""
     upper: Annotated[float, Range(-10.0, 10.0, "rad, rod m")]
     """Upper end of the range: joint angle (rad), or rod extension of the right arm (m)."""
+    clearance: Annotated[float, Range(0.0, 1.0, "rad, rod m")]
+    """Way beyond the range at which a chamber has its dead volume only (m, or rad at shoulder and wrist)."""
     friction: Friction
     stop: EndStop
     valve: Valve = field(default_factory=Valve)
@@ -136,6 +138,11 @@ class Actuator:
     """Conductance between the chambers past the seals, m3/(s Pa)."""
     pressure_rating: Annotated[float, Range(2e5, 5e6, "Pa absolute")] = 1.2e6
     """Pressure rating, Pa absolute."""
+
+    @property
+    def chamber_ends(self) -> tuple[float, float]:
+        """Coordinates at which chamber A and chamber B have their dead volume only (rad, m, rad)."""
+        return self.lower - self.clearance, self.upper + self.clearance
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,14 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             found = f"{short(actuator.pressure_rating)} Pa"
             least = f"at least the supply's {short(c.plant.supply.pressure)} Pa"
             yield f"{key}.pressure_rating", found, least, "Lower plant.supply.pressure."
+        deeper = (actuator.stop.travel - actuator.clearance) * (
+            c.plant.wrist_lever if name == "wrist" else 1.0
+        )
+        taken = deeper * max(actuator.area_a, actuator.area_b)
+        if taken >= 0.8 * actuator.dead_volume:
+            found = f"{short(actuator.stop.travel)}, which takes {short(taken)} m3 of a chamber's dead volume"
+            most = f"less than {short(0.8 * actuator.dead_volume)} m3"
+            yield f"{key}.stop.travel", found, most, "Shorten the cushion or give more clearance."
         travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
         if name != "right_arm" and travel >= 2 * pi:
             found = f"{short(travel)} rad of travel with twice the cushions"

@@ -70,8 +70,7 @@ def force_bounds(motion: Motion) -> Array:
     atmosphere = plant.supply.atmosphere
     bounds = np.empty((len(motion.position), 3, 2))
     for i, actuator in enumerate(plant.actuators):
-        stroke, travel = motion.position[:, i], actuator.stop.travel
-        ends = np.array([actuator.lower - travel, actuator.upper + travel])
+        stroke, ends = motion.position[:, i], np.array(actuator.chamber_ends)
         if i == 2:  # the cylinder's coordinate is -lever cos(beta), beta = theta3 - 3 pi / 2
             stroke, ends = (-plant.wrist_lever * np.cos(value - 1.5 * pi) for value in (stroke, ends))
         volume_a = actuator.dead_volume + actuator.area_a * (stroke - ends[0])

@@ -154,9 +154,9 @@ def _air(
 
 
 def stroke_ends(plant: PlantParameters, i: int) -> tuple[float, float]:
-    """Return the ends of actuator i's chambers in its own coordinate, cushions included (rad, m, m)."""
+    """Return the ends of actuator i's chambers in its own coordinate (rad, m, m)."""
     actuator: Actuator = plant.actuators[i]
-    ends = actuator.lower - actuator.stop.travel, actuator.upper + actuator.stop.travel
+    ends = actuator.chamber_ends
     if i < 2:
         return ends
     return plant.wrist_lever * float(np.sin(ends[0])), plant.wrist_lever * float(np.sin(ends[1]))

@@ -422,6 +422,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.5987 m"),
         ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),
+        ("[plant.right_arm.stop]\ntravel = 0.03", "plant.right_arm.stop.travel", "dead volume", "less than"),
         ("[plant.wrist]\npressure_rating = 5e5", "plant.wrist.pressure_rating", "500000", "800000 Pa"),
     ],
 )

@@ -30,6 +30,7 @@ from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
+from sim.plant import PlantParameters
 from tests.replay.renew import STOP, SWING, reference_bench
 
 Change = Callable[[ControlParameters], None]
@@ -60,6 +61,15 @@ ADDED = frozenset(
     f"homing.{name}" for name in ("stops", "stop_tolerance", "touch_speed", "touch_lead", "touch_time")
 )
 """Settings that the references do not have, and that no swing or stop reads."""
+CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
+"""Settings that the references do not have: in their time the cushion's travel, today's default."""
+
+
+@pytest.mark.parametrize("name", ["shoulder", "right_arm", "wrist"])
+def test_clearances_of_the_references_are_their_cushions(name: str, swing: Record, stop: Record) -> None:
+    clearance = getattr(PlantParameters(), name).clearance
+    for _, metadata in (swing, stop):
+        assert metadata["configuration"]["plant"][name]["stop"]["travel"] == clearance
 
 
 @pytest.mark.parametrize("path", [SWING, STOP])
@@ -67,7 +77,7 @@ def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {name for name in replay.defaults if name not in ADDED}
+    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES}
     assert not since, "the record is older than these settings: make reference"
 
 
@@ -306,6 +316,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     )
     replay = replay_cycles(swing[0], metadata, "swing")
     assert replay.defaults == (
+        *(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist")),
         "control.strike_drop",
         *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
     )

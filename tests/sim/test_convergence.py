@@ -101,9 +101,9 @@ def test_delivery_is_that_of_a_tenfold_finer_step() -> None:
 
 
 def test_errors_fall_at_second_order_in_spite_of_stiction_and_stops() -> None:
-    position = [errors(substeps, 160)[0] for substeps in (1, 4, 16)]
-    assert position[1] < position[0] / 8
-    assert position[2] < position[1] / 4
+    worst = [max(errors(substeps, 160)) for substeps in (1, 4, 16)]  # one alone may pass through zero
+    assert worst[1] < worst[0] / 8
+    assert worst[2] < worst[1] / 4
 
 
 def test_the_downswing_reverses_joints_under_friction_and_meets_stops() -> None:

@@ -261,7 +261,7 @@ def volumes(plant: Plant, q: Array) -> Array:
     position = (q[0], extension, stroke(q[2]))
     result = []
     for i, actuator in enumerate(parameters.actuators):
-        low, high = actuator.lower - actuator.stop.travel, actuator.upper + actuator.stop.travel
+        low, high = actuator.chamber_ends
         if actuator is wrist:
             low, high = stroke(low), stroke(high)
         result += [

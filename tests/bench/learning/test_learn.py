@@ -45,7 +45,7 @@ def test_the_robot_learns_what_the_model_delivers(problem: LearningProblem, resu
     assert before > 5.0
     assert kept <= 0.5
     assert result.within
-    assert result.used <= LearningSettings().swings
+    assert result.used < LearningSettings().swings
     series = Series(BENCH, WORN)
     swing = result.correction.applied_to(BENCH.profile)
     series.swing(swing)
