@@ -91,7 +91,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         found = "nothing" if name in phases else "an unknown phase"
         yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
     for kind in MODEL_PHASES:
-        watched = getattr(ModelSettings(), kind).keys()
+        watched = getattr(ModelSettings(), kind).keys() - OPTIONAL_ROWS
         for name in (getattr(c.envelope.model, kind).keys() - OPTIONAL_ROWS) ^ watched:
             found = "nothing" if name in watched else "an unknown phase"
             expected = f"each of {', '.join(watched)} once"

@@ -27,7 +27,7 @@ import numpy as np
 
 from bench.control.air import actuator_motion
 from bench.control.envelope import joint_coordinates
-from bench.lifecycle import Cause, Phase
+from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers
@@ -37,7 +37,10 @@ BRAKING = PHASES
 """Row of the limits in BRAKE, plus the phase in which it began."""
 BLOW = 2 * PHASES
 """Row of the limits while a blow counts."""
-LEARNING = BLOW + 1
+ARMING = BLOW + 1
+"""Row of the limits on the way to the address, from wherever the robot stood: in the return it comes from a
+swing."""
+LEARNING = ARMING + 1
 """First row of the limits, as above, of a robot or reference that differs from the planned one on purpose."""
 KINDS = ("air", "flow", "velocity", "jump", "effort")
 """Comparisons, as their limits are named."""
@@ -55,7 +58,7 @@ MODEL_LIMITS = np.dtype(
     align=True,
 )
 """Whether to check at all; first row of the limits in force, 0 or LEARNING; limits by row and joint: Pa, Pa,
-rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brake began, or BLOW."""
+rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brake began, BLOW or ARMING."""
 
 MODEL_STATE = np.dtype(
     [
@@ -229,8 +232,16 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
 
 
 @compiled
+def row_of(s: Any) -> int:
+    """Return the row of the limits for a robot that follows its reference, from the state CONTROL `s`."""
+    return ARMING if s.state == State.ARMED and s.phase == Phase.RETURN else int(s.phase)
+
+
+@compiled
 def model_cause(limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> int:
-    """Return the first comparison that fails by the limits of `row`, a phase or BRAKING + a phase, or 0.
+    """Return the first comparison that fails by the limits of `row`, or 0.
+
+    A row is a phase, BRAKING + a phase, or ARMING.
 
     Unknown residuals fail no comparison.
     """

@@ -37,6 +37,8 @@ ENDING = ".limits.toml"
 """End of the name of a file of limits."""
 FROM_SETTINGS = frozenset({"homing", "standing"})
 """Rows that no swing shows: their limits are those of the settings."""
+_KEPT = FROM_SETTINGS | {"arming"}
+"""Rows of the settings that hold unless a file has them."""
 REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 """Rows that each table of a file has."""
 
@@ -136,7 +138,7 @@ def limits_in_use(settings: ModelSettings, bench: MadeFor, candidates: Iterable[
 def _merged(settings: ModelSettings, tables: LimitTables) -> ModelSettings:
     """Return `settings` with `tables`; the rows that these do not have stay."""
     kept: dict[str, dict[str, Triple]] = {
-        kind: {row: limits for row, limits in getattr(settings, kind).items() if row in FROM_SETTINGS}
+        kind: {row: limits for row, limits in getattr(settings, kind).items() if row in _KEPT}
         for kind in KINDS
     }
     merged: dict[str, Any] = {kind: kept[kind] | dict(tables[kind]) for kind in KINDS}

@@ -14,7 +14,7 @@ from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
 from bench.control.feed_forward import CODES, FeedForward, kane_gains
-from bench.control.model import BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
+from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
@@ -219,6 +219,7 @@ class ModelSettings:
             "impact": (3.0e4, 8.3e4, 2.0e5),
             "follow_through": (7.7e4, 7.1e5, 2.4e5),
             "return": (3.0e4, 6.0e4, 1.1e5),
+            "arming": (1.1e5, 1.1e5, 1.1e5),
         }
     )
     """Chamber pressures from the observer's, Pa."""
@@ -233,6 +234,7 @@ class ModelSettings:
             "impact": (7.0e3, 2.9e4, 1.9e4),
             "follow_through": (1.1e4, 8.5e4, 2.4e4),
             "return": (1.8e3, 2.1e4, 2.1e4),
+            "arming": (1.2e4, 2.1e4, 2.4e4),
         }
     )
     """The same smoothed over 50 ms, Pa."""
@@ -247,6 +249,7 @@ class ModelSettings:
             "impact": (30.0, 30.0, 60.0),
             "follow_through": (56.0, 54.0, 86.0),
             "return": (2.9, 1.7, 5.7),
+            "arming": (12.0, 9.0, 13.0),
         }
     )
     """Joint velocities from their reference, rad/s."""
@@ -262,6 +265,7 @@ class ModelSettings:
             "impact": (0.004, 0.004, 0.04),
             "follow_through": (0.027, 0.034, 0.045),
             "return": (0.0015, 0.0015, 0.0015),
+            "arming": (0.0015, 0.0015, 0.0015),
         }
     )
     """Samples from their prediction, rad."""
@@ -276,6 +280,7 @@ class ModelSettings:
             "impact": (120.0, 150.0, 50.0),
             "follow_through": (150.0, 180.0, 60.0),
             "return": (30.0, 76.0, 15.0),
+            "arming": (38.0, 120.0, 20.0),
         }
     )
     """Torque from the chambers' pressures from what the motion needs, N m."""
@@ -358,11 +363,12 @@ MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump"
 _ROWS = {name: phase.value for name, phase in MODEL_PHASES["jump"].items()} | {
     **{f"braking_{name}": BRAKING + phase for name, phase in _WATCHED.items()},
     "blow": BLOW,
+    "arming": ARMING,
 }
 MODEL_ROWS = _ROWS | {f"learning_{name}": LEARNING + row for name, row in _ROWS.items()}
 """Row of the limits, by its name in a table."""
 OPTIONAL_ROWS = MODEL_ROWS.keys() - MODEL_PHASES["jump"].keys()
-"""Rows that a table may leave out: those of BRAKE, of blows, and of learning."""
+"""Rows that a table may leave out: those of BRAKE, of blows, of arming, and of learning."""
 
 SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
 """Of a bench without anybody beside it: no warning, and the address is held after a swing."""
@@ -547,7 +553,8 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
 def _model_record(settings: ModelSettings, *, learning: bool) -> np.ndarray:
     """Return the limits; those of `learning`, if they are given, are in force.
 
-    If not given BRAKE has the limits of its phase, and a blow those of the follow-through.
+    If not given BRAKE has the limits of its phase, a blow those of the follow-through, arming those of the
+    return.
     """
     record = new_record(MODEL_LIMITS)
     record["check"] = settings.check != "off"
@@ -556,6 +563,7 @@ def _model_record(settings: ModelSettings, *, learning: bool) -> np.ndarray:
         table, limits = getattr(settings, kind), record[kind][0]
         limits[:] = inf
         limits[[BLOW, LEARNING + BLOW]] = table["follow_through"]
+        limits[[ARMING, LEARNING + ARMING]] = table.get("arming", table["return"])
         for name, phase in phases.items():
             if name in table:
                 for first in (0, LEARNING):

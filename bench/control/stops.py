@@ -7,7 +7,7 @@ from typing import Any
 from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
 from bench.control.homing import search_cause
-from bench.control.model import BRAKING, model_cause
+from bench.control.model import BRAKING, model_cause, row_of
 from bench.control.references import charging
 from bench.control.states import disarm, react
 from bench.lifecycle import (
@@ -160,7 +160,8 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
     if broken == Cause.SUPPLY_PRESSURE and s.sensor_doubt[0] > 0.0:
         broken = Cause.SUPPLY_SENSOR.value
     if broken == 0 and not charging(s, time):
-        broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
+        row = row_of(s)
+        broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, row)
     longest = s.move_time + parameters.control[0].move_timeout
     if broken == 0 and s.moving and time - s.move_start > longest:
         broken = Cause.ADDRESS_TIMEOUT.value

@@ -1,7 +1,8 @@
-"""Healthy swings and stops of a drawn robot, with the largest deviations that the model-based check sees."""
+"""Healthy swings, stops and arming of a drawn robot: the largest deviations the model-based check sees."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -25,6 +26,8 @@ _BEGIN, _HOLD = 200, 400
 """Ticks before arming, and at the address before a swing."""
 _LONGEST_STOP, _LOOK = 6_000, 20
 """Ticks of a stop at most, and between two looks at it."""
+_LONGEST_VENT = 15.0
+"""Time for the chambers to empty after a stop, s."""
 
 
 class HealthyRun(NamedTuple):
@@ -37,7 +40,7 @@ class HealthyRun(NamedTuple):
     stops: int
     """Number of stops."""
     escalated: tuple[str, ...]
-    """Stops that became more severe than asked for: phase and kind."""
+    """Stops that became more severe than asked for, by phase and kind, or after which arming was stopped."""
 
 
 class NotingLockstep(Lockstep):
@@ -121,10 +124,16 @@ def _instants(profile: Profile, random: np.random.Generator) -> list[int]:
 
 
 class _StopTrial:
-    """Stops copies of a bench, by request and by the emergency stop in turn as drawn."""
+    """Stops copies of a bench, by request and by the emergency stop in turn as drawn; arms one of them again.
+
+    A stop leaves the robot at an end stop, or where friction holds it: arming from there deviates more than
+    from hanging.
+    """
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random, self.number, self.escalated = random, 0, list[str]()
+        self._armed_again = int(random.integers(1, len(PHASES) + 1))
+        """Number of the stop after which the copy is armed again."""
 
     def stop(self, bench: Lockstep) -> None:
         """Stop a copy of `bench` and run it until it stands."""
@@ -142,3 +151,21 @@ class _StopTrial:
         self.number += 1
         if severe or control["distrusted"][0]:
             self.escalated.append(f"{phase.name}, {'emergency stop' if emergency else 'stop'}")
+        if self.number == self._armed_again:
+            if cause := _arm_again(copy):
+                self.escalated.append(f"{phase.name}, armed again: {cause.name}")
+
+
+def _arm_again(stepper: Lockstep) -> Cause:
+    """Reset the stopped bench and arm it from where the robot stands; return what stopped that.
+
+    A bench that trusts not all encoders is left alone.
+    """
+    bench = LockstepEngine(stepper)
+    stepper.plant_state["emergency_stop_clear"] = True
+    bench.wait_for(lambda: bool(bench.control["vented"][0]), _LONGEST_VENT)
+    if bench.request(Request.RESET):
+        with suppress(Refused):  # some robots do not reach their address in time
+            bench.arm()
+        return bench.cause
+    return Cause.NONE

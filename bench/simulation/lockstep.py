@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from bench.control.model import BRAKING, note_deviations
+from bench.control.model import BRAKING, note_deviations, row_of
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.references import charging
 from bench.control.step import step
@@ -141,7 +141,8 @@ def run_noting(
         step(state, parameters, readings, time, command, cycle)
         if s.phase != Phase.STANDING and not charging(s, time):
             if s.reaction <= Reaction.COMPLETE:
-                note_deviations(largest, state.model[0], state.estimator, s.reference_velocity, s.phase)
+                velocity = s.reference_velocity
+                note_deviations(largest, state.model[0], state.estimator, velocity, row_of(s))
             elif s.reaction == Reaction.BRAKE:
                 velocity = state.estimator[0].velocity
                 note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)

@@ -24,7 +24,7 @@ from bench.config import (
 from bench.config.defaults import default_tables
 from bench.config.renamed import RENAMED, rename_keys, with_new_names
 from bench.config.text import configuration_text
-from bench.control.settings import MODEL_PHASES
+from bench.control.settings import MODEL_ROWS
 from bench.errors import BenchError
 from sim.ball import Ball
 from sim.robot import Club
@@ -98,7 +98,7 @@ def test_config_toml_gives_only_what_has_no_default(default: Configuration) -> N
 def test_every_key_of_the_printed_configuration_has_a_comment() -> None:
     above, bare = "", []
     for line in TEXT.splitlines():
-        of_phases = any(f"{name} = [" in line for name in MODEL_PHASES["jump"])
+        of_phases = any(f"{name} = [" in line for name in MODEL_ROWS)
         if "=" in line and not line.startswith("#") and "#" not in line and not of_phases:
             bare += [] if above.startswith("#") else [line]
         above = line

@@ -14,6 +14,7 @@ import bench.swing
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import (
+    ARMING,
     BLOW,
     BRAKING,
     LEARNING,
@@ -22,11 +23,14 @@ from bench.control.model import (
     model_cause,
     note_deviations,
     observe,
+    row_of,
 )
+from bench.control.records import new_control_state
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
-from bench.lifecycle import Cause, Phase, Request
+from bench.lifecycle import Cause, Phase, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import READINGS
 from drivers.base.compiled import new_record
@@ -268,6 +272,23 @@ def test_braking_and_learning_have_limits_of_their_own() -> None:
     assert model_cause(built, model[0], estimator, SPEEDS, top) == Cause.SHOULDER_JUMP
     built["first_row"] = LEARNING
     assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
+
+
+def test_arming_has_limits_of_its_own_and_the_return_from_a_swing_has_those_of_its_phase() -> None:
+    control = new_control_state().control
+    control["phase"] = Phase.RETURN
+    rows = {}
+    for state in (State.ARMED, State.SWINGING, State.RECOVERING):
+        control["state"] = state
+        rows[state] = row_of(control[0])
+    assert rows == {State.ARMED: ARMING, State.SWINGING: Phase.RETURN, State.RECOVERING: Phase.RETURN}
+    control["state"], control["phase"] = State.ARMED, Phase.HOLD
+    assert row_of(control[0]) == Phase.HOLD
+    built = build_controller(PlantParameters(), load_profile(find_profile("default"))).model
+    default = ModelSettings()
+    for first in (0, LEARNING):
+        assert built["air"][0, first + ARMING].tolist() == list(default.air["arming"])
+        assert built["air"][0, first + Phase.RETURN].tolist() == list(default.air["return"])
 
 
 def test_deviations_are_noted_as_they_are_compared() -> None:

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.control.model import KINDS
+from bench.control.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED
 from bench.control.settings import MODEL_ROWS
 from bench.design.model_limits import FLOORS, _rounded, _tables, gumbel_quantile, make_limits
@@ -33,7 +33,7 @@ def test_the_quantile_is_that_of_a_gumbel_distribution() -> None:
 
 
 def largest(n: int) -> np.ndarray:
-    made = np.zeros((n, len(KINDS), 21, 3))
+    made = np.zeros((n, len(KINDS), LEARNING, 3))
     made[:, :, MODEL_ROWS["hold"]] = 1e6 + np.linspace(0.0, 1e3, n)[:, None, None]
     return made
 
