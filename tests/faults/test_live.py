@@ -63,12 +63,12 @@ def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_
     )
     with running_bench(file, clock="paced") as bench:
         assert stopped(bench) == (Cause.WRIST_ENCODER, Reaction.BLIND_BRAKE)
-        assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
+        assert stopped(bench) == (Cause.SHOULDER_AIR, Reaction.PASSIVE)
         bench.end()
         cycles, about = read_swing(bench.records[-1])
         assert about["outcome"] != "complete"
         assert about["configuration"]["faults"]["sticking"]["signal"] == "shoulder valve"
-        assert Cause.SHOULDER_FOLLOWING in cycles["trip"]
+        assert Cause.SHOULDER_AIR in cycles["trip"]
 
 
 def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
             assert metadata["shot"]["ball"] == shot.ball
             assert metadata["record"] not in {path.name for path in bench.records}, "kept once"
         assert bench.client.status()["swings"] == 4  # the one that was cut off is taken again
-        assert [event.kind for event in store.events(entry.id)] == ["reset", "reset"]
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "reset", "killed"]
         assert (entry.simulated, entry.real_time["driver"]) == (True, "sim")
 
         with campaign(file, "run", tmp_path / "plan.toml") as process:  # the bench goes away
@@ -617,8 +617,10 @@ def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
             assert bench.cause == "OPERATOR_STOP"
         assert store.standing(name).state is CampaignState.ABORTED
         assert [stored.shot.status for stored in store.shots(name)][:3] == [ShotStatus.VALID] * 3
-        assert store.events(name)[-1].kind == "reset"
-        assert "previous shutdown was unclean" in store.events(name)[-1].text
+        events = store.events(name)
+        stops = ["stopped", "look", "resumed", "suspended", "resumed", "reset"]
+        assert [event.kind for event in events] == ["reset", "paused", "resumed", *stops, "aborted", "look"]
+        assert "previous shutdown was unclean" in events[-3].text
 
 
 class ArmableBench(StandingBench):
