@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.analysis import Comparison, Pair, SectionAnalysis
+from bench.campaign.analysis import Comparison, Pair
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.carry import measured_of
+from bench.campaign.control_chart import LEAST_VALUES, NELSON
 from bench.campaign.equipment import (
     EquipmentTable,
     ball_table,
@@ -21,14 +21,15 @@ from bench.campaign.equipment import (
 )
 from bench.campaign.findings import Findings, as_flown
 from bench.campaign.fitting import PromptKind
-from bench.campaign.mixed_model import MixedModel
-from bench.campaign.page import TABLE, figure_text, flat, page_template
-from bench.campaign.plan import CampaignPlan
+from bench.campaign.mixed_model import MixedModel, MixedPair
+from bench.campaign.page import TABLE, flat, page_template, shot_figures
+from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import plan_from_record
-from bench.campaign.preview import UNITS
+from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
+from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.ruling import DECISION_RULE
 from bench.campaign.verdicts import confidence_words, quantity_name
-from bench.shot.plot_style import COLOURS
+from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import (
     CampaignEntry,
@@ -90,33 +91,29 @@ def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
     )
 
 
-def write_campaign_report(path: Path, record: CampaignRecord, found: Findings) -> None:
+def write_campaign_report(
+    path: Path, record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI
+) -> None:
     """Write the report to `path`, whole or not at all; the same record gives the same bytes.
+
+    `units` are those of the sentences of `found`, too.
 
     Raises:
         BenchError: it cannot be stored.
         ValueError: there are no shots.
     """
-    text = render_campaign_report(record, found)
+    text = render_campaign_report(record, found, units)
     with whole_file(path) as stream:
         stream.write(text.encode())
 
 
-def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
-    """Return the report as HTML."""
+def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI) -> str:
+    """Return the report as HTML, all figures in `units`, as the sentences of `found` are."""
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
     listed, handwork = _listed(record, found), _handwork(record.prompts)
-    filters: dict[str, Callable[..., Any]] = {
-        "number": _number,
-        "signed": _signed,
-        "level": confidence_words,
-        "chance": _chance,
-        "digits": _digits,
-        "zip": zip,
-    }
-    template = page_template("campaign.html.j2", filters)
+    template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
     return template.render(
         title=entry.title,
@@ -127,16 +124,23 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         last=max(times),
         notes=_notes(record.notes),
         time_format="%H:%M:%S" if _one_day(record) else "%Y-%m-%d %H:%M:%S",
-        facts=_facts(record),
+        facts=_facts(record, units),
         standing_words=_standing_words(record.standing),
-        figures=campaign_figures(plan, shots, found.sections),
-        colours=COLOURS,
+        figures=campaign_figures(plan, shots, found, units),
+        marker=marker_svg,
+        quantities=QUANTITIES,
+        quantity_names=QUANTITY_NAMES,
+        places={name: place for place, name in enumerate(levels(plan))},
+        units=units,
+        column_unit=lambda column: display_unit(column, units).unit,
+        nelson=NELSON,
+        least_controls=LEAST_VALUES,
         quantity=quantity_name(as_flown(plan, shots)),
-        unit=UNITS[plan.analysis.quantity],
+        unit=display_unit(plan.analysis.quantity, units).unit,
         confidence=f"{100 * plan.analysis.confidence:g}",
-        beside=_beside,
+        beside=_same_pair,
         decision_rule=DECISION_RULE,
-        mixed_words=_mixed,
+        mixed_pair=_mixed_pair,
         reasons=_reasons(found),
         events=record.events[:_MAX_LINES],
         more_events=max(0, len(record.events) - _MAX_LINES),
@@ -145,18 +149,47 @@ def render_campaign_report(record: CampaignRecord, found: Findings) -> str:
         table=TABLE,
         all_rows=len(shots) <= _ALL_ROWS,
         listed=len(listed),
-        rows=[(shot, [figure_text(q, q.value(shot)) for q in TABLE]) for shot in listed[:_MAX_ROWS]],
+        rows=[(shot, shot_figures(shot, units)) for shot in listed[:_MAX_ROWS]],
         many_clubs=len(plan.design.clubs) > 1,
         many_swings=len(plan.design.swings) > 1,
         sources=_sources(shots),
-        limits=_limits(record),
+        limits=_limits(record, units),
         wear=_wear(record.hits),
         plan_entries=flat({"plan": _plan_shown(entry)}),
         configuration=flat(
             entry.configuration if entry.simulated else without_simulated_balls(entry.configuration)
         ),
-        equipment=_equipment(record),
+        equipment=_equipment(record, units),
     )
+
+
+def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[..., Any]]:
+    """Return the filters of the page; those of figures take the record's values."""
+
+    def number(value: float, digits: int = 2) -> str:
+        return number_text(compared.of(value), digits)
+
+    def signed(value: float, digits: int = 2) -> str:
+        return number_text(compared.of(value), digits, signed=True)
+
+    def column(value: float, name: str, more: int = 1) -> str:
+        return display_unit(name, units).text(value, more)
+
+    return {
+        "number": number,
+        "signed": signed,
+        "plan_size": lambda value: f"{compared.of(value):.4g}",
+        "column": column,
+        "width": lambda value, name, more=1: number_text(
+            value / display_unit(name, units).size, display_unit(name, units).digits + more
+        ),
+        "two": lambda value, name: two_digits(value / display_unit(name, units).size),
+        "area": lambda value: number_text(value / display_unit("carry_m", units).size ** 2, 1),
+        "level": confidence_words,
+        "chance": _chance,
+        "plain": lambda value: number_text(value, 2),
+        "zip": zip,
+    }
 
 
 def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
@@ -182,14 +215,11 @@ def _one_day(record: CampaignRecord) -> bool:
     return len(days) == 1
 
 
-def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
-    entry, plan = record.entry, record.plan
-    air = (
-        _range([s.air_temperature_k - 273.15 for s in record.shots if s.air_temperature_k], 1, "°C"),
-        _range([s.air_pressure_pa / 100 for s in record.shots if s.air_pressure_pa], 0, "hPa"),
-        _range([100 * s.relative_humidity for s in record.shots if s.relative_humidity is not None], 0, "%"),
-    )
+def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
+    entry, plan, air = record.entry, record.plan, air_words(record.shots, units)
     handling = plan.ball_handling
+    warm = display_unit("air_temperature_k", units)
+    tolerance = handling.temperature_tolerance / warm.size
     return [
         ("Campaign", entry.id),
         ("Bench", f"{entry.bench}{', simulated' if entry.simulated else ''}"),
@@ -199,11 +229,11 @@ def _facts(record: CampaignRecord) -> list[tuple[str, str]]:
         ("Carry", carry_words(record.shots) or "none"),
         ("Clubs", ", ".join(plan.design.clubs)),
         ("Swings", ", ".join(plan.design.swings)),
-        ("Air", ", ".join(filter(None, air)) or "not measured"),
+        ("Air", air or "not measured"),
         (
             "Balls",
             f"{handling.samples} of each from no. {handling.first_sample}, at most {handling.hits} hits; "
-            f"{handling.temperature - 273.15:.0f} ± {handling.temperature_tolerance:g} °C for "
+            f"{warm.of(handling.temperature):.0f} ± {tolerance:.2g} {warm.unit} for "
             f"{handling.conditioning_time / 3600:g} h ({_conditioned(record)})",
         ),
     ]
@@ -215,18 +245,27 @@ def _plan_shown(entry: CampaignEntry) -> dict[str, Any]:
     return {key: value for key, value in entry.plan.items() if key not in left_out}
 
 
-def _equipment(record: CampaignRecord) -> list[EquipmentTable]:
+def _equipment(record: CampaignRecord, units: UnitSystem) -> list[EquipmentTable]:
     entry = record.entry
     measured = measured_of(entry.calibrations, f"campaign {entry.id}")
-    return [ball_table(record.plan, measured, simulated=entry.simulated), club_table(record.plan)]
+    return [
+        ball_table(record.plan, measured, simulated=entry.simulated, units=units),
+        club_table(record.plan, units),
+    ]
 
 
-def _range(values: Sequence[float], digits: int, unit: str) -> str:
-    """Return the range of a figure over the campaign; empty if it was not measured."""
-    if not values:
-        return ""
-    low, high = (f"{value:.{digits}f}" for value in (min(values), max(values)))
-    return f"{low}{'' if low == high else f' to {high}'} {unit}"
+def air_words(shots: Sequence[Shot], units: UnitSystem) -> str:
+    """Return the ranges of the air's figures over the `shots`; empty if none was measured."""
+    words = []
+    for column in ("air_temperature_k", "air_pressure_pa", "relative_humidity"):
+        values, unit = (
+            [v for s in shots if (v := getattr(s, column)) is not None],
+            display_unit(column, units),
+        )
+        if values:
+            low, high = unit.text(min(values)), unit.text(max(values))
+            words.append(f"{low}{'' if low == high else f' to {high}'} {unit.unit}")
+    return ", ".join(words)
 
 
 def _conditioned(record: CampaignRecord) -> str:
@@ -256,20 +295,14 @@ def _standing_words(standing: Standing) -> str:
     return f"This campaign is not finished: {standing.state}{reason}. What follows is what was found so far."
 
 
-def _beside(section: SectionAnalysis, pair: Pair) -> str:
-    other = _same_pair(section.beside, pair)
-    return "–" if other is None else _signed(other.difference)
-
-
 def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
     pairs = comparison.pairs if comparison else ()
     return next((p for p in pairs if (p.first, p.second) == (pair.first, pair.second)), None)
 
 
-def _mixed(model: MixedModel, pair: Pair) -> str:
+def _mixed_pair(model: MixedModel, pair: Pair) -> MixedPair | None:
     found = (p for p in model.pairs if (p.first, p.second) == (pair.first, pair.second))
-    other = next(found, None)
-    return "–" if other is None else f"{_signed(other.low)} … {_signed(other.high)}"
+    return next(found, None)
 
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:
@@ -280,9 +313,17 @@ def _reasons(found: Findings) -> list[tuple[str, int]]:
     return total.most_common()
 
 
-def _limits(record: CampaignRecord) -> list[str]:
+def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
     limits = list(LIMITS)
-    s = record.plan.simulation
+    s, fast, far = (
+        record.plan.simulation,
+        display_unit("ball_speed_mps", units),
+        display_unit("carry_m", units),
+    )
+    monitor = (
+        f"launch monitor {fast.of(s.ball_speed):.2g} {fast.unit}, spin {s.spin_rpm:g} rpm, carry "
+        f"{far.of(s.carry):.2g} {far.unit}"
+    )
     if record.entry.simulated and record.entry.real_time:
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
@@ -290,8 +331,7 @@ def _limits(record: CampaignRecord) -> list[str]:
             "The robot swung in real time and its scatter is its own. What the ball does was computed from "
             "the delivery measured by the encoders; on the robot acted its own configuration's ball. From "
             f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
-            f"from hit to hit and {100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} "
-            f"m/s, spin {s.spin_rpm:g} rpm, carry {s.carry:g} m.",
+            f"from hit to hit and {100 * s.sample:g} % from ball to ball, {monitor}.",
         ]
     elif record.entry.simulated:
         limits[:0] = [
@@ -299,15 +339,15 @@ def _limits(record: CampaignRecord) -> list[str]:
             "what the models do, not what balls do.",
             f"From shot to shot differ (standard deviations, assumptions): supply pressure "
             f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
-            f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, spin "
-            f"{s.spin_rpm:g} rpm, carry {s.carry:g} m. Each swing begins from the same armed instant: the "
-            "robot's own scatter from swing to swing is not in it.",
+            f"{100 * s.sample:g} % from ball to ball, {monitor}. Each swing begins from the same "
+            "armed instant: the robot's own scatter from swing to swing is not in it.",
         ]
     if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
         limits.append(
             "Measured carry has a standard uncertainty from its coefficients, common to all shots of a ball: "
-            f"{min(errors):.2f} to {max(errors):.2f} m. It is in the differences of balls and in the "
-            "rules' decisions, not in the intervals of means; more shots do not reduce it."
+            f"{far.of(min(errors)):.2f} to {far.of(max(errors)):.2f} {far.unit}. It is in the "
+            "differences of balls and in the rules' decisions, not in the intervals of means; more shots do "
+            "not reduce it."
         )
     if record.plan.stop.rule != "fixed":
         limits.append(
@@ -341,18 +381,6 @@ def _sources(shots: Sequence[Shot]) -> list[tuple[str, str]]:
         )
         for what in ("delivery", "launch", "carry", "flight")
     ]
-
-
-def _number(value: float) -> str:
-    return f"{value:.2f}".replace("-", "−") if isfinite(value) else "–"
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "−") if isfinite(value) else "–"
-
-
-def _digits(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}".replace("-", "−") if isfinite(value) else "–"
 
 
 def _chance(p: float) -> str:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from bench.campaign.carry import Measured
 from bench.campaign.plan import CampaignPlan
+from bench.campaign.reader_units import UnitSystem, display_unit
 from bench.shot.shot import Shot
 from sim.ball import Ball
 
@@ -34,17 +35,20 @@ class EquipmentTable(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
 
 
-def ball_table(plan: CampaignPlan, measured: Measured, *, simulated: bool) -> EquipmentTable:
+def ball_table(
+    plan: CampaignPlan, measured: Measured, *, simulated: bool, units: UnitSystem = UnitSystem.SI
+) -> EquipmentTable:
     """Return the balls that are hit, with their measured aerodynamics."""
     head = ["ball", "role"]
     if simulated:
-        head += ["mass, g", "diameter, mm", "restitution", "friction", "drag", "lift"]
+        mass, width = display_unit("mass_kg", units), display_unit("diameter_m", units)
+        head += [f"mass, {mass.unit}", f"diameter, {width.unit}", "restitution", "friction", "drag", "lift"]
     head.append("measured aerodynamics")
     rows = []
     for name in plan.ball_names:
         row = [name, "control" if name not in plan.design.balls else "compared"]
         if simulated:
-            row += _simulated_figures(plan.balls.get(name))
+            row += _simulated_figures(plan.balls.get(name), units)
         row.append(measured[name].text if name in measured else "none")
         rows.append(tuple(row))
     caption = "Balls" + (
@@ -55,27 +59,39 @@ def ball_table(plan: CampaignPlan, measured: Measured, *, simulated: bool) -> Eq
     return EquipmentTable(f"{caption}.", tuple(head), tuple(rows))
 
 
-def _simulated_figures(ball: Ball | None) -> list[str]:
+def _simulated_figures(ball: Ball | None, units: UnitSystem) -> list[str]:
     if ball is None:
         return ["–"] * 6
     figures = (ball.restitution_factor, ball.friction, ball.drag_factor, ball.lift_factor)
-    return [f"{1e3 * ball.mass:.2f}", f"{2e3 * ball.radius:.2f}", *(f"{figure:g}" for figure in figures)]
+    sizes = (
+        display_unit("mass_kg", units).text(ball.mass),
+        display_unit("diameter_m", units).text(2 * ball.radius),
+    )
+    return [*sizes, *(f"{figure:g}" for figure in figures)]
 
 
-def club_table(plan: CampaignPlan) -> EquipmentTable:
+def club_table(plan: CampaignPlan, units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
     """Return the clubs."""
+    length, mass = display_unit("length_m", units), display_unit("head_mass_kg", units)
     rows = tuple(
         (
             name,
             f"{degrees(club.loft):.2f}",
             f"{degrees(club.lie):.2f}",
             f"{degrees(club.face_angle):.2f}",
-            f"{club.length_to_face:.4f}",
-            f"{1e3 * club.head_mass:.1f}",
+            length.text(club.length_to_face),
+            mass.text(club.head_mass),
         )
         for name, club in plan.clubs.items()
     )
-    head = ("club", "loft, °", "lie, °", "face angle, °", "length to the face, m", "head mass, g")
+    head = (
+        "club",
+        "loft, °",
+        "lie, °",
+        "face angle, °",
+        f"length to the face, {length.unit}",
+        f"head mass, {mass.unit}",
+    )
     return EquipmentTable("Clubs, as plan and configuration have them.", head, rows)
 
 

@@ -9,8 +9,13 @@ from math import isfinite
 from typing import Any
 
 from bench.campaign.analysis import SectionAnalysis, analyse
+from bench.campaign.control_chart import ControlChart, control_charts
+from bench.campaign.dispersion import DispersionEllipse, dispersion_ellipses
 from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import CampaignPlan
+from bench.campaign.quantities import LevelQuantities, level_quantities
+from bench.campaign.ranking import RankedLevel, ranking
+from bench.campaign.reader_units import UnitSystem
 from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.ruling import RuleFinding, judge_rules
 from bench.campaign.sequence import sections
@@ -23,6 +28,17 @@ SCHEMA = 2
 
 
 @dataclass(frozen=True)
+class SectionViews:
+    """Further views of one section's shots."""
+
+    quantities: tuple[LevelQuantities, ...]
+    """All quantities by level."""
+    ranking: tuple[RankedLevel, ...]
+    dispersion: tuple[DispersionEllipse, ...]
+    control_charts: tuple[ControlChart, ...]
+
+
+@dataclass(frozen=True)
 class Findings:
     """Results of a campaign."""
 
@@ -30,6 +46,8 @@ class Findings:
     by_status: Mapping[str, int]
     sections: tuple[SectionAnalysis, ...]
     mixed: tuple[MixedModel | None, ...]
+    """One for each section."""
+    views: tuple[SectionViews, ...]
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
     """For each section."""
@@ -42,29 +60,43 @@ class Findings:
     rules: tuple[RuleFinding, ...]
 
 
-def findings(plan: CampaignPlan, shots: Sequence[Shot], looks: Sequence[int] | None = None) -> Findings:
-    """Return all figures of the campaign's `shots`.
+def findings(
+    plan: CampaignPlan,
+    shots: Sequence[Shot],
+    looks: Sequence[int] | None = None,
+    units: UnitSystem = UnitSystem.SI,
+) -> Findings:
+    """Return all figures of the campaign's `shots`: numbers in SI, sentences in `units`.
 
     `looks` are the numbers of shots after which results were looked at before; None: not known, then an
     unfinished campaign counts as looked at after each block.
     """
-    analyses, models = [], []
+    analyses, models, views = [], [], []
     named = as_flown(plan, shots)
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]
         analyses.append(analyse(plan, mine, section.number, section.name, looks))
         models.append(mixed_model(plan, mine))
+        views.append(
+            SectionViews(
+                level_quantities(plan, mine),
+                ranking(analyses[-1].confirmatory),
+                dispersion_ellipses(plan, mine),
+                control_charts(plan, mine),
+            )
+        )
     needed = tuple(_needed(plan, analysis) for analysis in analyses)
     return Findings(
         len(shots),
         Counter(str(shot.status) for shot in shots),
         tuple(analyses),
         tuple(models),
-        tuple(section_verdicts(named, *each) for each in zip(analyses, needed, strict=True)),
+        tuple(views),
+        tuple(section_verdicts(named, *each, units) for each in zip(analyses, needed, strict=True)),
         needed,
-        tuple(section_notes(named, *each) for each in zip(analyses, needed, strict=True)),
+        tuple(section_notes(named, *each, units) for each in zip(analyses, needed, strict=True)),
         repeatability(shots),
-        tuple(judge_rules(plan, shots)),
+        tuple(judge_rules(plan, shots, units)),
     )
 
 
@@ -96,8 +128,15 @@ def findings_record(found: Findings) -> dict[str, Any]:
                 "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
                 "notes": list(notes),
             }
-            for analysis, mixed, verdicts, needed, notes in zip(
-                found.sections, found.mixed, found.verdicts, found.needed, found.notes, strict=True
+            | _views_record(views)
+            for analysis, mixed, verdicts, needed, notes, views in zip(
+                found.sections,
+                found.mixed,
+                found.verdicts,
+                found.needed,
+                found.notes,
+                found.views,
+                strict=True,
             )
         ],
         "repeatability": [
@@ -106,6 +145,22 @@ def findings_record(found: Findings) -> dict[str, Any]:
         ],
         "rules": [asdict(rule) for rule in found.rules],
     }
+
+
+def _views_record(views: SectionViews) -> dict[str, Any]:
+    """Return the views for JSON, of a control chart without the shots' own values."""
+    record: dict[str, Any] = _plain(asdict(replace(views, control_charts=())))
+    record["control_charts"] = [
+        {
+            "column": chart.column,
+            "values": len(chart.values),
+            "centre": chart.centre,
+            "deviation": chart.deviation,
+            "signals": {str(signal.rule): list(signal.shots) for signal in chart.signals},
+        }
+        for chart in views.control_charts
+    ]
+    return record
 
 
 def _plain(value: Any) -> Any:

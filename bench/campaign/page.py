@@ -9,48 +9,35 @@ from typing import Any, NamedTuple
 
 import jinja2
 
+from bench.campaign.reader_units import UnitSystem, display_unit
 from bench.shot.shot import Shot
-
-MPH = 0.44704
-YARD = 0.9144
 
 
 class Quantity(NamedTuple):
     """One measured figure as reports show it."""
 
     name: str
-    unit: str
-    digits: int
-    value: Callable[[Shot], float | None]
-
-
-def _column(name: str, scale: float = 1.0) -> Callable[[Shot], float | None]:
-    """Return a function that reads one column of a shot, divided by `scale`."""
-
-    def value(shot: Shot) -> float | None:
-        found: float | None = getattr(shot, name)
-        return None if found is None else found / scale
-
-    return value
+    column: str
 
 
 TABLE = (
-    Quantity("club", "mph", 1, _column("club_speed_mps", MPH)),
-    Quantity("attack", "°", 2, _column("attack_angle_deg")),
-    Quantity("path", "°", 2, _column("club_path_deg")),
-    Quantity("face", "°", 2, _column("face_angle_deg")),
-    Quantity("loft", "°", 2, _column("dynamic_loft_deg")),
-    Quantity("strike x", "mm", 1, _column("strike_x_mm")),
-    Quantity("strike y", "mm", 1, _column("strike_y_mm")),
-    Quantity("ball", "mph", 1, _column("ball_speed_mps", MPH)),
-    Quantity("launch", "°", 2, _column("launch_angle_deg")),
-    Quantity("direction", "°", 2, _column("direction_deg")),
-    Quantity("spin", "rpm", 0, _column("spin_rpm")),
-    Quantity("axis", "°", 2, _column("spin_axis_deg")),
-    Quantity("carry", "yd", 1, _column("carry_m", YARD)),
-    Quantity("total", "yd", 1, _column("total_m", YARD)),
-    Quantity("apex", "yd", 1, _column("apex_m", YARD)),
-    Quantity("landing", "°", 1, _column("landing_angle_deg")),
+    Quantity("club", "club_speed_mps"),
+    Quantity("attack", "attack_angle_deg"),
+    Quantity("path", "club_path_deg"),
+    Quantity("face", "face_angle_deg"),
+    Quantity("loft", "dynamic_loft_deg"),
+    Quantity("strike x", "strike_x_mm"),
+    Quantity("strike y", "strike_y_mm"),
+    Quantity("ball", "ball_speed_mps"),
+    Quantity("launch", "launch_angle_deg"),
+    Quantity("direction", "direction_deg"),
+    Quantity("spin", "spin_rpm"),
+    Quantity("axis", "spin_axis_deg"),
+    Quantity("carry", "carry_m"),
+    Quantity("offline", "carry_side_m"),
+    Quantity("total", "total_m"),
+    Quantity("apex", "apex_m"),
+    Quantity("landing", "landing_angle_deg"),
 )
 
 
@@ -69,12 +56,9 @@ def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = 
     return environment.get_template(name)
 
 
-def figure_text(quantity: Quantity, value: float | None) -> str:
-    """Write a figure with the quantity's digits and a real minus sign."""
-    if value is None:
-        return "–"
-    text = f"{value:.{quantity.digits}f}"
-    return (text.removeprefix("-") if float(text) == 0 else text).replace("-", "−")
+def shot_figures(shot: Shot, units: UnitSystem) -> list[str]:
+    """Return the figures of `TABLE` of a shot as text."""
+    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in TABLE]
 
 
 def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:

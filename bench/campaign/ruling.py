@@ -20,7 +20,8 @@ from scipy import stats
 
 from bench.campaign.looks import share_done
 from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels
-from bench.campaign.rules import RuleSet, rule_on
+from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit
+from bench.campaign.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.sequence import Role, Section, sections
 from bench.shot.shot import Shot, ShotStatus
 
@@ -68,16 +69,35 @@ class RuleFinding:
 
     @property
     def words(self) -> str:
-        """The finding as one sentence without its source."""
+        """The finding as one sentence without its source, in the rule's own unit."""
+        return self.words_in(None)
+
+    def words_in(self, units: UnitSystem | None) -> str:
+        """Return the finding as one sentence; `units` of the reader stand beside the rule's own unit."""
         where = f"section {self.section} ({self.section_name}), " if self.section_name else ""
         head = f"{self.text} ({self.rule}): {where}{self.level}"
         if self.decision is Decision.NOT_JUDGED or self.value is None or self.uncertainty is None:
             return f"{head} – {self.decision}: {self.reason}."
         tail = f" {self.reason}." if self.reason else ""
-        return (
-            f"{head}, {self.value:.1f} ± {self.uncertainty:.1f} {self.unit} (k = {self.coverage:.2f}), "
-            f"at most {self.at_most:.1f} {self.unit} – {self.decision}.{tail}"
+        mean, most, beside = (
+            f"{self.value:.1f} ± {self.uncertainty:.1f} {self.unit}",
+            f"{self.at_most:.1f}",
+            "",
         )
+        if units is not None and (reader := display_unit(_LIKE[self.unit], units)).unit != self.unit:
+            size = UNITS_OF_RULES[self.unit] / reader.size
+            beside = (
+                f" ({size * self.value:.1f} ± {size * self.uncertainty:.1f}, at most "
+                f"{size * self.at_most:.1f} {reader.unit})"
+            )
+        return (
+            f"{head}, {mean} (k = {self.coverage:.2f}), at most {most} {self.unit}{beside} – "
+            f"{self.decision}.{tail}"
+        )
+
+
+_LIKE = {"yd": "carry_m", "ft/s": "ball_speed_mps"}
+"""Quantity of the same kind by the unit of a rule."""
 
 
 class _Mean(NamedTuple):
@@ -95,8 +115,10 @@ class _Unjudged(Exception):
     """A rule does not judge; the text gives the reason."""
 
 
-def judge_rules(plan: CampaignPlan, shots: Sequence[Shot]) -> list[RuleFinding]:
-    """Return what the plan's rules say of each level in each section."""
+def judge_rules(
+    plan: CampaignPlan, shots: Sequence[Shot], units: UnitSystem = UnitSystem.SI
+) -> list[RuleFinding]:
+    """Return what the plan's rules say of each level in each section; reasons have figures in `units`."""
     found: list[RuleFinding] = []
     for section in sections(plan):
         mine = [s for s in shots if s.section == section.number and s.role != Role.WARM_UP]
@@ -107,18 +129,23 @@ def judge_rules(plan: CampaignPlan, shots: Sequence[Shot]) -> list[RuleFinding]:
             rule = rule_on(name, day)
             if rule is not None and rule.name not in seen:
                 seen.add(rule.name)
-                found += _judged(plan, section, rule, mine, day)
+                found += _judged(plan, section, rule, mine, day, units)
     return found
 
 
 def _judged(
-    plan: CampaignPlan, section: Section, rule: RuleSet, shots: Sequence[Shot], day: date
+    plan: CampaignPlan,
+    section: Section,
+    rule: RuleSet,
+    shots: Sequence[Shot],
+    day: date,
+    units: UnitSystem,
 ) -> list[RuleFinding]:
     tests = [s for s in shots if s.role == Role.TEST and s.status is ShotStatus.VALID]
     groups = {name: [s for s in tests if getattr(s, plan.design.compare) == name] for name in levels(plan)}
     if rule.difference:
-        return [_finding(plan, section, rule, shots, day, groups)]
-    return [_finding(plan, section, rule, shots, day, {name: group}) for name, group in groups.items()]
+        return [_finding(plan, section, rule, shots, day, groups, units)]
+    return [_finding(plan, section, rule, shots, day, {name: group}, units) for name, group in groups.items()]
 
 
 def _finding(
@@ -128,6 +155,7 @@ def _finding(
     shots: Sequence[Shot],
     day: date,
     groups: dict[str, list[Shot]],
+    units: UnitSystem,
 ) -> RuleFinding:
     """Return the finding on one level, or on the difference of several."""
     value = uncertainty = coverage = None
@@ -137,7 +165,7 @@ def _finding(
         value = _value(rule, means) / rule.scale
         _require_end(plan, shots)
         controls = [s for s in shots if s.role == Role.CONTROL and s.status is ShotStatus.VALID]
-        _require_set_up(rule, plan.set_up, controls)
+        _require_set_up(rule, plan.set_up, controls, units)
         _require_source(rule, [shot for group in groups.values() for shot in group])
         error, freedom = _combined(plan, rule, list(means.values()))
         coverage = float(stats.t.ppf((1 + COVERAGE) / 2, freedom))
@@ -209,7 +237,7 @@ def _require_end(plan: CampaignPlan, shots: Sequence[Shot]) -> None:
         raise _Unjudged(f"the section is not finished, {100 * share:.0f} % of its shots are done")
 
 
-def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot]) -> None:
+def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot], units: UnitSystem) -> None:
     """Raise _Unjudged unless the control ball was launched as the rule's set-up says."""
     if rule.apparatus:
         raise _Unjudged(rule.apparatus)
@@ -219,24 +247,19 @@ def _require_set_up(rule: RuleSet, given: SetUp, controls: Sequence[Shot]) -> No
         raise _Unjudged("no control ball shows that the set-up is the rule's")
     speed = wanted.ball_speed_by(given.control_restitution, given.control_contact_time)
     wrong = []
-    for name, column, unit, middle, window, digits in (
-        ("ball speed", "ball_speed_mps", "m/s", speed, wanted.ball_speed_window, 1),
-        (
-            "launch angle",
-            "launch_angle_deg",
-            "°",
-            degrees(wanted.launch_angle),
-            degrees(wanted.launch_angle_window),
-            1,
-        ),
-        ("spin", "spin_rpm", "rpm", wanted.spin_rpm, wanted.spin_window_rpm, 0),
+    angle = degrees(wanted.launch_angle), degrees(wanted.launch_angle_window)
+    for name, column, middle, window, digits in (
+        ("ball speed", "ball_speed_mps", speed, wanted.ball_speed_window, 1),
+        ("launch angle", "launch_angle_deg", *angle, 1),
+        ("spin", "spin_rpm", wanted.spin_rpm, wanted.spin_window_rpm, 0),
     ):
         values = [value for shot in controls if (value := getattr(shot, column)) is not None]
-        rule_words = f"rule {middle:.{digits}f} ± {window:.{digits}f} {unit}"
+        unit: DisplayUnit = display_unit(column, units)
+        rule_words = f"rule {unit.of(middle):.{digits}f} ± {unit.of(window):.{digits}f} {unit.unit}"
         if not values:
             wrong.append(f"{name} of the control ball not measured, {rule_words}")
         elif abs(float(np.mean(values)) - middle) > window:
-            wrong.append(f"{name} {np.mean(values):.{digits}f} {unit}, {rule_words}")
+            wrong.append(f"{name} {unit.of(float(np.mean(values))):.{digits}f} {unit.unit}, {rule_words}")
     if wrong:
         raise _Unjudged("; ".join(wrong))
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.campaign.analysis import Comparison, Covariates, Pair, SectionAnalysis
-from bench.campaign.page import MPH
 from bench.campaign.plan import FLOWN, CampaignPlan, levels
-from bench.campaign.preview import COVARIATES, UNITS, series_words
+from bench.campaign.preview import COVARIATES, series_words
+from bench.campaign.reader_units import MPH, DisplayUnit, UnitSystem, display_unit
 from bench.campaign.repeatability import Repeatability, successive_scatter
 from bench.campaign.series import SeriesSize, series_needed
 
@@ -57,37 +57,43 @@ Needed = tuple[SeriesSize | None, SeriesSize | None]
 """SeriesSize that finds a difference, and that calls equal levels the same."""
 
 
-def section_verdicts(plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed) -> tuple[Verdict, ...]:
-    """Return one answer for one pair, one for all pairs of more."""
+def section_verdicts(
+    plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed, units: UnitSystem = UnitSystem.SI
+) -> tuple[Verdict, ...]:
+    """Return one answer for one pair, one for all pairs of more, figures in `units`."""
+    unit = display_unit(plan.analysis.quantity, units)
     if len(levels(plan)) < 2:
-        return (_one_level(plan, analysis),)
+        return (_one_level(plan, analysis, unit),)
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         text = "Each needs valid shots in at least two blocks that it shares with another."
         return (Verdict(False, f"Too few valid shots to compare {plan.design.compare}s.", text),)
     if len(comparison.pairs) == 1:
-        return (_pair(plan, analysis, comparison, comparison.pairs[0], needed),)
-    return (_all_pairs(plan, analysis, comparison, needed),)
+        return (_pair(plan, analysis, comparison, comparison.pairs[0], needed, unit),)
+    return (_all_pairs(plan, analysis, comparison, needed, unit),)
 
 
-def section_notes(plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed) -> tuple[str, ...]:
+def section_notes(
+    plan: CampaignPlan, analysis: SectionAnalysis, needed: Needed, units: UnitSystem = UnitSystem.SI
+) -> tuple[str, ...]:
     """Return what stands under a section's pairs: its look, its covariates, what more shots would do."""
-    comparison, a, unit = analysis.confirmatory, plan.analysis, UNITS[plan.analysis.quantity]
+    comparison, a = analysis.confirmatory, plan.analysis
+    unit = display_unit(a.quantity, units)
     if comparison is None or not comparison.pairs:
         return ()
     notes = []
     if comparison.covariates is not None:
-        notes.append(_covariate_words(plan, comparison, comparison.covariates, needed[0]))
+        notes.append(_covariate_words(plan, comparison, comparison.covariates, needed[0], unit))
     if needed[0] is not None:
         words = (
-            f"With this scatter {series_words(needed[0])} find a difference of {a.difference:g} {unit} with "
-            f"a chance of {100 * a.power:.0f} %"
+            f"With this scatter {series_words(needed[0])} find a difference of "
+            f"{_size_in(a.difference, unit)} with a chance of {100 * a.power:.0f} %"
         )
         if needed[1] is not None:
-            words += f", {series_words(needed[1])} call equal ones the same within {_margin(plan)}"
+            words += f", {series_words(needed[1])} call equal ones the same within {_margin(plan, unit)}"
         notes.append(f"{words}.")
     else:
-        notes.append(f"With this scatter it takes too many shots to find {a.difference:g} {unit}.")
+        notes.append(f"With this scatter it takes too many shots to find {_size_in(a.difference, unit)}.")
     return tuple(notes)
 
 
@@ -100,45 +106,47 @@ def confidence_words(confidence: float) -> str:
     return f"{100 - error:.{digits}f}".rstrip("0").rstrip(".")
 
 
-def _one_level(plan: CampaignPlan, analysis: SectionAnalysis) -> Verdict:
-    name, unit, level = quantity_name(plan), UNITS[plan.analysis.quantity], analysis.levels[0]
+def _one_level(plan: CampaignPlan, analysis: SectionAnalysis, unit: DisplayUnit) -> Verdict:
+    name, level, of = quantity_name(plan), analysis.levels[0], unit.of
     s, levels_ = level.spread, confidence_words(plan.analysis.confidence)
     if s.n < 2:
         return Verdict(False, f"Too few valid shots to describe {level.name}.", f"{s.n} valid shots.")
     whose = f"with {s.balls} balls" if s.balls > 1 else "with one ball, for which it holds"
     detail = (
-        f"{levels_} % interval of the mean {s.low:.2f} to {s.high:.2f}, of the standard deviation "
-        f"{s.deviation_low:.2f} to {s.deviation_high:.2f} {unit}; {s.n} valid shots {whose}."
+        f"{levels_} % interval of the mean {of(s.low):.2f} to {of(s.high):.2f}, of the standard deviation "
+        f"{of(s.deviation_low):.2f} to {of(s.deviation_high):.2f} {unit.unit}; {s.n} valid shots {whose}."
     )
     if len(analysis.values) > 2:
         found = successive_scatter(np.array(analysis.values), plan.analysis.confidence)
+        low, high, limit = of(found.low), of(found.high), _LIMIT * of(found.deviation)
         detail += (
-            f" Repeatability from shot to shot: standard deviation {found.deviation:.3f} {unit} ({levels_} % "
-            f"interval {found.low:.3f} to {found.high:.3f}); two successive shots differ by less than "
-            f"{_LIMIT * found.deviation:.3f} {unit} 95 times in 100 (repeatability limit, ISO 5725-6)."
+            f" Repeatability from shot to shot: standard deviation {of(found.deviation):.3f} {unit.unit} "
+            f"({levels_} % interval {low:.3f} to {high:.3f}); two successive shots differ by less than "
+            f"{limit:.3f} {unit.unit} 95 times in 100 (repeatability limit, ISO 5725-6)."
         )
     return Verdict(
         True,
-        f"{level.name}: {name} {s.mean:.2f} {unit}, one shot scatters by {s.deviation:.2f} {unit}.",
+        f"{level.name}: {name} {of(s.mean):.2f} {unit.unit}, one shot scatters by {of(s.deviation):.2f} "
+        f"{unit.unit}.",
         f"{detail} One level only: nothing is compared.",
     )
 
 
 def _all_pairs(
-    plan: CampaignPlan, analysis: SectionAnalysis, comparison: Comparison, needed: Needed
+    plan: CampaignPlan, analysis: SectionAnalysis, comparison: Comparison, needed: Needed, unit: DisplayUnit
 ) -> Verdict:
-    name, unit = quantity_name(plan), UNITS[plan.analysis.quantity]
+    name, of = quantity_name(plan), unit.of
     count, pairs = Counter(pair.verdict for pair in comparison.pairs), len(comparison.pairs)
     same, open_ = count["same"] + count["both"], count["open"] + count["not enough shots"]
     things = f"{plan.design.compare}s"
     if same == pairs:
-        headline = f"All {len(levels(plan))} {things} are the same in {name}, within {_margin(plan)}"
+        headline = f"All {len(levels(plan))} {things} are the same in {name}, within {_margin(plan, unit)}"
         if count["both"]:
             headline += f" ({_of(count['both'], pairs)} {_differ(count['both'])}, by less than that)"
     else:
         headline = f"{_of(count['different'], pairs)} {_differ(count['different'])} in {name}"
         if same:
-            headline += f", {same} {'are' if same > 1 else 'is'} the same within {_margin(plan)}"
+            headline += f", {same} {'are' if same > 1 else 'is'} the same within {_margin(plan, unit)}"
         if count["open"]:
             what = "neither different nor the same" if plan.analysis.margin else "not seen to differ"
             headline += f", {count['open']} {'are' if count['open'] > 1 else 'is'} {what}"
@@ -147,13 +155,12 @@ def _all_pairs(
     means = sorted((level.spread.mean, level.name) for level in analysis.levels if level.spread.n)
     (least, last), (most, first) = means[0], means[-1]
     detail = (
-        f"Most has {first}, {most:.2f} {unit}, least {last}, {least:.2f} {unit}. "
+        f"Most has {first}, {of(most):.2f} {unit.unit}, least {last}, {of(least):.2f} {unit.unit}. "
         f"{_size(plan, comparison.pairs)} All pairs together at {confidence_words(comparison.confidence)} %"
     )
     if count["not enough shots"] and needed[0]:
-        detail += (
-            f"; a difference of {plan.analysis.difference:g} {unit} would need {series_words(needed[0])}"
-        )
+        wanted = _size_in(plan.analysis.difference, unit)
+        detail += f"; a difference of {wanted} would need {series_words(needed[0])}"
     detail = f"{detail.rstrip(',')}. {_validity(plan, comparison.pairs)}{_look(analysis)}"
     return Verdict(not open_, f"{headline}.", f"{detail}Every pair is in the table below.")
 
@@ -195,29 +202,37 @@ def _look(analysis: SectionAnalysis) -> str:
 
 
 def _pair(
-    plan: CampaignPlan, analysis: SectionAnalysis, comparison: Comparison, pair: Pair, needed: Needed
+    plan: CampaignPlan,
+    analysis: SectionAnalysis,
+    comparison: Comparison,
+    pair: Pair,
+    needed: Needed,
+    unit: DisplayUnit,
 ) -> Verdict:
-    a, unit, name = plan.analysis, UNITS[plan.analysis.quantity], quantity_name(plan)
+    a, name, of = plan.analysis, quantity_name(plan), unit.of
     between = comparison.ball_deviation
     seen = (
-        f"Difference {pair.first} − {pair.second}: {_signed(pair.difference)} {unit}, "
-        f"{confidence_words(comparison.confidence)} % interval {_signed(pair.low)} to {_signed(pair.high)} "
-        f"{unit}. {_size(plan, [pair])} One shot scatters by {comparison.deviation:.2f} {unit} (SD)"
+        f"Difference {pair.first} − {pair.second}: {_signed(of(pair.difference))} {unit.unit}, "
+        f"{confidence_words(comparison.confidence)} % interval {_signed(of(pair.low))} to "
+        f"{_signed(of(pair.high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
+        f"{of(comparison.deviation):.2f} {unit.unit} (SD)"
     )
-    seen += "" if between is None else f", balls of one model by {between:.2f} {unit}"
+    seen += "" if between is None else f", balls of one model by {of(between):.2f} {unit.unit}"
     match pair.verdict:
         case "different" | "both":
             ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
-            less = f", though by less than {_margin(plan)}" if pair.verdict == "both" else ""
-            headline = f"{ahead} has {abs(pair.difference):.2f} {unit} more {name} than {behind}{less}."
+            less = f", though by less than {_margin(plan, unit)}" if pair.verdict == "both" else ""
+            headline = (
+                f"{ahead} has {abs(of(pair.difference)):.2f} {unit.unit} more {name} than {behind}{less}."
+            )
         case "same":
-            headline = f"{pair.first} and {pair.second} are the same in {name}, within {_margin(plan)}."
+            headline = f"{pair.first} and {pair.second} are the same in {name}, within {_margin(plan, unit)}."
         case "open":
             headline = f"No difference in {name} between {pair.first} and {pair.second} was found."
             if a.margin:
-                headline = f"{headline[:-1]}, nor that they are the same within {_margin(plan)}."
+                headline = f"{headline[:-1]}, nor that they are the same within {_margin(plan, unit)}."
             seen += (
-                f". One of {a.difference:g} {unit} would have been seen with a chance of "
+                f". One of {_size_in(a.difference, unit)} would have been seen with a chance of "
                 f"{100 * pair.power:.0f} %"
             )
         case _:
@@ -226,10 +241,12 @@ def _pair(
             outlook = []
             if different:
                 outlook.append(
-                    f"about {series_words(different)} to find a difference of {a.difference:g} {unit}"
+                    f"about {series_words(different)} to find a difference of {_size_in(a.difference, unit)}"
                 )
             if same:
-                outlook.append(f"about {series_words(same)} to call them the same within {_margin(plan)}")
+                outlook.append(
+                    f"about {series_words(same)} to call them the same within {_margin(plan, unit)}"
+                )
             wanted = " and ".join(outlook) or "too many shots to name"
             seen += f". With this scatter it takes {wanted} ({100 * a.power:.0f} % chance)"
     detail = f"{seen}. {_validity(plan, [pair])}{_look(analysis)}".strip()
@@ -237,9 +254,12 @@ def _pair(
 
 
 def _covariate_words(
-    plan: CampaignPlan, comparison: Comparison, found: Covariates, needed: SeriesSize | None
+    plan: CampaignPlan,
+    comparison: Comparison,
+    found: Covariates,
+    needed: SeriesSize | None,
+    unit: DisplayUnit,
 ) -> str:
-    unit = UNITS[plan.analysis.quantity]
     names = ", ".join(COVARIATES[name] for name in found.names)
     words = f"Corrected by {names}, as planned: it explains {100 * found.share:.0f} % of a shot's variance"
     plain = comparison.deviation / sqrt(max(1 - found.share, 1e-6))
@@ -247,14 +267,19 @@ def _covariate_words(
     if needed is not None and without is not None:
         words += (
             f"; without it {without.shots} valid shots of each, not {needed.shots}, would be needed for "
-            f"{plan.analysis.difference:g} {unit}"
+            f"{_size_in(plan.analysis.difference, unit)}"
         )
     missed = f" {found.missing} valid shots without it are left out." if found.missing else ""
     return f"{words}.{missed}"
 
 
-def _margin(plan: CampaignPlan) -> str:
-    return f"{plan.analysis.margin:g} {UNITS[plan.analysis.quantity]}"
+def _margin(plan: CampaignPlan, unit: DisplayUnit) -> str:
+    return _size_in(plan.analysis.margin, unit)
+
+
+def _size_in(size: float, unit: DisplayUnit) -> str:
+    """Return a size of the plan with its unit."""
+    return f"{unit.of(size):.4g} {unit.unit}" if unit.size != 1 else f"{size:g} {unit.unit}"
 
 
 def _signed(value: float) -> str:

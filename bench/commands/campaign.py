@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from bench.campaign.carry import Measured
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
+    from bench.campaign.reader_units import UnitSystem
     from bench.campaign.runner import RunOutcome
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
@@ -43,6 +44,9 @@ Check = Annotated[
     Path | None,
     typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
 ]
+Units = Annotated[
+    Literal["us", "si"], typer.Option("--units", help="Units of the report: yd and mph, or m and m/s.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
@@ -53,6 +57,7 @@ class Outputs(NamedTuple):
     junit: Path | None
     report: Path | None
     baseline: Sequence[Band]
+    units: UnitSystem
 
 
 @app.command()
@@ -119,6 +124,7 @@ def run(
     junit: Junit = None,
     report_to: ReportTo = None,
     check_: Check = None,
+    units: Units = "si",
     ask: Ask = False,
 ) -> None:
     """Run a campaign on the running bench, or simulated with --sim.
@@ -128,6 +134,7 @@ def run(
     from datetime import UTC, datetime
 
     from bench.campaign.operate import measured_balls, new_entry
+    from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
     plan, configuration = _checked(context, file)
@@ -144,7 +151,14 @@ def run(
             measured=measured,
         )
         store.begin(entry)
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), facts, ask=ask)
+        _run(
+            store,
+            entry,
+            configuration,
+            Outputs(json_, junit, report_to, bands, UnitSystem(units)),
+            facts,
+            ask=ask,
+        )
 
 
 @app.command()
@@ -158,6 +172,7 @@ def resume(
     junit: Junit = None,
     report_to: ReportTo = None,
     check_: Check = None,
+    units: Units = "si",
     ask_: Ask = False,
 ) -> None:
     """Resume a campaign that was paused, stopped, suspended or cut off.
@@ -167,6 +182,7 @@ def resume(
     from bench.campaign.carry import measured_of
     from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
+    from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
     configuration = context.ensure_object(Session).configuration()
@@ -184,7 +200,14 @@ def resume(
             facts = _bench_facts(
                 begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}")
             )
-        _run(store, entry, configuration, Outputs(json_, junit, report_to, bands), facts, ask=ask_)
+        _run(
+            store,
+            entry,
+            configuration,
+            Outputs(json_, junit, report_to, bands, UnitSystem(units)),
+            facts,
+            ask=ask_,
+        )
 
 
 def _bench_facts(plan: CampaignPlan, configuration: Configuration, measured: Measured) -> dict[str, Any]:
@@ -234,11 +257,11 @@ def _run(
             entry, configuration, store, CampaignScreen(entry, plan, bar), asked.is_made, operator, start
         )
     record = load_record(store, entry)
-    found = findings(plan, record.shots, note_look(store, record, "end of a run"))
+    found = findings(plan, record.shots, note_look(store, record, "end of a run"), outputs.units)
     figures = findings_record(found)
     checks = check_baseline(figures, outputs.baseline)
     if outputs.report and record.shots:
-        write_campaign_report(outputs.report, record, found)
+        write_campaign_report(outputs.report, record, found, outputs.units)
     if outputs.junit:
         with whole_file(outputs.junit) as stream:
             stream.write(junit_xml(entry, outcome, record.shots, checks))
@@ -250,12 +273,12 @@ def _run(
             )
         )
     else:
-        _tell(outcome, found, checks)
+        _tell(outcome, found, checks, outputs.units)
     if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
         raise typer.Exit(ExitCode.REFUSED)
 
 
-def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked]) -> None:
+def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:
     """Print how a run ended and what it found."""
     reason = f": {outcome.reason}" if outcome.reason else ""
     typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
@@ -263,7 +286,7 @@ def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked]) -> No
         for verdict in verdicts:
             typer.echo(f"{verdict.headline}\n  {verdict.detail}")
     for rule in found.rules:
-        typer.echo(rule.words)
+        typer.echo(rule.words_in(units))
     for check in checks:
         typer.echo(f"{'holds' if check.holds else 'OUTSIDE'}  {check}")
 
@@ -278,6 +301,7 @@ def report(
             metavar="FILE", help="File to write.", show_default="report.html beside the campaign's records"
         ),
     ] = None,
+    units: Units = "si",
     json_: Annotated[
         bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
     ] = False,
@@ -289,6 +313,7 @@ def report(
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.look_events import note_look
     from bench.campaign.operate import find_campaign
+    from bench.campaign.reader_units import UnitSystem
     from bench.errors import Refused
 
     configuration = context.ensure_object(Session).configuration()
@@ -298,12 +323,12 @@ def report(
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
         looks = note_look(store, record, "report")
-    found = findings(record.plan, record.shots, looks)
+    found = findings(record.plan, record.shots, looks, UnitSystem(units))
     if json_:
         typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
         return
     path = output or configuration.bench.data_dir / "campaigns" / entry.id / "report.html"
-    write_campaign_report(path, record, found)
+    write_campaign_report(path, record, found, UnitSystem(units))
     typer.echo(str(path))
 
 

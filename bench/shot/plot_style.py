@@ -10,11 +10,26 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
+from matplotlib.markers import MarkerStyle
 from matplotlib.text import Text
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-"""Okabe and Ito's colours: safe for colour-blind readers; each ball has its own marker, too."""
-MARKERS = "os^Dvp"
+COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#56B4E9",
+    "#E69F00",
+    "#8700F0",
+    "#691E00",
+    "#000F78",
+    "#A5D278",
+    "#783C69",
+    "#2D0F1E",
+)
+"""Okabe and Ito's six colours, and six more: no two come closer than the closest of the six, whether seen by
+readers with or without a colour deficiency. Each ball has its own marker, too."""
+MARKERS = "os^DvpP<X>*h"
 INK = "#1a1a1a"
 GREY = "#6b7280"
 _WIDTH = 7.4
@@ -45,6 +60,27 @@ STYLE: Any = {
     "path.simplify": True,
     "text.parse_math": False,  # names of balls are plain text, dollar signs included
 }
+
+
+def colour_of(index: int) -> str:
+    """Return the colour of the level at `index`."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def marker_of(index: int) -> str:
+    """Return its marker; no two of 144 levels have both in common."""
+    return MARKERS[(index + index // len(COLOURS)) % len(MARKERS)]
+
+
+def marker_svg(index: int) -> str:
+    """Return colour and marker of the level at `index` as an SVG element in the line of a text."""
+    marker = MarkerStyle(marker_of(index))
+    outlines = marker.get_path().transformed(marker.get_transform()).to_polygons(closed_only=False)
+    shapes = " ".join("M" + "L".join(f"{x:.2f} {-y:.2f}" for x, y in outline) + "Z" for outline in outlines)
+    return (
+        '<svg class="swatch" viewBox="-.62 -.62 1.24 1.24" aria-hidden="true" focusable="false">'
+        f'<path d="{shapes}" fill="{colour_of(index)}"/></svg>'
+    )
 
 
 def to_svg(figure: Figure, name: str) -> str:

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.campaign.findings import Findings
-from bench.campaign.page import MPH, YARD
+from bench.campaign.reader_units import MPH, YARD
 from bench.campaign.verdicts import robot_words
 from bench.commands.progress import progress_bar
 from bench.shot.shot import Shot, ShotStatus

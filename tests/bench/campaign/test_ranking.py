@@ -1,0 +1,62 @@
+"""Letters: two levels share one exactly if their difference was not shown."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.campaign.analysis import analyse
+from bench.campaign.plan_file import load_plan
+from bench.campaign.ranking import compact_letters, ranking
+from bench.config import load_configuration
+from tests.benchmarks.campaign_statistics import Truth, campaign_shots
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_exactly_the_different_pairs_share_no_letter(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    names = [f"ball {n}" for n in range(random.integers(2, 11))]
+    pairs = list(combinations(names, 2))
+    different = {pair for pair in pairs if random.random() < random.uniform(0.1, 0.9)}
+    letters = compact_letters(names, different)
+    assert all(letters.values())
+    for one, two in pairs:
+        assert ((one, two) in different) == (not set(letters[one]) & set(letters[two]))
+
+
+def test_letters_of_a_ranking_are_those_of_the_textbook() -> None:
+    far = [("a", "c"), ("a", "d"), ("b", "d")]
+    assert compact_letters(["a", "b", "c", "d"], far) == {"a": "a", "b": "ab", "c": "bc", "d": "c"}
+    assert compact_letters(["a", "b"], []) == {"a": "a", "b": "a"}
+    assert compact_letters(["a", "b"], [("b", "a")]) == {"a": "a", "b": "b"}
+
+
+def test_many_groups_have_letters_of_their_own() -> None:
+    names = [str(n) for n in range(30)]
+    letters = compact_letters(names, combinations(names, 2))
+    assert len(set(letters.values())) == 30
+    assert letters["26"] == "a'"
+
+
+def test_a_ranking_is_in_order_of_the_model_and_says_how_far_behind() -> None:
+    plan = load_plan(Path("ten-balls"), load_configuration(Path("shipped")))
+    shots = [s for s in campaign_shots(plan, Truth(deviation=1.0, difference=6.0), 1) if s.section == 1]
+    analysis = analyse(plan, shots, 1, "", ())
+    assert analysis.confirmatory is not None
+    found = ranking(analysis.confirmatory)
+    assert [one.rank for one in found] == list(range(1, 11))
+    assert [one.effect for one in found] == sorted((one.effect for one in found), reverse=True)
+    assert sum(one.effect for one in found) == pytest.approx(0, abs=1e-9)
+    assert found[0].behind == 0
+    verdicts = {frozenset((p.first, p.second)): p.verdict for p in analysis.confirmatory.pairs}
+    for one, two in combinations(found, 2):
+        apart = verdicts[frozenset((one.name, two.name))] in {"different", "both"}
+        assert apart == (not set(one.letters) & set(two.letters))
+    for one in found[1:]:
+        assert one.behind == pytest.approx(one.effect - found[0].effect)
+        assert one.behind_low < one.behind < one.behind_high
+        assert one.scatter_letters
+    assert ranking(None) == ()
