@@ -117,7 +117,7 @@ def _either(z: Array, rule: Callable[[Array], NDArray[np.bool_]]) -> NDArray[np.
 def _of(hits: NDArray[np.bool_], wanted: int, window: int) -> NDArray[np.bool_]:
     """Return where a hit is the last of `wanted` among `window` values."""
     total = np.concatenate([np.zeros(window, int), np.cumsum(hits)])
-    return hits & (total[window:] - total[:-window] >= wanted)
+    return np.asarray(hits & (total[window:] - total[:-window] >= wanted))
 
 
 def _run(hits: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:

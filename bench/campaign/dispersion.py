@@ -81,7 +81,7 @@ def _ellipse(name: str, points: Array, ball: Codes, confidence: float) -> Disper
     root = float(np.sqrt(values.prod()))
     # 2 v root / true root is chi-square with 2 (v - 1) degrees of freedom.
     unit, of = pi * factor * 2 * freedom * root, 2 * (freedom - 1)
-    tails = stats.chi2.ppf([(1 + confidence) / 2, (1 - confidence) / 2], of)
+    tails = [float(stats.chi2.ppf(tail, of)) for tail in ((1 + confidence) / 2, (1 - confidence) / 2)]
     return DispersionEllipse(
         name,
         len(points),

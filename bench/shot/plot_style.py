@@ -8,6 +8,7 @@ import warnings
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.markers import MarkerStyle
@@ -76,7 +77,10 @@ def marker_svg(index: int) -> str:
     """Return colour and marker of the level at `index` as an SVG element in the line of a text."""
     marker = MarkerStyle(marker_of(index))
     outlines = marker.get_path().transformed(marker.get_transform()).to_polygons(closed_only=False)
-    shapes = " ".join("M" + "L".join(f"{x:.2f} {-y:.2f}" for x, y in outline) + "Z" for outline in outlines)
+    shapes = " ".join(
+        "M" + "L".join(f"{x:.2f} {-y:.2f}" for x, y in np.asarray(outline, dtype=float)) + "Z"
+        for outline in outlines
+    )
     return (
         '<svg class="swatch" viewBox="-.62 -.62 1.24 1.24" aria-hidden="true" focusable="false">'
         f'<path d="{shapes}" fill="{colour_of(index)}"/></svg>'
