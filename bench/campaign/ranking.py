@@ -1,7 +1,7 @@
 """Ranking of a section's levels with letters: those without a letter in common differ, all pairs together.
 
 Compact letter display by insertion and absorption (Piepho 2004), from the decisions of the confirmatory
-analysis at its familywise level. A shared letter means that no difference was shown; it does not mean equality.
+analysis at its familywise level. A shared letter means that no difference was shown, not equality.
 """
 
 from __future__ import annotations
