@@ -38,6 +38,9 @@ _BEYOND = 0.1
 """rad beyond its travel in which a joint that searches comes to rest before it turns round."""
 _EASE = 0.4
 """Share of the lead that pulls a joint off its stop: a full chamber throws it the harder the more it lags."""
+_LEASH = 1.5
+"""Times the lead by which a joint is held while chambers that fill push it. Then it begins where it is: drawn
+back, it would be thrown, and the wrist would go on swinging above the speed that ends homing."""
 _LONGEST_PUSH = 2.0
 """s for which a joint may rest against its reference anywhere else: dry friction holds it as long as the air
 takes to change sides."""
@@ -77,7 +80,12 @@ def search(s: Any, p: Any, e: Any, indexed: Any, time: float, measured_step: flo
         if indexed[i] == 0:
             s.home_free[i] = 1
         if time < s.air_from:  # a vented robot may still sink while it warns
-            s.reference[i] = s.home_from[i] = s.home_begun[i] = e.angle[i]
+            s.reference[i] = s.home_begun[i] = e.angle[i]
+        if time < s.move_start:
+            leash = _LEASH * p.home_touch_lead[i]
+            s.reference[i] = min(max(s.reference[i], e.angle[i] - leash), e.angle[i] + leash)
+        elif time - measured_step < s.move_start:
+            s.reference[i] = s.home_from[i] = e.angle[i]
     if not (time > s.home_since and measured_step > 0.0):
         return False
     if s.home_turn >= 3:

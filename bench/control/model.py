@@ -12,9 +12,11 @@ jump      each encoder's sample against what the motion so far predicts: steps, 
 effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
           whose scale or time is wrong, a head that came off
 
-A pressure that is ABSENT, or the supply's, leaves out what would need it. A blow is in no prediction: when a
-joint, or its reference, runs into its cushion, or the club's head is at the ball or at the turf at speed, the
-limits of blows hold for a while if they are wider, and efforts are not compared. BRAKE has limits of its own.
+A pressure that is ABSENT, or the supply's, leaves out what would need it. So does an encoder that counts
+from power-up until its index has passed: without a zero a joint has no position, its chambers no volume. A
+blow is in no prediction: when a joint, or its reference, runs into its cushion, or the club's head is at the
+ball or at the turf at speed, the limits of blows hold for a while if they are wider, and efforts are not
+compared. BRAKE has limits of its own.
 All pure, time is an argument.
 """
 
@@ -115,6 +117,7 @@ def observe(
     plant: Any,
     envelope: Any,
     estimator: Any,
+    indexed: Any,
     readings: Any,
     applied: Any,
     reference: Any,
@@ -123,8 +126,8 @@ def observe(
 ) -> None:
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
-    `estimator`, `readings` and `head` (6,) of `head_motion` are this tick's, `reference` (3,) rad is the last
-    one's; `plant` is the machine's PLANT_PARAMETERS.
+    `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
+    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
@@ -142,6 +145,7 @@ def observe(
         whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
         # One missing value must not stay in the observer for ever.
         whole = whole and np.isfinite(m.air[6 + a] + m.air[6 + b])
+        whole = whole and indexed[i] != 0
         if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):
                 m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]
@@ -167,7 +171,9 @@ def observe(
     m.started = True
     _note_blows(m, robot, p, e, reference, step)
     _note_contact(m, envelope[0], head)
-    if fresh:
+    if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
+        m.effort[0] = m.effort[1] = m.effort[2] = 0.0
+    elif fresh:
         _compare_efforts(m, robot, p, e, step)
 
 

@@ -72,6 +72,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             parameters.plant,
             parameters.envelope,
             state.estimator,
+            state.encoder[0].indexed,
             readings,
             s.applied,
             s.reference,

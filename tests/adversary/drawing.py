@@ -10,6 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from bench.lifecycle import Phase, Request, State
+from drivers.base import JOINTS
 from sim.faults import MEANINGS, SIGNALS, Fault, sort_of
 from tests.adversary.player import INPUTS, PERMITS, Player
 from tests.adversary.story import Setup, Step, Story, fault_entry
@@ -79,8 +80,10 @@ def drawn_fault(random: Generator) -> Fault:
                 value *= float(random.choice([-1, 1]))
         elif kind == "intermittent":
             value = round(float(random.uniform(0.02, 1.0)), 3)
-        if kind == "stuck" and sort in ("supply", "vents", "switch"):
+        if kind == "stuck" and sort in ("supply", "vents", "vent", "switch"):
             value = float(random.integers(0, 2))
+        elif kind == "swapped":
+            value = float(random.integers(0, len(JOINTS)))
         if kind == "stuck" and sort in ("valve", "switch") and random.uniform() < 0.4:
             value = float("nan")
         duration = float(random.choice([0.0, 0.01, 0.05, 0.3, 1.0, 5.0, 20.0]))

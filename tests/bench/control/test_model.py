@@ -45,6 +45,7 @@ ROBOT = RobotParameters().record
 ENVELOPE = new_record(ENVELOPE_PARAMETERS)
 ENVELOPE["ground"], ENVELOPE["sole_depth"], ENVELOPE["ball_x"] = -1.62, 0.03, 0.25
 SPEEDS = np.zeros(3)
+INDEXED = np.ones(3, dtype=np.uint8)
 AWAY = np.array([-1.0, 0.5, 0.0, 40.0, 0.0, 0.0])
 """A fast head far from ball and turf."""
 
@@ -182,10 +183,11 @@ def watch(
     step: float = 1e-3,
     valve: float = 0.0,
     head: Any = AWAY,
+    indexed: Any = INDEXED,
 ) -> None:
     for _ in range(ticks):
         applied = np.array([valve, 0.0, 0.0])
-        observe(model[0], ROBOT, PLANT, ENVELOPE, estimator, readings, applied, SPEEDS, head, step)
+        observe(model[0], ROBOT, PLANT, ENVELOPE, estimator, indexed, readings, applied, SPEEDS, head, step)
 
 
 def test_it_settles_and_begins_anew_after_a_stall() -> None:
@@ -327,6 +329,20 @@ def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
     assert model["residual"][0, [0, 1, 4, 5]] == pytest.approx(1e5, rel=0.05)
 
 
+def test_a_joint_whose_zero_is_unknown_has_no_volumes_to_compare_with() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 80)
+    assert model["effort"].all()
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1, indexed=np.array([1, 1, 0], dtype=np.uint8))
+    assert np.isnan(model["residual"][0, 4:]).all()
+    assert model["residual"][0, :4] == pytest.approx(1e5, rel=0.05)
+    assert not model["effort"].any()  # the wrist's angle moves every joint's inertia
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1)
+    assert model["residual"][0, 4:] == pytest.approx(1e5, rel=0.05)
+
+
 def test_without_the_supplys_pressure_no_air_is_compared() -> None:
     model, estimator, readings = still()
     readings["supply_pressure"] = np.nan
@@ -403,13 +419,14 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
         readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
         readings["supply_pressure"] = 8e5
         applied = random.uniform(-1.0, 1.0, 3)
-        observe(one[0], ROBOT, PLANT, ENVELOPE, estimator, readings, applied, SPEEDS, AWAY, 1e-3)
+        observe(one[0], ROBOT, PLANT, ENVELOPE, estimator, INDEXED, readings, applied, SPEEDS, AWAY, 1e-3)
         slow(
             two[0],
             robot,
             plant,
             ENVELOPE.view(np.recarray),
             estimator.view(np.recarray),
+            INDEXED,
             readings.view(np.recarray),
             applied,
             SPEEDS,
