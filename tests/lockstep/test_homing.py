@@ -256,7 +256,8 @@ def test_a_second_homing_searches_again(make_bench: MakeBench) -> None:
     assert len(second) > 0.5 * len(first)
     assert (second["encoder_indexed"] == 0).all(axis=1).any()
     assert second["homed"][-1]
-    assert not second["homed"][second["reaction"] == Reaction.NONE].any()  # before it brakes to rest
+    searching = (second["state"] == State.HOMING) & (second["reaction"] == Reaction.NONE)
+    assert not second["homed"][searching].any()
 
 
 def test_a_homing_after_a_stopped_one_searches_again(make_bench: MakeBench) -> None:
