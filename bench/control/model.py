@@ -142,11 +142,8 @@ def observe(
         _move_spool(m, p, applied[i] - p.centre[i], i)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
-        whole = np.isfinite(r.chamber_pressure[a]) and np.isfinite(r.chamber_pressure[b])
-        # One missing value must not stay in the observer for ever.
-        whole = whole and np.isfinite(m.air[6 + a] + m.air[6 + b])
-        whole = whole and indexed[i] != 0
-        if not (fresh and whole and np.isfinite(r.supply_pressure + position + speed)):
+        known = indexed[i] != 0 and _is_shown(m, r, a) and _is_shown(m, r, b)
+        if not (fresh and known and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):
                 m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]
                 m.since[k], m.residual[k], m.flow[k] = 0.0, np.nan, 0.0
@@ -171,10 +168,15 @@ def observe(
     m.started = True
     _note_blows(m, robot, p, e, reference, step)
     _note_contact(m, envelope[0], head)
-    if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
-        m.effort[0] = m.effort[1] = m.effort[2] = 0.0
-    elif fresh:
-        _compare_efforts(m, robot, p, e, step)
+    if fresh:
+        _compare_efforts(m, robot, p, e, indexed, step)
+
+
+@compiled
+def _is_shown(m: Any, r: Any, k: int) -> bool:
+    """Return whether chamber `k` shows a pressure, and the observer has one to go on from."""
+    # One missing value must not stay in the observer for ever.
+    return bool(np.isfinite(r.chamber_pressure[k]) and np.isfinite(m.air[6 + k]))
 
 
 @compiled
@@ -211,8 +213,14 @@ def _note_contact(m: Any, envelope: Any, head: Any) -> None:
 
 
 @compiled
-def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, step: float) -> None:
-    """Smooth the residual of Kane's equations (N m a joint) on; zero at a cushion, and in a blow for all."""
+def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: float) -> None:
+    """Smooth the residual of Kane's equations (N m a joint) on; zero at a cushion, and in a blow for all.
+
+    Each joint's angle is in the equations of all: zero, too, until all zeros are known.
+    """
+    if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
+        m.effort[0] = m.effort[1] = m.effort[2] = 0.0
+        return
     u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
     a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
     m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
