@@ -30,19 +30,19 @@ from sim.faults import Fault
 from sim.plant import PlantParameters
 from tests.benchmarks.row import Row
 
-BEFORE = {"wrist": 40.0, "right_arm": 30.0}
-"""J"""
+BEFORE = {"wrist": (40.0, 0.12), "right_arm": (30.0, 0.012)}
+"""J, and rad or m of travel."""
 WAYS = {"open": 1.0, "open in reverse": -1.0, "shut": 0.0, "where it stands": float("nan")}
 
 
-def with_cushions(plant: PlantParameters, energies: dict[str, float]) -> PlantParameters:
-    """Return `plant` with the cushions of `energies` (J)."""
-    changed = {name: getattr(plant, name) for name in energies}
+def with_cushions(plant: PlantParameters, cushions: dict[str, tuple[float, float]]) -> PlantParameters:
+    """Return `plant` with `cushions` of these energies (J) and travels (rad, m)."""
+    changed = {name: getattr(plant, name) for name in cushions}
     return replace(
         plant,
         **{
-            name: replace(actuator, stop=replace(actuator.stop, energy=energies[name]))
-            for name, actuator in changed.items()
+            name: replace(actuator, stop=replace(actuator.stop, energy=energy, travel=travel))
+            for (name, actuator), (energy, travel) in zip(changed.items(), cushions.values(), strict=True)
         },
     )
 
