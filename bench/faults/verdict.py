@@ -80,10 +80,11 @@ def judge_case(
 ) -> CaseOutcome:
     """Return the outcome of `run` with `breakage` at `instant`; `healthy` is the undisturbed run."""
     cycles, loads = run.cycles, run.loads
-    after = round(instant.delay / float(limits.plant.parameters.tick))
+    period = float(limits.plant.parameters.tick)
+    after = round(instant.delay / period)
     detected_by, detected, reaction, reacted = _detection(run, healthy, _own_cause(breakage), after)
     change = _change(run, healthy) if not detected_by else ""
-    head_share = loads.peak_head_speed / limits.head_speed
+    head_share = _fastest_head(run, breakage, after, period) / limits.head_speed
     reasons = dangers(run.end(head_share), limits.safety)
     if reasons and not detected_by:
         reasons.append("the record says healthy")
@@ -125,6 +126,18 @@ def judge_case(
         record=f"{final.name}, trip {_trips(cycles, cause)}" + (f", reaction {reaction}" if reaction else ""),
         change=change,
     )
+
+
+def _fastest_head(run: WatchedRun, breakage: Breakage, after: int, period: float) -> float:
+    """Return the speed of the fastest head, m/s; one that comes off flies on with that of its last tick.
+
+    The bare shaft that stays is faster than any head, and carries little: its blow counts at the stops.
+    """
+    lost = [fault.time for fault in breakage.faults if fault.signal == "club head"]
+    if not lost:
+        return run.loads.peak_head_speed
+    until = after + round(min(lost) / period) + 1
+    return float(run.cycles["plant_head_speed"][:until].max(initial=0.0))
 
 
 _EVENT_CAUSES: dict[Event, Cause] = {

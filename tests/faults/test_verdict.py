@@ -1,0 +1,24 @@
+"""A case is judged by what endangers: a head that came off by its own speed, not by the bare shaft's."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from bench.faults.case import Workbench
+from bench.faults.catalogue import Breakage
+from bench.faults.instants import Instant
+from sim.faults import Fault
+
+LOST = Breakage(Fault("club head lost", "club head", "off"))
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
+@pytest.mark.parametrize(("before_ball", "share"), [(42, 0.72), (6, 0.99)], ids=["42 ms", "6 ms"])
+def test_a_lost_head_counts_with_the_speed_it_left_with(
+    workbench: Workbench, before_ball: int, share: float
+) -> None:
+    at = Instant("downswing", workbench.profile.begins[6] - 2 - before_ball)
+    outcome = workbench.run(LOST, at)
+    assert outcome.head_share == pytest.approx(share, abs=0.05)
+    assert outcome.verdict == "safe"
