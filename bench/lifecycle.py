@@ -85,6 +85,7 @@ class Refusal(IntEnum):
     MOVING = 16
     SENSOR = 17
     VENT = 18
+    LOCK = 19
 
 
 REFUSAL_TEXT = {
@@ -104,6 +105,7 @@ REFUSAL_TEXT = {
     Refusal.DEVICE: "the device went passive by itself: reset first",
     Refusal.SENSOR: "a fitted pressure sensor gives no believable value: `golfbench status` names it",
     Refusal.VENT: "a vent does not follow its command: `golfbench status` names it",
+    Refusal.LOCK: "the guard read locked while it was released: check lock and switch, release it again",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
@@ -217,6 +219,12 @@ class Cause(IntEnum):
     SHOULDER_ZERO = 62
     ARM_ZERO = 63
     WRIST_ZERO = 64
+    GUARD_LOCK = 65
+    SUPPLY_VALVE = 66
+    SUPPLY_DECAY = 67
+    SHOULDER_INDEX = 68
+    ARM_INDEX = 69
+    WRIST_INDEX = 70
 
 
 CAUSE_TEXT = {
@@ -285,6 +293,12 @@ CAUSE_TEXT = {
     Cause.SHOULDER_ZERO: "shoulder's end stop is not where encoder R1 says: check its coupling and zero",
     Cause.ARM_ZERO: "right arm's end stop is not where encoder R2 says: check its coupling and zero",
     Cause.WRIST_ZERO: "wrist's end stop is not where encoder R3 says: check its coupling and zero",
+    Cause.GUARD_LOCK: "guard reads locked while it is released or open: check lock and switch",
+    Cause.SUPPLY_VALVE: "the manifold empties too slowly: check supply valve, dump valve and its sensor",
+    Cause.SUPPLY_DECAY: "supply sensor shows less than the manifold can hold: check cable and sensor",
+    Cause.SHOULDER_INDEX: "shoulder encoder R1 had lost counts at its index: check its cable, home again",
+    Cause.ARM_INDEX: "arm encoder R2 had lost counts at its index: check its cable, home again",
+    Cause.WRIST_INDEX: "wrist encoder R3 had lost counts at its index: check its cable, home again",
 }
 """Text for the operator, with the cure where one is known."""
 

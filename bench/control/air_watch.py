@@ -14,12 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause, State
+from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 
 SENSORS = 7
 """Supply first, then the chambers in the order of `drivers.base.CHAMBERS`."""
 VENTS = 2
+FAULTS = (
+    *(Cause(Cause.SUPPLY_SENSOR + k) for k in range(SENSORS)),
+    *(Cause(Cause.VENT_1 + k) for k in range(VENTS)),
+    Cause.SUPPLY_VALVE,
+    Cause.SUPPLY_DECAY,
+    Cause.GUARD_LOCK,
+)
+"""What `air_fault` names, by bit; the manifold by `bench.control.manifold_watch`, the lock by
+`bench.control.lock_watch`."""
 
 DEAD_AFTER = 0.1
 """s without a believable value after which a sensor is dead."""
@@ -41,9 +50,11 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
     """Judge sensors and vents `step` s after the last tick; `exhaust_closed` was commanded in it."""
     r = readings[0]
     passed = min(step, _LONGEST)
+    # Nothing that has been open to the air for so long holds less than the atmosphere.
+    emptied = s.phase == Phase.STANDING and time - s.vent_start > p.vent_time
     for k in range(SENSORS):
         pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
-        if _is_believable(p, pressure):
+        if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
             s.sensor_seen[k], s.sensor_shown[k] = 1, pressure
             s.sensor_doubt[k] = max(s.sensor_doubt[k] - RECOVERY * passed, 0.0)
         elif s.sensor_seen[k] != 0 or not np.isnan(pressure):
@@ -69,19 +80,23 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
 
 @compiled
 def air_cause(s: Any) -> int:
-    """Return the cause that names the first dead sensor or wrong vent, or 0."""
+    """Return the cause that names the first dead sensor, wrong vent or manifold, or 0."""
     for k in range(SENSORS):
         if s.sensor_dead[k] != 0:
             return Cause.SUPPLY_SENSOR + k
     for k in range(VENTS):
         if s.vent_wrong[k] != 0:
             return Cause.VENT_1 + k
+    if s.supply_wrong:
+        return Cause.SUPPLY_VALVE
+    if s.supply_unproven and not s.supply_excused:
+        return Cause.SUPPLY_DECAY
     return 0
 
 
 @compiled
 def air_fault(s: Any) -> int:
-    """Return what fails as bits: the sensors from bit 0, then the vents."""
+    """Return what fails as bits, in the order of FAULTS."""
     bits = 0
     for k in range(SENSORS):
         if s.sensor_dead[k] != 0:
@@ -89,6 +104,12 @@ def air_fault(s: Any) -> int:
     for k in range(VENTS):
         if s.vent_wrong[k] != 0:
             bits |= 1 << (SENSORS + k)
+    if s.supply_wrong:
+        bits |= 1 << (SENSORS + VENTS)
+    if s.supply_unproven:
+        bits |= 2 << (SENSORS + VENTS)
+    if s.lock_wrong:
+        bits |= 4 << (SENSORS + VENTS)
     return bits
 
 

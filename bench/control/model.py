@@ -108,6 +108,11 @@ _NEAR_BALL = (0.08, 0.12)
 """m to either side of the ball, and over the turf: the head's way in a tick and the ball's size."""
 _NEAR_TURF = 0.010
 """m"""
+_BRAKED_HEAD = 1.0
+"""The same in BRAKE, m/s: a stop past the no-return instant may still strike the ball, slowly, and keeps the
+limits of the phase that it began in."""
+_BRAKED_NEAR = 0.15
+"""m to either side of the ball, and over the ground."""
 
 
 @compiled
@@ -122,12 +127,13 @@ def observe(
     applied: Any,
     reference: Any,
     head: Any,
+    braking: bool,
     step: float,
 ) -> None:
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
     `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
-    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS.
+    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS; `braking`: by BRAKE.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
@@ -154,22 +160,27 @@ def observe(
             for k in range(a, b + 1):
                 m.air[6 + k] = max(m.air[6 + k] + 0.5 * step * m.rate[6 + k], 0.1 * p.atmosphere)
         for k in range(a, b + 1):
-            pressure = r.chamber_pressure[k]
-            m.since[k] += step
-            # A sensor may be read less often than the loop runs: only a new value counts.
-            if pressure != m.measured[k]:
-                m.residual[k] = pressure - m.air[6 + k]
-                m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
-                m.measured[k], m.since[k] = pressure, 0.0
-            if np.isfinite(m.residual[k]):
-                # Of a sensor that long showed the same, nothing new is known.
-                lasting = m.residual[k] if m.since[k] <= _MEMORY else 0.0
-                m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
+            _compare_chamber(m, r.chamber_pressure[k], k, step)
     m.started = True
     _note_blows(m, robot, p, e, reference, step)
-    _note_contact(m, envelope[0], head)
+    _note_contact(m, envelope[0], head, braking)
     if fresh:
         _compare_efforts(m, robot, p, e, indexed, step)
+
+
+@compiled
+def _compare_chamber(m: Any, pressure: float, k: int, step: float) -> None:
+    """Set chamber `k`'s residuals by the `pressure` (Pa) that its sensor shows; draw the observer to it."""
+    m.since[k] += step
+    # A sensor may be read less often than the loop runs: only a new value counts.
+    if pressure != m.measured[k]:
+        m.residual[k] = pressure - m.air[6 + k]
+        m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
+        m.measured[k], m.since[k] = pressure, 0.0
+    if np.isfinite(m.residual[k]):
+        # Of a sensor that long showed the same, nothing new is known.
+        lasting = m.residual[k] if m.since[k] <= _MEMORY else 0.0
+        m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
 
 
 @compiled
@@ -203,12 +214,15 @@ def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float)
 
 
 @compiled
-def _note_contact(m: Any, envelope: Any, head: Any) -> None:
+def _note_contact(m: Any, envelope: Any, head: Any, braking: bool) -> None:
     """Notice a head that is at the ball or at the turf at speed."""
-    over_turf = head[1] - envelope.sole_depth - envelope.ground
-    at_ball = abs(head[0] - envelope.ball_x) < _NEAR_BALL[0] and over_turf < _NEAR_BALL[1]
-    fast = head[3] * head[3] + head[4] * head[4] > _FAST_HEAD * _FAST_HEAD
-    if fast and (at_ball or over_turf < _NEAR_TURF):
+    along, above = abs(head[0] - envelope.ball_x), head[1] - envelope.ground
+    over_turf = above - envelope.sole_depth
+    square = head[3] * head[3] + head[4] * head[4]
+    at_ball = along < _NEAR_BALL[0] and over_turf < _NEAR_BALL[1]
+    if square > _FAST_HEAD * _FAST_HEAD and (at_ball or over_turf < _NEAR_TURF):
+        m.blow = _BLOW
+    if braking and square > _BRAKED_HEAD * _BRAKED_HEAD and max(along, above) <= _BRAKED_NEAR:
         m.blow = _BLOW
 
 

@@ -44,6 +44,7 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
 def _reset(s: Any, parameters: Any, time: float) -> None:
     if change_state(s, parameters, State.READY if s.homed else State.SAFE, time):
         s.cause = s.latest_cause = 0
+        s.supply_excused = s.supply_unproven
         s.emergency = False
         s.reaction, s.reset_pressed, s.stopped_at = Reaction.NONE, -np.inf, -np.inf
 

@@ -55,6 +55,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("vent_delay", "f8"),
         ("lowest_pressure", "f8"),
         ("highest_pressure", "f8"),
+        ("rest_pressure", "f8"),
         ("local_reset", "?"),
         ("local_reset_time", "f8"),
         ("series", "?"),
@@ -167,6 +168,19 @@ CONTROL_STATE = np.dtype(
         ("vent_fitted", "u1", (2,)),
         ("vent_agreed", "f8", (2,)),
         ("vent_wrong", "u1", (2,)),
+        ("supply_shut", "f8"),
+        ("supply_from", "f8"),
+        ("supply_slow", "f8"),
+        ("supply_fast", "f8"),
+        ("supply_before", "f8"),
+        ("supply_late", "f8"),
+        ("supply_early", "f8"),
+        ("supply_wrong", "?"),
+        ("supply_unproven", "?"),
+        ("supply_excused", "?"),
+        ("lock_agreed", "f8"),
+        ("lock_wrong", "?"),
+        ("index_wrong", "i4"),
     ],
     align=True,
 )
@@ -184,6 +198,12 @@ turn looks for its stop, `home_pushed` and `home_at` since when and where it pre
 `sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
 such value (Pa), for how long it has been in doubt (s), whether it is dead; whether a vent has feedback, when
 it last agreed with its command (s), whether it is wrong.
+`supply_…` are those of `bench.control.manifold_watch`: time since the supply was shut (s), the pressure then,
+the two bounds and the last reading (Pa), for how long the bounds have been broken (s), whether the manifold
+empties too slowly, whether its sensor has to prove itself at the next venting, whether a reset has taken
+notice of that. `lock_agreed` is when the guard's lock last agreed with its command (s), `lock_wrong` that it
+did not and has not been seen to since. `index_wrong` is the cause that names an encoder whose count was wrong
+when its index passed, or 0.
 `lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
 did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
 ESTOP; `air` that the supply is on."""

@@ -86,6 +86,20 @@ def _not_vented(p: Any, s: Any, readings: Any) -> int:
 
 
 @compiled
+def _failing(s: Any, request: int) -> int:
+    """Return the refusal of `request` for a lock, sensor, vent or manifold that fails, or 0."""
+    cause = air_cause(s)
+    if s.lock_wrong:
+        return Refusal.LOCK.value
+    # A sensor that fell too fast proves itself at the next venting, which takes a reset and air.
+    if cause == 0 or (request == Request.RESET and cause == Cause.SUPPLY_DECAY):
+        return 0
+    if cause in (Cause.VENT_1, Cause.VENT_2):
+        return Refusal.VENT.value
+    return Refusal.MANIFOLD.value if cause == Cause.SUPPLY_VALVE else Refusal.SENSOR.value
+
+
+@compiled
 def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
@@ -107,6 +121,8 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if request == Request.ACCESS:
         if interlock_cause(readings) == Cause.EMERGENCY_STOP:
             return Refusal.EMERGENCY_STOP
+        if s.supply_unproven:
+            return Refusal.SENSOR
         return Refusal.NONE if s.vented else _not_vented(p, s, readings)
     if request == Request.SECURE:
         if not readings[0].guard_closed:
@@ -120,9 +136,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return Refusal.READINGS
         if not s.supervisor_alive:
             return Refusal.SUPERVISOR
-        failing = air_cause(s)
+        failing = _failing(s, request)
         if failing != 0:
-            return Refusal.VENT if failing >= Cause.VENT_1 else Refusal.SENSOR
+            return failing
         if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
             return Refusal.STOPPED
         # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.

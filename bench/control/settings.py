@@ -510,6 +510,8 @@ def _control_record(
     record["vent_delay"] = plant.supply.vent_delay
     # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.
     record["lowest_pressure"] = 0.1 * plant.supply.atmosphere
+    # Weather, height and a sensor's tolerance stay above it.
+    record["rest_pressure"] = plant.supply.atmosphere - 0.25e5
     record["highest_pressure"] = 2.0 * max(actuator.pressure_rating for actuator in plant.actuators)
     record["reactions"], record["accepted"] = reaction_table(), accepted_table()
     record["transitions"] = transition_table()

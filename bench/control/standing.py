@@ -12,7 +12,9 @@ from bench.control.air_watch import (
     emptiness_is_proven,
     manifold_shows_pressure,
 )
+from bench.control.encoder_watch import resting_jump
 from bench.control.homing import begin_search
+from bench.control.lock_watch import lock_is_late
 from bench.control.model import model_cause
 from bench.control.requests import is_released, manifold_is_full
 from bench.control.states import change_state, disarm, is_calm, latch, resting_state
@@ -57,6 +59,8 @@ def _name_trapped(s: Any, trapped: int) -> None:
         s.cause = s.latest_cause = trapped
     elif trapped == 0 and air_cause(s) != 0:
         s.latest_cause = air_cause(s)
+    elif trapped == 0 and s.lock_wrong and s.cause != Cause.GUARD_LOCK:
+        s.latest_cause = Cause.GUARD_LOCK
 
 
 @compiled
@@ -109,6 +113,8 @@ def _watch_access(s: Any, parameters: Any, readings: Any, interlock: int, time: 
     """Latch pressure that comes back while the guard is released; end ACCESS once it is seen locked."""
     if not s.vented:
         latch(s, parameters, _cause_in_access(parameters.control[0], s, readings), time)
+    elif lock_is_late(s, time):
+        latch(s, parameters, Cause.GUARD_LOCK, time)
     elif s.securing and interlock == 0:
         s.securing = s.entered = False
         change_state(s, parameters, resting_state(s), time)
@@ -124,6 +130,8 @@ def watch_standing(
     s, p = state.control[0], parameters.control[0]
     trapped = _watch_vent(p, s, state.estimator[0], readings, time)
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
+    if jumped == 0:
+        jumped = int(s.index_wrong) if s.index_wrong != 0 else resting_jump(state.estimator[0])
     _forget_lost_index(s, readings)
     if s.state == State.STARTING:
         if s.warm:

@@ -140,6 +140,8 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
         Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
     )
     s.distrusted = s.distrusted or column == LOST or misfit
+    if Cause.SHOULDER_INDEX <= cause <= Cause.WRIST_INDEX:
+        s.homed = False
     if s.cause == 0:
         s.cause = cause
     if begin_reaction(s, parameters, p.reactions[s.phase, column], time) and s.reaction == Reaction.VENT:

@@ -16,10 +16,13 @@ from bench.control.air import observe_air
 from bench.control.air_watch import VENTS, air_fault, watch_air
 from bench.control.braking import brake, brake_blind, wait_passive
 from bench.control.encoder import decode_encoders
+from bench.control.encoder_watch import index_cause
 from bench.control.envelope import interlock_cause, limit, readings_cause
 from bench.control.estimator import estimate
 from bench.control.feed_forward import PNEUMATIC
 from bench.control.homing import bounded
+from bench.control.lock_watch import watch_lock
+from bench.control.manifold_watch import watch_manifold
 from bench.control.model import observe
 from bench.control.motion import follow
 from bench.control.orders import carry_out
@@ -77,6 +80,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             s.applied,
             s.reference,
             s.head,
+            s.reaction == Reaction.BRAKE,
             elapsed,
         )
     if parameters.control[0].feed_forward == PNEUMATIC:
@@ -90,12 +94,23 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             elapsed,
             s.phase != Phase.IMPACT,
         )
-    watch_air(s, parameters.control[0], readings, state.model[0].exhaust_closed, elapsed, time)
+    _watch_inputs(state, parameters, readings, elapsed, time)
     s.lost = readings_cause(parameters.envelope, state.estimator)
     _note_lost_index(s, readings)
     s.seen = s.seen or s.lost == 0
     note_calm(s, parameters.control[0], e, elapsed)
     _note_impact(parameters.control[0], s)
+
+
+@compiled
+def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, time: float) -> None:
+    """Judge sensors, vents, manifold, guard's lock and index `elapsed` s after the last tick."""
+    s, p = state.control[0], parameters.control[0]
+    powered = state.model[0].exhaust_closed
+    watch_air(s, p, readings, powered, elapsed, time)
+    watch_manifold(s, p, parameters.plant[0], readings, powered, elapsed)
+    watch_lock(s, readings, is_released(s), time)
+    s.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
 
 @compiled

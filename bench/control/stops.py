@@ -24,13 +24,6 @@ from bench.lifecycle import (
 )
 from drivers.base.compiled import compiled
 
-_AROUND_BALL = 0.15
-"""m around the ball and above the ground within which the head may strike."""
-_STRIKING = 1.0
-"""m/s from which on it is felt in the joints."""
-_STRIKE = 0.030
-"""s for which a strike shakes all joints, as a blow of a cushion does."""
-
 
 @compiled
 def table_column(cause: int) -> int:
@@ -73,6 +66,8 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
             react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
         elif air_cause(s) != 0:
             react(state, parameters, air_cause(s), TRUSTED, time)
+        elif s.index_wrong != 0:
+            react(state, parameters, int(s.index_wrong), TRUSTED, time)  # from here on the count is right
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
             _watch_braking(state, parameters, time)
@@ -91,23 +86,12 @@ def _watch_braking(state: Any, parameters: Any, time: float) -> None:
     """
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
-        if _may_strike(parameters.envelope[0], s.head):
-            # A stop past the no-return instant may still strike the ball, and keeps the phase it began in.
-            state.model[0].blow = max(state.model[0].blow, _STRIKE)
         # The estimated velocity as reference: a brake has none.
         broken = model_cause(parameters.model, state.model[0], state.estimator, e.velocity, BRAKING + s.phase)
         if broken != 0:
             if table_column(broken) == LOST:
                 _note_doubted(s, parameters.model[0], e, broken)
             react(state, parameters, broken, table_column(broken), time)
-
-
-@compiled
-def _may_strike(envelope: Any, head: Any) -> bool:
-    """Return whether the club's head is where it may strike a ball or what carries it, and fast."""
-    along, above = head[0] - envelope.ball_x, head[1] - envelope.ground
-    fast = head[3] * head[3] + head[4] * head[4] > _STRIKING * _STRIKING
-    return bool(fast and abs(along) <= _AROUND_BALL and above <= _AROUND_BALL)
 
 
 @compiled

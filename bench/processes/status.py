@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench.control.air_watch import SENSORS, VENTS
+from bench.control.air_watch import FAULTS
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.network.bench_service import (
     STATUS_VERSION,
@@ -89,9 +89,7 @@ def _cause(cause: Cause) -> CauseStatus | None:
 
 def _air_faults(bits: int) -> list[Cause]:
     """Return the causes in `bits`, as `bench.control.air_watch.air_fault` has them."""
-    order = [Cause(Cause.SUPPLY_SENSOR + k) for k in range(SENSORS)]
-    order += [Cause(Cause.VENT_1 + k) for k in range(VENTS)]
-    return [fault for k, fault in enumerate(order) if bits >> k & 1]
+    return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]
 
 
 def _number(value: float) -> float | None:

@@ -58,6 +58,19 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "vent_fitted",
             "vent_agreed",
             "vent_wrong",
+            "supply_shut",
+            "supply_from",
+            "supply_slow",
+            "supply_fast",
+            "supply_before",
+            "supply_late",
+            "supply_early",
+            "supply_wrong",
+            "supply_unproven",
+            "supply_excused",
+            "lock_agreed",
+            "lock_wrong",
+            "index_wrong",
         }
     )
 }

@@ -8,6 +8,8 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from bench.control.settings import SIMULATED, HomingSettings
 from bench.lifecycle import (
     Answer,
@@ -137,7 +139,9 @@ def press(puppet: Puppet) -> None:
 def on_the_way(**settings: Any) -> Puppet:
     """Return a bench that moves to its address with air on."""
     puppet = reach(State.READY, **settings)
-    puppet.angle = ADDRESS + [0.1, 0.02, -0.1]
+    for part in range(1, 101):
+        puppet.angle = ADDRESS + part / 100 * np.array([0.1, 0.02, -0.1])
+        puppet.tick()
     puppet.run(100)
     assert asked(puppet, Request.ARM) is Refusal.NONE
     puppet.run(60)

@@ -79,7 +79,9 @@ class Puppet:
         read_only: bool = False,
     ) -> None:
         """Stand at the profile's address, which is also where the vented robot hangs."""
+        # A manifold that is empty within a tick.
         plant = replace(PlantParameters(), tick=tick)
+        plant = replace(plant, supply=replace(plant.supply, volume=1e-5))
         self.parameters = build_controller(
             plant, profile, control, UNMODELLED, lifecycle=lifecycle, homing=homing, read_only=read_only
         )

@@ -187,7 +187,9 @@ def watch(
 ) -> None:
     for _ in range(ticks):
         applied = np.array([valve, 0.0, 0.0])
-        observe(model[0], ROBOT, PLANT, ENVELOPE, estimator, indexed, readings, applied, SPEEDS, head, step)
+        observe(
+            model[0], ROBOT, PLANT, ENVELOPE, estimator, indexed, readings, applied, SPEEDS, head, False, step
+        )
 
 
 def test_it_settles_and_begins_anew_after_a_stall() -> None:
@@ -350,6 +352,65 @@ def test_without_the_supplys_pressure_no_air_is_compared() -> None:
     assert np.isnan(model["residual"]).all()
 
 
+@pytest.mark.parametrize("joint", range(3))
+def test_an_observer_that_met_nan_once_begins_again(joint: int) -> None:
+    model, estimator, readings = still()
+
+    def run(ticks: int) -> None:
+        for _ in range(ticks):
+            readings["chamber_pressure"] += 1.0  # only a new value counts
+            watch(model, estimator, readings, 1)
+
+    run(60)
+    for spoilt, name in ((readings, "chamber_pressure"), (estimator, "angle"), (model, "air")):
+        before = spoilt[name].copy()
+        place = 6 + 2 * joint if name == "air" else 2 * joint if name == "chamber_pressure" else joint
+        spoilt[name][0, place] = np.nan
+        run(1)
+        spoilt[name] = before
+        run(60)
+        assert np.isfinite(model["air"]).all(), name
+        assert np.isfinite(model["residual"]).all(), name
+        readings["chamber_pressure"][0, 2 * joint] += 5e4
+        run(1)
+        assert abs(model["residual"][0, 2 * joint]) > 2e4, name  # it is seen again
+        readings["chamber_pressure"][0, 2 * joint] -= 5e4
+        run(60)
+
+
+@pytest.mark.parametrize(
+    ("along", "above", "speed", "braking", "blow"),
+    [
+        (0.14, 0.14, 1.1, True, 0.03),
+        (0.14, 0.14, 1.1, False, 0.0),
+        (0.14, 0.14, 0.9, True, 0.0),
+        (0.16, 0.14, 1.1, True, 0.0),
+        (0.14, 0.16, 1.1, True, 0.0),
+    ],
+)
+def test_a_braked_head_may_strike_more_slowly(
+    along: float, above: float, speed: float, braking: bool, blow: float
+) -> None:
+    model, estimator, readings = still()
+    head = np.array([0.25 + along, -1.62 + above, 0.0, speed, 0.0, 0.0])
+    for _ in range(2):
+        observe(
+            model[0],
+            ROBOT,
+            PLANT,
+            ENVELOPE,
+            estimator,
+            INDEXED,
+            readings,
+            np.zeros(3),
+            SPEEDS,
+            head,
+            braking,
+            1e-3,
+        )
+    assert model["blow"][0] == blow
+
+
 def test_a_valve_that_is_told_to_open_fills_its_chamber_in_the_model() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 5)
@@ -419,7 +480,9 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
         readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
         readings["supply_pressure"] = 8e5
         applied = random.uniform(-1.0, 1.0, 3)
-        observe(one[0], ROBOT, PLANT, ENVELOPE, estimator, INDEXED, readings, applied, SPEEDS, AWAY, 1e-3)
+        observe(
+            one[0], ROBOT, PLANT, ENVELOPE, estimator, INDEXED, readings, applied, SPEEDS, AWAY, False, 1e-3
+        )
         slow(
             two[0],
             robot,
@@ -431,6 +494,7 @@ def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Cal
             applied,
             SPEEDS,
             AWAY,
+            False,
             1e-3,
         )
     for name in MODEL_STATE.names or ():

@@ -353,7 +353,7 @@ def test_a_clock_that_runs_backwards_stops_the_swing_within_the_tables(back: flo
 
 
 def _guard(puppet: Puppet) -> None:
-    puppet.readings["guard_closed"] = False
+    puppet.give(guard_closed=False, guard_locked=False)
 
 
 def _lost(puppet: Puppet) -> None:

@@ -1,0 +1,38 @@
+"""Watch over the guard's lock: its feedback must follow the command.
+
+A released lock reads unlocked within a second, whether the guard is opened or not. Feedback that goes on
+reading locked, or reads locked beside an open guard, proves nothing afterwards: the robot would move behind a
+guard that may be unlocked. It counts again once it has been seen unlocked, as after a repair or at the next
+release.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from drivers.base.compiled import compiled
+
+UNLOCKING = 1.0
+"""s that the lock and its switch may take to follow: a bolt under load lets go when the guard is pushed."""
+
+
+@compiled
+def watch_lock(s: Any, readings: Any, released: bool, time: float) -> None:
+    """Compare the lock's feedback with the command; `released` was commanded in the last tick.
+
+    A device that went passive locks the guard by itself.
+    """
+    r = readings[0]
+    wrong = r.guard_locked and ((released and s.device_operational) or not r.guard_closed)
+    if not wrong or s.tick <= 1:
+        s.lock_agreed = time
+    if not r.guard_locked:
+        s.lock_wrong = False
+    elif lock_is_late(s, time):
+        s.lock_wrong = True
+
+
+@compiled
+def lock_is_late(s: Any, time: float) -> bool:
+    """Return whether the lock's feedback contradicts command or guard, for too long."""
+    return bool(time - s.lock_agreed > UNLOCKING)

@@ -1,0 +1,99 @@
+"""Watch over the supply manifold: its pressure must fall once the supply is shut, and not faster than it can.
+
+Two bounds, by ISO 6358, with the assumed manifold and dump valve:
+
+- With the supply shut, one falls from the pressure at which it was shut, through a dump valve that passes a
+  quarter of the assumed flow. Above it the supply valve did not shut, the dump valve did not open, or the
+  sensor is frozen.
+- In any tick, one falls from the highest reading, through a dump valve that passes three times as much.
+  Below it the sensor is wrong: no manifold empties like that. Its value then is no proof that the manifold is
+  empty, until a later venting was seen to take its time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from drivers.base.compiled import compiled
+from sim.pneumatics import flow
+
+SLOWEST, FASTEST = 0.25, 3.0
+"""Shares of the assumed dump valve's flow: silencers clog, and spools that still are open take air, too."""
+SHUTTING = 0.3
+"""s that the supply valve may take to shut."""
+MARGIN = 0.3e5
+"""Pa between a bound and a violation: noise, and samples as old as a message."""
+LATE, EARLY = 0.1, 0.02
+"""s above and below the bounds that are believed."""
+PROOF_FROM = 3e5
+"""Pa from which on a venting that takes its time proves the sensor."""
+PROOF_TIME = 1.5
+"""s from the shutting until a venting is over."""
+_CHOKED = 0.3
+"""Critical pressure ratio of the dump valve."""
+_LONGEST = 0.02
+"""s; a longer tick does not show how fast the pressure fell."""
+
+
+@compiled
+def watch_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, step: float) -> None:
+    """Judge the manifold's sensor `step` s after the last tick, in which the supply was `powered`.
+
+    `plant` is one of PLANT_PARAMETERS.
+    """
+    shown = readings[0].supply_pressure
+    known = bool(p.lowest_pressure <= shown <= p.highest_pressure)  # False with NaN
+    fell_too_fast = _is_too_low(s, plant, shown, known, step)
+    if powered or s.tick <= 1:
+        s.supply_late = s.supply_shut = 0.0
+        s.supply_wrong = False
+        if known:
+            s.supply_from = s.supply_slow = shown
+        if s.tick <= 1:  # unknown before
+            s.supply_from, s.supply_slow = plant.atmosphere, plant.regulated
+    else:
+        s.supply_shut += step
+        if s.supply_shut > SHUTTING:
+            s.supply_slow = _fallen(plant, s.supply_slow, SLOWEST, step)
+        elif known:
+            s.supply_slow = max(s.supply_slow, shown)
+    if not known:
+        return
+    above = not powered and shown > max(s.supply_slow + MARGIN, p.vented_pressure)
+    s.supply_late = min(s.supply_late + step, LATE) if above else 0.0
+    s.supply_wrong = s.supply_late >= LATE
+    if fell_too_fast:
+        s.supply_unproven, s.supply_excused, s.supply_from = True, False, plant.atmosphere
+    elif s.supply_shut > PROOF_TIME and s.supply_from > PROOF_FROM and not above:
+        s.supply_unproven = False
+
+
+@compiled
+def _is_too_low(s: Any, plant: Any, shown: float, known: bool, step: float) -> bool:
+    """Return whether the pressure `shown` is lower than the manifold's can be after the readings so far.
+
+    Inputs that did not arrive keep their values, and a stalled loop saw none: no fall is judged across that.
+    """
+    bound = _fallen(plant, s.supply_fast, FASTEST, step)
+    if not known:
+        s.supply_fast = bound
+        return False
+    if s.lost != 0 or not s.device_operational or step > _LONGEST:
+        bound = -np.inf
+    # One reading that is too high is no pressure to fall from.
+    s.supply_fast = max(bound, min(shown, s.supply_before))
+    s.supply_before = shown
+    s.supply_early = s.supply_early + step if shown < bound - MARGIN else 0.0
+    return bool(s.supply_early >= EARLY)
+
+
+@compiled
+def _fallen(plant: Any, pressure: float, share: float, step: float) -> float:
+    """Return `pressure` (Pa) after `step` s through `share` of the dump valve; never below the atmosphere."""
+    if not pressure > plant.atmosphere:
+        return pressure
+    out = flow(share * plant.dump_conductance, pressure, plant.atmosphere, _CHOKED)
+    fallen: float = max(pressure - step * plant.exponent / plant.manifold * out, plant.atmosphere)
+    return fallen

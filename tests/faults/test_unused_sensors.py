@@ -1,0 +1,67 @@
+"""Sensors that read as fine: feedback that does not follow, and a manifold that does not empty as it must."""
+
+from __future__ import annotations
+
+from math import nan
+
+import numba
+import pytest
+
+from bench.faults.case import Workbench
+from bench.faults.catalogue import Breakage, Event
+from bench.faults.instants import Instant
+from sim.faults import Fault, Kind
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+HOLD, BEFORE, INSIDE = Instant("hold", 0), Instant("access", 0, "before"), Instant("access", 0, "inside")
+
+
+def run(
+    workbench: Workbench, signal: str, kind: Kind, value: float, instant: Instant, event: Event = ""
+) -> tuple[str, str, int]:
+    """Return verdict, detection and its ticks of one fault."""
+    family = "access" if instant.phase == "access" else "one fault"
+    breakage = Breakage(Fault(f"{signal} {kind}", signal, kind, value), event, family)  # type: ignore[arg-type]
+    case = workbench.run(breakage, instant)
+    return case.verdict, case.detected_by, case.detection_ticks
+
+
+@pytest.mark.parametrize("instant", [BEFORE, INSIDE], ids=lambda instant: instant.label)
+def test_a_lock_that_reads_locked_while_the_guard_is_released_is_named(
+    workbench: Workbench, instant: Instant
+) -> None:
+    verdict, found, _ = run(workbench, "guard locked", "stuck", 1.0, instant)
+    assert (verdict, found) == ("safe", "GUARD_LOCK")
+
+
+def test_a_supply_valve_that_stays_open_is_named_within_a_second_of_the_venting(workbench: Workbench) -> None:
+    verdict, found, _ = run(workbench, "supply", "stuck", 1.0, BEFORE)
+    assert (verdict, found) == ("safe", "SUPPLY_VALVE")
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "named"),
+    [
+        ("stuck", nan, {"SUPPLY_VALVE"}),
+        ("stuck", 1e5, {"SUPPLY_DECAY", "SUPPLY_PRESSURE"}),
+        ("slow", 0.5, {"SUPPLY_VALVE"}),
+        ("scale", 0.7, {"SUPPLY_PRESSURE", "SUPPLY_SENSOR"}),
+    ],
+)
+def test_a_sensor_of_the_manifold_that_lies_shows_at_the_venting(
+    workbench: Workbench, kind: Kind, value: float, named: set[str]
+) -> None:
+    verdict, found, _ = run(workbench, "supply sensor", kind, value, BEFORE)
+    assert verdict == "safe"
+    assert found in named
+
+
+@pytest.mark.parametrize("time", [0.0, 0.1, 0.2, 0.3, 3.0])
+def test_a_sensor_that_jumps_to_empty_hides_no_supply_valve(workbench: Workbench, time: float) -> None:
+    first = Fault("supply sensor at 1 bar", "supply sensor", "stuck", 1.0e5, time=time)
+    then = Fault("supply valve stuck open", "supply", "stuck", 1.0)
+    case = workbench.run(Breakage(then, "stop", "latent pair", first), HOLD)
+    assert case.verdict == "safe", case.reasons
