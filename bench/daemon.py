@@ -170,6 +170,7 @@ class Daemon:
             profile=self.profile.name,
             correction=self._link.correction,
             club=self.configuration.swing.club,
+            series=self.configuration.lifecycle.series,
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
             device=self._device,

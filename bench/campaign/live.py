@@ -28,6 +28,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of, reported_carry
+from bench.campaign.suitability import START_SERIES, needs_series, series_words
 from bench.campaign.swings import Profiles, felt_alike, with_face_of
 from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
@@ -84,8 +85,9 @@ def require_live(
     """Refuse a plan whose shots the running bench cannot take, even with an operator's help.
 
     Raises:
-        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; or
-            the plan does not name the carry it compares, or a ball's aerodynamics were not `measured`.
+        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; it
+            is simulated and vents between swings, which the gate excludes; or the plan does not name the
+            carry it compares, or a ball's aerodynamics were not `measured`.
     """
     place, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
@@ -105,6 +107,9 @@ def require_live(
             "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
         )
     if status["driver"] == "sim":
+        if needs_series(plan) and not status["series"]:
+            expected = "a bench that holds the address between swings"
+            raise Refused(f"bench {status['bench']}", series_words(plan), expected, START_SERIES)
         return
     if plan.analysis.quantity != "club_speed_mps" and status["launch_monitor"] is None:
         raise Refused(

@@ -25,7 +25,7 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
-from bench.campaign.suitability import unsuitable
+from bench.campaign.suitability import START_SERIES, needs_series, series_words
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration, with_new_names
 from bench.errors import BenchError, Refused
@@ -37,7 +37,7 @@ from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
 
-_LASTING = ("driver", "profile", "club", "launch_monitor")
+_LASTING = ("driver", "profile", "club", "series", "launch_monitor")
 """Facts of the running bench that do not differ by themselves from start to start."""
 SHORTEST_PREFIX = 4
 """Min number of characters of an abbreviated campaign id."""
@@ -158,8 +158,6 @@ def run_live(
 
     if not entry.simulated and air() is None:
         watcher.say(_NO_AIR)
-    for text in unsuitable(plan, configuration):
-        watcher.say(text)
     with (
         runner_lock(data_dir, entry.id),
         bench_lock(data_dir, entry),
@@ -167,6 +165,8 @@ def run_live(
         client.publish_campaign(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
+        if needs_series(plan) and not client.status()["series"]:
+            watcher.say(f"This is {series_words(plan)}. {START_SERIES}")
         corrections = CampaignCorrections(
             entry, plan, configuration, store.database, profiles, simulated=entry.simulated
         )
@@ -199,7 +199,7 @@ def bench_facts(
     settings = configuration.bench
     require_free(settings.data_dir, settings.id)
     require_live(plan, require_swings(plan, configuration), configuration.clubs, status, measured)
-    facts = {name: status[name] for name in ("driver", "profile", "club")}
+    facts = {name: status[name] for name in ("driver", "profile", "club", "series")}
     return {**facts, "launch_monitor": status["launch_monitor"] is not None, **status["real_time"]}
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import all_trials
-from bench.config import Configuration
 
 BYTES = 1_400_000
 """Size of a shot's record in real time, bytes."""
@@ -55,12 +53,18 @@ def needs_words(plan: CampaignPlan, free: int) -> list[str]:
     return [room, f"Work by hand: {', '.join(parts)}, about {found.hand_work / 60:.0f} min in all."]
 
 
-def unsuitable(plan: CampaignPlan, configuration: Configuration) -> Iterator[str]:
-    """Yield what in the bench's configuration does not suit `plan`, and what to set."""
-    gate = plan.gate.club_speed
-    if not configuration.lifecycle.series and 0 < gate < _SCATTER_VENTED:
-        yield (
-            "On a running bench: lifecycle.series = false vents the robot after each swing, and the air of "
-            f"the next arming moved the club speed by up to {_SCATTER_VENTED:g} m/s in simulation; the gate "
-            f"accepts ± {gate:g} m/s. Set [lifecycle] series = true and restart the bench with it."
-        )
+def needs_series(plan: CampaignPlan) -> bool:
+    """Return whether the gate of `plan` is narrower than what venting between swings scatters."""
+    return 0 < plan.gate.club_speed < _SCATTER_VENTED
+
+
+def series_words(plan: CampaignPlan) -> str:
+    """Return why a bench that vents after each swing does not suit `plan`."""
+    return (
+        "a bench that vents after each swing, whose next arming leaves other air: that moves the club speed "
+        f"by up to {_SCATTER_VENTED:g} m/s in simulation, and the gate accepts ± {plan.gate.club_speed:g} m/s"
+    )
+
+
+START_SERIES = "Start the bench with golfbench run --series, or set [lifecycle] series = true for it."
+"""Cure of a bench that vents after each swing."""

@@ -76,10 +76,12 @@ def check(
     from rich.console import Console
 
     from bench.campaign.preview import preview_record, show_preview
-    from bench.campaign.suitability import free_space, needs, needs_words, unsuitable
+    from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 
     plan, configuration = _checked(context, file)
-    free, warnings = free_space(configuration.bench.data_dir), list(unsuitable(plan, configuration))
+    free, warnings = free_space(configuration.bench.data_dir), list[str]()
+    if needs_series(plan) and not configuration.lifecycle.series:
+        warnings.append(f"On a running bench this plan needs the address held between swings. {START_SERIES}")
     if json_:
         beside = {"needs": needs(plan)._asdict(), "free_bytes": free, "warnings": warnings}
         typer.echo(json.dumps(preview_record(plan) | beside, indent=2))

@@ -24,6 +24,14 @@ def run(
         str | None,
         typer.Option(metavar="PROFILE", help="Profile to swing.", show_default="the configuration's"),
     ] = None,
+    series: Annotated[
+        bool,
+        typer.Option(
+            "--series",
+            help="After a swing hold the address for the next one, as campaigns need it; without it the "
+            "bench vents.",
+        ),
+    ] = False,
     read_only: Annotated[
         bool, typer.Option("--read-only", help="Observe only: send nothing but the passive command.")
     ] = False,
@@ -47,7 +55,10 @@ def run(
     swing = configuration.swing
     if profile is not None:
         swing = replace(swing, profile=profile)
-    configuration = replace(configuration, swing=swing).with_driver(settings)
+    lifecycle = configuration.lifecycle
+    if series:
+        lifecycle = replace(lifecycle, series=True)
+    configuration = replace(configuration, swing=swing, lifecycle=lifecycle).with_driver(settings)
     if configuration.faults:
         if mistakes := contradictions(configuration) + unheard_phases(configuration):
             raise ExceptionGroup("invalid configuration", mistakes)

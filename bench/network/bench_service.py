@@ -153,6 +153,8 @@ class BenchStatus(TypedDict):
     """Number of the learned correction that swings are made with, counted from the start; 0: none."""
     club: str
     """Club that the bench was started with."""
+    series: bool
+    """Whether it holds the address after a swing for the next one; otherwise it vents."""
     joints_deg: list[float | None]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None

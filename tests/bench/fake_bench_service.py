@@ -110,6 +110,7 @@ class FakeDesk:
             profile="default",
             correction=len(self.corrections),
             club="driver",
+            series=False,
             joints_deg=[32.71, 237.3, None],
             supply_pressure_pa=8.01e5,
             chamber_pressure_pa=[1.013e5, 1.013e5, 1.02e5, 1.013e5, None, None],

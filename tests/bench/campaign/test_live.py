@@ -90,10 +90,10 @@ def in_swing(bench: BenchProcess, swings: int) -> None:
 @pytest.mark.live
 @pytest.mark.timeout(400)
 def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
-    file = write_configuration(tmp_path, "live", "[lifecycle]\nseries = true\n")
+    file = write_configuration(tmp_path, "live")
     (tmp_path / "plan.toml").write_text(PLAN)
     data_dir = load_configuration(file).bench.data_dir
-    with running_bench(file) as bench, open_database(database_url("", data_dir)) as engine:
+    with running_bench(file, "--series") as bench, open_database(database_url("", data_dir)) as engine:
         store = CampaignStore(engine)
         with campaign(file, "run", tmp_path / "plan.toml") as process:
             in_swing(bench, 1)
@@ -245,6 +245,7 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
             "profile": "default",
             "club": "driver",
             "bench": "b",
+            "series": True,
             "lease": None,
             "launch_monitor": None,
         }
@@ -255,6 +256,9 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
         require(profile="thesis")
     with pytest.raises(Refused, match=r"club thesis"):
         require(club="thesis")
+    with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
+        require(series=False)
+    require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
     with pytest.raises(Refused, match=r"held by Ann"):
         require(lease={"holder": "Ann", "seconds_left": 12.0})
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died

@@ -254,10 +254,16 @@ def test_a_bench_that_must_restart_is_never_done_by_itself(make: Callable[..., S
     assert rig.doors[:2] == ["bench open", "bench shut"]
 
 
+def ten_shots(magazine: int) -> CampaignPlan:
+    """Return the plan of two balls with five blocks, balls filled in by hand."""
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    handling = replace(plan.ball_handling, magazine=magazine)
+    return replace(plan, design=replace(plan.design, blocks=5), ball_handling=handling)
+
+
 def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable[..., Series]) -> None:
     jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
-    plan = load_plan(Path("two-balls"), CONFIGURATION)
-    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=4))
+    plan = ten_shots(magazine=4)
     series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
     assert series.run(rig, Person()).state is CampaignState.FINISHED
     taken = [(step.trial.arm.ball, sample) for _, step, sample in rig.taken]
@@ -270,8 +276,7 @@ def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable
 
 
 def test_an_excluded_shot_is_repeated_with_another_ball_asked_for(make: Callable[..., Series]) -> None:
-    plan = load_plan(Path("two-balls"), CONFIGURATION)
-    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    plan = ten_shots(magazine=10)
     series, person = make(plan), Person()
     series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
     assert [p.before_shot for p in series.prompts] == [1, 4]
@@ -284,8 +289,7 @@ def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Serie
             raise RuntimeError("power cut")
         return {}
 
-    plan = load_plan(Path("two-balls"), CONFIGURATION)
-    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    plan = ten_shots(magazine=10)
     for real, asked in ((True, [1, 3]), (False, [1])):
         series = make(replace(plan, campaign=replace(plan.campaign, name=f"real-{int(real)}")), real=real)
         with pytest.raises(RuntimeError):

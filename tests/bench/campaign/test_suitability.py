@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+from typer.testing import CliRunner
+
 from bench.campaign.plan_file import load_plan
-from bench.campaign.suitability import free_space, needs, needs_words, unsuitable
+from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
+from bench.cli import app
 from bench.config import load_configuration
 
 SHIPPED = load_configuration(Path("shipped"))
@@ -27,12 +32,17 @@ def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -
 def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None:
     plan = load_plan(Path("two-balls"), SHIPPED)
 
-    def told(series: bool, gate: float) -> list[str]:
-        configuration = replace(SHIPPED, lifecycle=replace(SHIPPED.lifecycle, series=series))
-        return list(unsuitable(replace(plan, gate=replace(plan.gate, club_speed=gate)), configuration))
+    def needed(gate: float) -> bool:
+        return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)))
 
-    (text,) = told(False, 1.0)
-    assert "Set [lifecycle] series = true" in text
-    assert not told(True, 1.0)
-    assert not told(False, 2.5)
-    assert not told(False, 0.0)
+    assert (needed(1.0), needed(2.5), needed(0.0)) == (True, False, False)
+
+
+@pytest.mark.parametrize("series", [False, True])
+def test_check_says_with_which_option_the_bench_is_to_be_started(tmp_path: Path, series: bool) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
+    arguments = ["--config", str(file), "campaign", "check", "two-balls", "--json"]
+    warnings = json.loads(CliRunner().invoke(app, arguments).stdout)["warnings"]
+    assert [START_SERIES in text for text in warnings] == ([] if series else [True])
+    assert "golfbench run --series" in START_SERIES
