@@ -102,6 +102,8 @@ def _waiting(random: Generator) -> Step:
 def _onwards(player: Player, random: Generator) -> Step:
     """Return what leads on from here."""
     match player.state:
+        case State.ESTOP | State.FAULT if not player.bench.plant_state["guard_locked"][0]:
+            return ("press", None, None) if random.uniform() < 0.5 else ("ask", "secure", None)
         case State.ESTOP | State.FAULT:
             ask = "reset" if random.uniform() < 0.85 else "access"
             return ("press", None, None) if random.uniform() < 0.5 else ("ask", ask, None)
@@ -111,6 +113,8 @@ def _onwards(player: Player, random: Generator) -> Step:
             return ("ask", str(random.choice(["arm", "access", "home"], p=[0.8, 0.1, 0.1])), None)
         case State.ARMED if player.phase is Phase.HOLD:
             return ("ask", str(random.choice(["swing", "tee", "disarm"], p=[0.8, 0.1, 0.1])), None)
+        case State.ACCESS if random.uniform() < 0.3:
+            return ("input", "guard_closed", False)
         case State.ACCESS:
             return ("press", None, None) if random.uniform() < 0.5 else ("ask", "secure", None)
     return ("wait", int(random.integers(100, 2500)), None)

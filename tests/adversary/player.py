@@ -144,17 +144,18 @@ class Player:
             match self.state:
                 case State.READY if self.phase is Phase.STANDING:
                     return
-                case State.ESTOP | State.FAULT:
+                case State.ESTOP | State.FAULT if self.bench.plant_state["guard_locked"][0]:
                     self._press()
                     self._ask(Request.RESET)
-                case State.ACCESS:
+                case State.ESTOP | State.FAULT | State.ACCESS:
                     self._press()
                     self._ask(Request.SECURE)
-                case State.SAFE:
-                    failures += 1
-                    if failures > 1 and self.control["vented"][0]:
+                case State.SAFE if failures == 0 or self.control["vented"][0]:
+                    if failures:
                         self._move_by_hand()
+                    accepted = self.accepted
                     self._ask(Request.HOME)
+                    failures += self.accepted - accepted
                 case State.ARMED:
                     self._ask(Request.DISARM)
             self._advance(_CHUNK)
@@ -197,7 +198,7 @@ class Player:
         if before is not None:
             for name in ("passive", "commanded", "silence"):
                 self.bench.faults.device[name] = before.device[name]
-            self.bench.faults.sent[:] = before.sent
+            self.bench.faults.received[:], self.bench.faults.sent[:] = before.received, before.sent
 
     def _advance(self, ticks: int, request: int = 0) -> NDArray[Any]:
         if self.bench.tick >= 10:

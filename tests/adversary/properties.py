@@ -93,10 +93,11 @@ class Judge:
         p = parameters.control[0]
         self._vented, self._opening = float(p["vented_pressure"]), float(p["home_opening"])
         self._state, self._trip, self._supply = int(State.STARTING), 0, False
-        self._latched, self._latched_at = False, -1
-        self._access_at, self._press = -1, -(10**9)
+        self._latched = self._secured = False
+        self._stood_since, self._press = -1, -(10**9)
         self._dark_at, self._reacting_since = -1, -1
         self._released_at: NDArray[Any] | None = None
+        self._locked, self._entered = True, False
         self.causes: set[Cause] = set()
         """Causes of the stops so far."""
         self.visited: set[State] = set()
@@ -179,8 +180,10 @@ class Judge:
         """A stop is kept until it is reset, by a person where there is a button; nothing arms before."""
         states = np.concatenate([[self._state], c["state"]])
         trips = np.concatenate([[self._trip], c["trip"]])
-        reset = (c["request"] == Request.RESET) & (c["answer"] == Answer.ACCEPTED)
-        changed = (states[1:] != states[:-1]) | (trips[1:] != trips[:-1]) | reset
+        accepted = c["answer"] == Answer.ACCEPTED
+        reset = (c["request"] == Request.RESET) & accepted
+        secured = (c["request"] == Request.SECURE) & accepted
+        changed = (states[1:] != states[:-1]) | (trips[1:] != trips[:-1]) | reset | secured
         for k in np.flatnonzero(changed):
             before, after, tick = int(trips[k]), int(trips[k + 1]), int(ticks[k])
             on_top = after in (Cause.NOT_VENTED, Cause.MANIFOLD)
@@ -188,26 +191,27 @@ class Judge:
             if before not in (0, after) and not reset[k] and not on_top:
                 self._say(tick, f"cause {Cause(before).name} replaced by {Cause(after).name}")
             if reset[k]:
-                self._confirmed(tick, self._latched_at, "reset", faults)
+                self._confirmed(tick, "reset", faults)
                 self._latched = False
+            if secured[k]:
+                self._confirmed(tick, "secure", faults)
+                self._secured = True
             state, was = State(int(states[k + 1])), State(int(states[k]))
-            if was is State.ACCESS and state not in (State.ACCESS, *map(State, LATCHED)):
-                self._confirmed(tick, self._access_at, "secure", faults)
-            if state in LATCHED and was != state:
-                self._latched = True
-                if was is not State.ACCESS:
-                    self._latched_at = tick
-            if state is State.ACCESS and was is not State.ACCESS:
-                self._access_at = tick
+            if was is State.ACCESS and state is not was and state not in LATCHED and not self._secured:
+                self._say(tick, f"ACCESS -> {state.name} without SECURE")
+            if state is not was and (state in LATCHED or state is State.ACCESS):
+                self._stood_since, self._secured = tick, False
+                self._latched = self._latched or state is not State.ACCESS
             if self._latched and state not in (State.ESTOP, State.FAULT, State.ACCESS):
                 self._say(tick, f"{state.name} without a reset")
                 self._latched = False
 
-    def _confirmed(self, tick: int, since: int, what: str, faults: list[Fault]) -> None:
-        """Insist on a press of the button after `since`."""
+    def _confirmed(self, tick: int, what: str, faults: list[Fault]) -> None:
+        """Insist on a press of the button since the state was entered, which has confirmed nothing before."""
+        press, self._press = self._press, -(10**9)
         if not self.setup.local_reset or any(f.signal in ("local reset", "clock", "loop") for f in faults):
             return
-        if not since <= self._press <= tick or tick - self._press > _PRESS_COUNTS + 2000:
+        if not self._stood_since <= press <= tick or tick - press > _PRESS_COUNTS:
             self._say(tick, f"{what} without a press of the local reset")
 
     def _answer(self, c: Any, tick: int, request: int, number: int) -> None:
@@ -229,22 +233,27 @@ class Judge:
     def _release(self, c: Any, ticks: NDArray[Any], plant_state: Any, faults: list[Fault]) -> None:
         """The guard is released only where no pressure is, and nothing moves beside it.
 
-        Two faults may hide pressure: one that keeps it, and one of what would have shown it.
+        Pressure that comes back locks the guard in the same tick, unless somebody went in: then it latches in
+        the same tick, and the guard stays released. Two faults may hide pressure: one that keeps it, and one
+        of what would have shown it.
         """
+        inside = self._inside(c, ticks)
         open_ = ~c["guard_lock"]
         if not open_.any():
             self._released_at = None
             return
         broken = sorts(faults)
-        keeps = broken & {"vents", "valve", "supply"}
-        hides = "pressure" in broken or not self.setup.sensors
+        keeps = broken & {"vents", "vent", "valve", "supply"}
+        told = any(f.signal.endswith(" feedback") for f in faults)
+        hides = "pressure" in broken or (told and not self.setup.sensors)
         k = int(np.argmax(open_))
-        if not (keeps and hides):
-            pressure = c["plant_pressure"][open_].max()
+        safe = open_ & ~(inside & np.isin(c["state"], LATCHED) & (c["trip"] != Cause.NONE))
+        if safe.any() and not (keeps and hides):
+            pressure = c["plant_pressure"][safe].max()
             if pressure > _MARGIN * self._vented:
                 self._say(ticks[k], f"guard released at {1e-5 * pressure:.2f} bar in a chamber")
             manifold = float(plant_state["supply_pressure"][0])
-            if open_[-1] and manifold > _MARGIN * self._vented:
+            if safe[-1] and manifold > _MARGIN * self._vented:
                 self._say(ticks[k], f"guard released at {1e-5 * manifold:.2f} bar in the manifold")
         if not keeps and "club head" not in broken:
             if self._released_at is None:
@@ -253,6 +262,26 @@ class Judge:
             crept = np.abs(c["plant_angle"][open_] - self._released_at).max()
             if speed > _STILL or crept > _CREEP:
                 self._say(ticks[k], f"moves by {crept:.3f} rad at {speed:.2f} rad/s beside an open guard")
+
+    def _inside(self, c: Any, ticks: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return in which ticks somebody may be inside: since the released guard was seen open.
+
+        Nothing but SECURE locks it then; nobody is inside any more once it is seen locked after that.
+        """
+        inside = np.zeros(len(c), dtype=bool)
+        closed = c["emergency_stop_clear"] & c["guard_closed"] & c["guard_locked"]
+        secured = (c["request"] == Request.SECURE) & (c["answer"] == Answer.ACCEPTED)
+        if not self._entered and self._locked and c["guard_lock"].all():
+            return inside
+        for k in range(len(c)):
+            if c["guard_lock"][k]:
+                if self._entered and not self._locked and not secured[k]:
+                    self._say(ticks[k], "locked in")
+                self._entered = self._entered and not closed[k]
+            elif not c["guard_closed"][k]:
+                self._entered = True
+            self._locked, inside[k] = bool(c["guard_lock"][k]), self._entered
+        return inside
 
     def _stops_end(self, c: Any, ticks: NDArray[Any]) -> None:
         """Every stop comes to its end."""
