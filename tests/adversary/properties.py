@@ -154,12 +154,14 @@ class Judge:
             self._say(ticks[k], f"energy in {State(int(c['state'][k])).name}")
 
     def _ways(self, c: Any, ticks: NDArray[Any]) -> None:
-        """States change along edges only."""
+        """States change along edges only: one a tick, or that of an accepted request and one after it."""
         states = np.concatenate([[self._state], c["state"]])
-        bad = ~_PAIRS[states[:-1], states[1:]]
-        if bad.any():
-            k = int(np.argmax(bad))
-            self._say(ticks[k], f"{State(int(states[k])).name} -> {State(int(states[k + 1])).name}")
+        for k in np.flatnonzero(~_PAIRS[states[:-1], states[1:]]):
+            before, after = State(int(states[k])), State(int(states[k + 1]))
+            asked = Request(int(c["request"][k])).name.lower() if c["answer"][k] == Answer.ACCEPTED else ""
+            between = {e.target for e in EDGES if asked and (e.source, e.event) == (before, asked)}
+            if not any(_PAIRS[state, after] for state in between):
+                self._say(ticks[k], f"{before.name} -> {after.name}")
 
     def _warning(self, c: Any, ticks: NDArray[Any], broken: set[str]) -> None:
         """No air without the whole warning, nor while an interlock is seen open."""

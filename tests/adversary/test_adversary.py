@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 from bench.lifecycle import State
-from tests.adversary.drawing import improvise
+from sim.faults import MEANINGS, SIGNALS, sort_of
+from tests.adversary.drawing import drawn_fault, improvise
 from tests.adversary.player import play
 from tests.adversary.story import Setup, Story, read_story
 
@@ -49,12 +51,65 @@ def test_the_judge_sees_what_it_is_there_for() -> None:
     assert any("SWINGING" in text for text in player.broken)
 
 
+ENTERED = (
+    ("wait", 300, None),
+    ("press", None, None),
+    ("ask", "reset", None),
+    ("wait", 15000, None),
+    ("ask", "access", None),
+    ("input", "guard_closed", False),
+    ("wait", 500, None),
+    ("input", "guard_closed", True),
+    ("input", "emergency_stop_clear", False),
+    ("wait", 100, None),
+    ("input", "emergency_stop_clear", True),
+    ("wait", 100, None),
+)
+"""Somebody goes in, and the emergency stop is pressed."""
+
+
+def test_who_went_in_during_access_can_leave_and_the_bench_goes_on() -> None:
+    player = play(Story(Setup(), ENTERED), recover=False)
+    assert player.state is State.ESTOP
+    assert not player.bench.plant_state["guard_locked"][0]
+    player.recover()
+    assert player.broken == []  # it is READY
+
+
+def test_the_judge_sees_who_is_locked_in() -> None:
+    player = play(Story(Setup(), ENTERED), recover=False)
+    player.control["entered"] = False
+    player.do(("wait", 10, None))
+    assert any("locked in" in text for text in player.broken)
+
+
+def test_the_judge_lets_a_press_count_once() -> None:
+    press = (("press", None, None), ("ask", "secure", None), ("wait", 100, None), ("ask", "reset", None))
+    player = play(Story(Setup(), (*ENTERED, *press)), recover=False)
+    assert player.state is State.ESTOP
+    player.judge.pressed(player.bench.tick)
+    player.control["reset_pressed"] = np.inf  # as if the press counted again
+    player.do(("ask", "reset", None))
+    assert player.broken == []
+    player = play(Story(Setup(), (*ENTERED, *press)), recover=False)
+    player.control["reset_pressed"] = np.inf
+    player.do(("ask", "reset", None))
+    assert any("reset without a press" in text for text in player.broken)
+
+
 def test_a_story_is_read_as_it_was_written(tmp_path: Path) -> None:
     story, player = improvise(3, steps=12)
     path = tmp_path / "story.json"
     path.write_text(story.to_text())
     assert read_story(path) == story
     assert play(story, recover=False).bench.tick <= player.bench.tick
+
+
+def test_every_kind_of_fault_can_be_drawn() -> None:
+    random = np.random.default_rng(1)
+    drawn = {(sort_of(fault.signal), fault.kind) for fault in (drawn_fault(random) for _ in range(5_000))}
+    sorts = {sort_of(signal) for signal in SIGNALS if signal != "launch monitor"}
+    assert drawn == {(sort, kind) for sort in sorts for kind in MEANINGS[sort]}
 
 
 @pytest.mark.slow
