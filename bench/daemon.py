@@ -111,6 +111,8 @@ class Daemon:
         self._launch_monitor: ManagedProcess | None = None
         self._monitored: LaunchMonitorStatus = NO_LAUNCH_MONITOR
         self._shots = ShotJoin()
+        self._drift: list[str] = []
+        """Warnings of the latest swing's record."""
         self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
         self._statistics: LoopStatus = NO_STATISTICS
@@ -165,6 +167,7 @@ class Daemon:
             {name: s.note for name, s in support.items()},
             bench=self.configuration.bench.id,
             swings=self._swings,
+            drift=self._drift,
             read_only=self.read_only,
             driver=self.configuration.driver.name,
             profile=self.profile.name,
@@ -456,7 +459,12 @@ class Daemon:
 
     def _note_record(self, event: dict[str, Any]) -> None:
         """Publish the path of a swing's record."""
-        if self._plane is None or event["event"] != "stored" or event["kind"] != "swing":
+        if event["event"] != "stored" or event["kind"] != "swing":
+            return
+        self._drift = event["warnings"]
+        for text in self._drift:
+            _log.warning("swing %s: %s", event["number"], text)
+        if self._plane is None:
             return
         path, shot = os.path.abspath(event["path"]), event["shot_id"]
         if shot is not None:

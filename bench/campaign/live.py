@@ -39,7 +39,8 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.processes.bench_folder import bench_folder
-from bench.shot.recorded_shot import FlightConditions, ball_struck, delivery_of_cycles, plant_of
+from bench.shot.ball_struck import ball_struck
+from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import told_figures
 from bench.shot.shot_message import ShotMessage, launch_to_json

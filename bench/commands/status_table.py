@@ -105,6 +105,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
         ("vents", _vents(status["vents_open"])),
         ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
+        ("drift", Text("\n".join(status["drift"]), "yellow") if status["drift"] else "none seen"),
         (
             "loop",
             f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "

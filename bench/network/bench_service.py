@@ -161,7 +161,9 @@ class BenchStatus(TypedDict):
     chamber_pressure_pa: list[float | None]
     """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
     air_faults: list[str]
-    """Texts of the pressure sensors that give no believable value, and of the vents that do not obey."""
+    """Texts of the pressure sensors, vents, manifold and guard's lock that fail."""
+    drift: list[str]
+    """Warnings of the latest swing's record: speed or strike has drifted from that of the first swings."""
     vents_open: list[bool | None]
     """Position of each of the two vents; None without feedback."""
     emergency_stop_clear: bool

@@ -3,7 +3,8 @@
 Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      the ring is open and the folder is writable
-`stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`
+`stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
+             `warnings`: what drifts from swing to swing, see `bench.shot.swing_drift`
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
 `relieved`   records can be stored again
 `dropped`    `count`: records lost so far because memory was full
@@ -28,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError, ExitCode
-from bench.lifecycle import State
+from bench.lifecycle import Cause, State
 from bench.processes.child_process import (
     Condition,
     HeartbeatSender,
@@ -38,6 +39,8 @@ from bench.processes.child_process import (
     send_failure,
 )
 from bench.processes.correction import CORRECTED, weights_of
+from bench.shot.ball_struck import ball_struck
+from bench.shot.swing_drift import DriftWatch, strike_seen
 from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
@@ -134,6 +137,7 @@ class Recorder:
         self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._cutter = SwingCutter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
+        self._drift = DriftWatch()
         self._segment: list[Cycles] = []
         self._segment_lost = 0
         self._swings = plan.data_dir / "swings" / plan.bench
@@ -263,8 +267,22 @@ class Recorder:
             time_utc=began,
             snapshots=self._snapshots,
         )
+        if cut.kind == "swing":
+            metadata["drift"] = self._drift_of(cut, metadata)
         path = record_path(folder, began, self._number)
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
+
+    def _drift_of(self, cut: Cut, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return speed and place of the head at the ball against the swings before; None without a strike."""
+        plant = self._plan.configuration.get("plant")
+        encoders = plant.get("encoders") if isinstance(plant, Mapping) else None
+        counts = encoders.get("counts_per_revolution", 0) if isinstance(encoders, Mapping) else 0
+        if not counts or cut.lost or metadata["outcome"]["cause"] != Cause.NONE.name:
+            return None
+        seen = strike_seen(cut.cycles, int(counts), struck=ball_struck(cut.cycles))
+        if seen is None:
+            return None
+        return self._drift.take(seen, metadata["profile"]["data"]).as_json()
 
     def _continue(self, cycles: Cycles, lost: int) -> None:
         """Add `cycles` to the current segment; end it at its length."""
@@ -303,6 +321,7 @@ class Recorder:
             "stored",
             path=str(stored.path),
             cause=outcome["cause"],
+            warnings=(stored.metadata.get("drift") or {}).get("warnings", []),
             **{key: stored.metadata[key] for key in facts},
         )
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree, laid_over
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.shot.ball_struck import ball_struck
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
@@ -245,15 +246,6 @@ def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | Non
         )
     except ValueError:
         return None
-
-
-def ball_struck(cycles: Cycles) -> bool:
-    """Return whether a ball was on the tee until the head arrived."""
-    swung = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED))
-    after = cycles["phase"] == Phase.FOLLOW_THROUGH
-    if not swung.any() or not after.any():
-        return False
-    return bool(cycles["ball_present"][swung][0] and not cycles["ball_present"][after][-1])
 
 
 def _flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.lifecycle import Phase, State
-from bench.shot.recorded_shot import ball_struck
+from bench.shot.ball_struck import ball_struck
 from bench.telemetry.shot_id import shot_id
 
 Cycles = np.ndarray[Any, Any]

@@ -23,6 +23,9 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 `snapshot`       null, or the controller's memory after the step of `tick` (which is in the record) at the
                  loop's `time`: `layout`, digest of its type; `data`, base64 of zlib of its bytes
 `replayable`     there is a snapshot, and no record is lost
+`drift`          of a whole swing through the ball's place, else null or missing: `club_speed_mps`;
+                 `ball_met_m`, where the encoders saw the head at the strike, along the ground; the medians of
+                 the first swings with the same tables; `warnings`; see `bench.shot.swing_drift`
 """
 
 from __future__ import annotations

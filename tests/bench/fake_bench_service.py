@@ -115,6 +115,7 @@ class FakeDesk:
             supply_pressure_pa=8.01e5,
             chamber_pressure_pa=[1.013e5, 1.013e5, 1.02e5, 1.013e5, None, None],
             air_faults=[],
+            drift=[],
             vents_open=[True, True],
             emergency_stop_clear=True,
             guard_closed=True,
