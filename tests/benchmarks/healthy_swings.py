@@ -1,12 +1,14 @@
 """No false alarms: swings of plants that differ within their tolerances, the controller as it was designed.
 
-    python -m tests.benchmarks healthy_swings [--swings 1000] [--first 0] [--spread 1.0] [--homing | --stops]
+    python -m tests.benchmarks healthy_swings [--swings 1000] [--first 0] [--spread 1.0]
+        [--homing | --stops | --access]
 
 Each swing is of another plant, drawn from its seed, from the hanging pose over arming, address and swing to
 the return; every fourth has no ball. `--first` is the first seed, `--spread` widens or narrows all
 tolerances, `--homing` searches the encoders' index in place of swinging. `--stops` swings each robot twice
-and stops copies of it in every phase, by request or emergency stop, which may not escalate. `--check off`
-leaves out the model-based check; `--configuration` and `--profile` take another machine and swing.
+and stops copies of it in every phase, by request or emergency stop, which may not escalate. `--access` arms,
+vents, releases the guard and secures it. `--check off` leaves out the model-based check; `--configuration`
+and `--profile` take another machine and swing.
 """
 
 from __future__ import annotations
@@ -40,6 +42,8 @@ NAME = "healthy_swings"
 INDEX_FROM_HANGING = (0.6, 0.4, 0.4)
 """rad from the hanging pose to where each encoder's index is."""
 _CHUNK, _LONGEST_RETURN, _LONGEST_SEARCH = 500, 12_000, 80_000
+_LONGEST_VENT = 20.0
+"""s"""
 
 
 def swing(plant: PlantParameters, parameters: ControlParameters, profile: Profile, *, ball: bool) -> Cause:
@@ -84,6 +88,27 @@ def search(plant: PlantParameters, parameters: ControlParameters) -> Cause:
     return cause if cause or control["state"][0] == State.READY else Cause.HOMING_FAILED
 
 
+def let_in(plant: PlantParameters, parameters: ControlParameters) -> Cause:
+    """Return what stopped a venting, or an access after it; NONE when it ended in READY."""
+    stepper = Lockstep(build_plant(plant), parameters, hanging_pose(plant))
+    bench = LockstepEngine(stepper)
+    bench.advance(200)
+    with suppress(Refused):
+        bench.arm()
+        bench.advance(400)
+        bench.request(Request.DISARM)
+        bench.wait_for(lambda: bool(bench.control["vented"][0]), _LONGEST_VENT)
+        bench.request(Request.ACCESS)
+        bench.plant_state["guard_closed"] = False
+        bench.advance(2000)
+        bench.plant_state["guard_closed"] = True
+        bench.advance(100)
+        bench.request(Request.SECURE)
+        bench.advance(2500)
+    state = State(int(bench.control["state"][0]))
+    return bench.cause if bench.cause or state is State.READY else Cause.NOT_VENTED
+
+
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return how many swings were stopped, and by what."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks healthy_swings")
@@ -93,6 +118,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument(
         "--stops", action="store_true", help="Swing each robot twice, and stop it on the way."
     )
+    parser.add_argument("--access", action="store_true", help="Vent and release the guard instead.")
     parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
     parser.add_argument("--configuration", default="", help="Name or path; else the shipped one.")
     parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
@@ -119,6 +145,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         if options.homing:
             encoders = replace(plant.encoders, incremental=True, zero_count=nominal.encoders.zero_count)
             cause = search(replace(plant, encoders=encoders), parameters)
+        elif options.access:
+            cause = let_in(plant, parameters)
         else:
             cause = swing(plant, parameters, profile, ball=seed % 4 != 3)
         if cause:
