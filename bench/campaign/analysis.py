@@ -407,21 +407,31 @@ def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -
     balls = int(codes.max()) + 1 if n else 0
     if n < 2:
         return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
-    mean = float(values.mean())
+    mean, error = float(values.mean()), mean_error(values, codes)
+    grouped = codes if 1 < balls < n else np.zeros(n, int)
+    whole = variance_components(values, grouped, confidence)[1]
+    half = float(stats.t.ppf((1 + confidence) / 2, error.freedom)) * error.error
+    return Spread(n, balls, mean, mean - half, mean + half, whole.deviation, whole.low, whole.high)
+
+
+class MeanError(NamedTuple):
+    """Standard uncertainty of a mean from the scatter of its series."""
+
+    error: float
+    freedom: float
+
+
+def mean_error(values: Array, codes: Codes) -> MeanError:
+    """Return the standard uncertainty of the mean of (n,) values, n at least 2, of balls `codes` (from 0)."""
+    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
     if 1 < balls < n:
         hits = np.bincount(codes)
         sums = np.bincount(codes, values - mean)
         # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
         variance, freedom = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
-        _, whole = variance_components(values, codes, confidence)
-        deviation = (whole.deviation, whole.low, whole.high)
         freedom = min(freedom, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else freedom
-    else:
-        variance, freedom = float(values.var(ddof=1)) / n, float(n - 1)
-        whole = variance_components(values, np.zeros(n, int), confidence)[1]
-        deviation = (whole.deviation, whole.low, whole.high)
-    half = float(stats.t.ppf((1 + confidence) / 2, max(freedom, 1.0))) * sqrt(variance)
-    return Spread(n, balls, mean, mean - half, mean + half, *deviation)
+        return MeanError(sqrt(variance), max(freedom, 1.0))
+    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
 
 
 def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:

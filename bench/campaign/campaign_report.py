@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bench.campaign.analysis import Comparison, Pair
+from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
+from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import measured_of
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
+from bench.campaign.digest import parts_digests, shot_digest, whole_digest
 from bench.campaign.equipment import (
     EquipmentTable,
     ball_table,
@@ -19,23 +22,28 @@ from bench.campaign.equipment import (
     club_table,
     without_simulated_balls,
 )
-from bench.campaign.findings import Findings, as_flown
+from bench.campaign.findings import Findings, as_flown, findings_record
 from bench.campaign.fitting import PromptKind
+from bench.campaign.interruptions import software_versions
 from bench.campaign.mixed_model import MixedModel, MixedPair
 from bench.campaign.page import TABLE, flat, page_template, shot_figures
-from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.plan_file import plan_from_record
+from bench.campaign.plan import levels
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
 from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.ruling import DECISION_RULE
+from bench.campaign.signature import (
+    STATEMENT,
+    calibration_table,
+    item_table,
+    overdue,
+    particulars,
+)
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import (
     CampaignEntry,
     CampaignState,
-    CampaignStore,
-    Event,
     Hit,
     Prompt,
     ShotNote,
@@ -63,34 +71,6 @@ LIMITS = (
 )
 
 
-@dataclass(frozen=True)
-class CampaignRecord:
-    """A campaign as stored in the database."""
-
-    entry: CampaignEntry
-    standing: Standing
-    plan: CampaignPlan
-    shots: Sequence[Shot]
-    events: Sequence[Event]
-    hits: Counter[Hit]
-    prompts: Sequence[Prompt] = ()
-    notes: Sequence[ShotNote] = ()
-
-
-def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
-    """Return a campaign with all its data in the database."""
-    return CampaignRecord(
-        entry,
-        store.standing(entry.id),
-        plan_from_record(entry.plan, f"campaign {entry.id}"),
-        [stored.shot for stored in store.shots(entry.id)],
-        store.events(entry.id),
-        store.hits(entry.hit_scope),
-        store.prompts(entry.id),
-        store.notes(entry.id),
-    )
-
-
 def write_campaign_report(
     path: Path, record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI
 ) -> None:
@@ -113,10 +93,23 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
     listed, handwork = _listed(record, found), _handwork(record.prompts)
+    events = [event for event in record.events if event.kind != ISSUE]
+    parts = record_parts(record)
+    digest, calibrations = whole_digest(parts), calibration_table(record)
+    budgets = uncertainty_budgets(plan, shots, entry.calibrations, simulated=entry.simulated)
     template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
     return template.render(
         title=entry.title,
+        number=record.number,
+        issued=bool(record.issues),
+        particulars=particulars(record, digest),
+        particular_tables=(item_table(record), calibrations),
+        overdue=overdue(calibrations),
+        statement=STATEMENT,
+        budgets=budgets,
+        contributions=_contributions(budgets),
+        data=_page_data(record, found, units, parts, digest),
         entry=entry,
         plan=plan,
         found=found,
@@ -142,8 +135,8 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         decision_rule=DECISION_RULE,
         mixed_pair=_mixed_pair,
         reasons=_reasons(found),
-        events=record.events[:_MAX_LINES],
-        more_events=max(0, len(record.events) - _MAX_LINES),
+        events=events[:_MAX_LINES],
+        more_events=max(0, len(events) - _MAX_LINES),
         handwork=handwork[:_MAX_LINES],
         more_handwork=max(0, len(handwork) - _MAX_LINES),
         table=TABLE,
@@ -184,12 +177,52 @@ def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[...
             value / display_unit(name, units).size, display_unit(name, units).digits + more
         ),
         "two": lambda value, name: two_digits(value / display_unit(name, units).size),
+        "derivative": lambda line, name: two_digits(
+            line.sensitivity * display_unit(line.input, units).size / display_unit(name, units).size
+        ),
         "area": lambda value: number_text(value / display_unit("carry_m", units).size ** 2, 1),
         "level": confidence_words,
         "chance": _chance,
         "plain": lambda value: number_text(value, 2),
         "zip": zip,
     }
+
+
+def record_parts(record: CampaignRecord) -> dict[str, str]:
+    """Return the digests of the parts of `record`."""
+    return parts_digests(record.entry, record.shots, record.events, record.prompts, record.notes)
+
+
+def _page_data(
+    record: CampaignRecord, found: Findings, units: UnitSystem, parts: Mapping[str, str], digest: str
+) -> str:
+    """Return what a page carries to be verified, as JSON that is safe within it."""
+    data = {
+        "schema": 1,
+        "campaign": record.entry.id,
+        "number": record.number,
+        "issue": len(record.issues),
+        "units": str(units),
+        "looks": found.looks,
+        "software": software_versions()["source"],
+        "digest": digest,
+        "parts": parts,
+        "shots": "".join(map(shot_digest, record.shots)),
+        "figures": findings_record(found),
+    }
+    return json.dumps(data, separators=(",", ":")).replace("&", "\\u0026").replace("<", "\\u003c")
+
+
+def _contributions(budgets: Sequence[UncertaintyBudget]) -> list[tuple[UncertaintyBudget, BudgetLine]]:
+    """Return the contributions of type B of each section's first level that has them, by quantity."""
+    seen: set[tuple[int, str]] = set()
+    found = []
+    for budget in budgets:
+        lines = [line for line in budget.lines if line.kind == "B"]
+        if lines and (budget.section, budget.column) not in seen:
+            seen.add((budget.section, budget.column))
+            found += [(budget, line) for line in lines]
+    return found
 
 
 def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
@@ -211,7 +244,9 @@ def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
 
 def _one_day(record: CampaignRecord) -> bool:
     """Return whether all its shots and events are of one day; those of a simulation have their own."""
-    days = {shot.time_utc.date() for shot in record.shots} | {event.date.date() for event in record.events}
+    days = {shot.time_utc.date() for shot in record.shots} | {
+        event.date.date() for event in record.events if event.kind != ISSUE
+    }
     return len(days) == 1
 
 

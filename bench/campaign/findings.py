@@ -58,6 +58,8 @@ class Findings:
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """For each (swing, club)."""
     rules: tuple[RuleFinding, ...]
+    looks: tuple[int, ...] | None = None
+    """Numbers of shots after which results were looked at, as they were given."""
 
 
 def findings(
@@ -97,6 +99,7 @@ def findings(
         tuple(section_notes(named, *each, units) for each in zip(analyses, needed, strict=True)),
         repeatability(shots),
         tuple(judge_rules(plan, shots, units)),
+        None if looks is None else tuple(looks),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from bench.campaign.campaign_report import CampaignRecord
+from bench.campaign.campaign_record import CampaignRecord
 from bench.store.campaigns import CampaignState, CampaignStore, Event
 
 KIND = "look"

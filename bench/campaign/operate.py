@@ -13,6 +13,7 @@ from typing import Any
 
 from bench.calibration.aerodynamics_archive import newest_aerodynamics
 from bench.campaign.analysis import decide
+from bench.campaign.bench_calibrations import calibrations_in_force, speed_sensitivities
 from bench.campaign.broadcast import Broadcast, Together
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
@@ -51,11 +52,12 @@ def new_entry(
     simulated: bool,
     real_time: Mapping[str, Any] | None = None,
     measured: Measured | None = None,
+    calibrated: Mapping[str, Any] | None = None,
 ) -> CampaignEntry:
     """Return a campaign that begins `now`; its id is name and time.
 
     `real_time` are the facts of the running bench that takes its shots; None: lock-step. `measured` are the
-    measured aerodynamics of its balls.
+    measured aerodynamics of its balls, `calibrated` the bench's calibrations in force.
     """
     return CampaignEntry(
         id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
@@ -70,15 +72,23 @@ def new_entry(
         configuration=configuration.effective(),
         versions=software_versions(),
         real_time=real_time or {},
-        calibrations={"aerodynamics": {ball: one.record() for ball, one in measured.items()}}
-        if measured
-        else {},
+        calibrations=({"bench": calibrated} if calibrated else {})
+        | ({"aerodynamics": {ball: one.record() for ball, one in measured.items()}} if measured else {}),
     )
 
 
 def measured_balls(plan: CampaignPlan, store: CampaignStore, bench: str) -> Measured:
     """Return the newest measured aerodynamics of the plan's balls that have some, as `bench` stores them."""
     return newest_aerodynamics(store.database, bench, plan.ball_names)
+
+
+def bench_calibrations(
+    plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime
+) -> dict[str, Any]:
+    """Return the bench's calibrations in force `now`; raises as `require_swings`."""
+    profiles = require_swings(plan, configuration)
+    found = calibrations_in_force(store.database, configuration.bench.id, plan.design.clubs, now)
+    return found | {"club_speed": speed_sensitivities(profiles, plan.clubs, configuration.plant.robot)}
 
 
 def course_of(plan: CampaignPlan, profiles: Profiles, lie: float) -> Course:

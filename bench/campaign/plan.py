@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
-from math import pi
-from typing import Annotated, Any, Literal
+from math import hypot, pi
+from typing import Annotated, Any, Literal, get_args
 
 from drivers.base.ranges import Range
 from sim.ball import Ball
@@ -226,6 +226,67 @@ class Rules:
 
 
 @dataclass(frozen=True)
+class ReportParticulars:
+    """What a report states of laboratory, customer and method (ISO/IEC 17025:2017, 7.8); may be empty."""
+
+    laboratory: str
+    address: str
+    location: str
+    """Place of the tests if it is not the laboratory's address."""
+    customer: str
+    customer_contact: str
+    operator: str
+    """Who does the tests; empty: who starts the runs."""
+    method: str
+    """Identification of the method besides this plan."""
+    sampling: str
+    """How and by whom the items were taken from what they stand for."""
+    deviations: tuple[str, ...]
+    """Additions to, deviations and exclusions from the method that no event of the campaign shows."""
+
+
+@dataclass(frozen=True)
+class ItemParticulars:
+    """A tested item, a ball model or a club, as received."""
+
+    identity: str = field(default="", metadata={"optional": True})
+    """Maker, model, lot, marking."""
+    condition: str = field(default="", metadata={"optional": True})
+    received: str = field(default="", metadata={"optional": True})
+    """Date of receipt, YYYY-MM-DD."""
+
+
+@dataclass(frozen=True)
+class StatedCalibration:
+    """A calibration of an instrument that the bench itself does not know."""
+
+    instrument: str
+    identity: str = field(default="", metadata={"optional": True})
+    """Type and serial number."""
+    source: str = field(default="", metadata={"optional": True})
+    """Laboratory and certificate."""
+    date: str = field(default="", metadata={"optional": True})
+    """YYYY-MM-DD."""
+    due: str = field(default="", metadata={"optional": True})
+    """Date of the next one, YYYY-MM-DD."""
+    uncertainty: dict[str, Annotated[float, Range(0.0, 1e6, "")]] = field(
+        default_factory=dict, metadata={"optional": True}
+    )
+    """Quantity -> standard uncertainty, one of `STATED`; SI, angles in degrees."""
+    freedom: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
+    """Its degrees of freedom; 0: infinite."""
+
+
+STATED = (
+    *get_args(Quantity),
+    "air_temperature_k",
+    "air_pressure_pa",
+    "relative_humidity",
+)
+"""Quantities whose uncertainty a calibration may state."""
+
+
+@dataclass(frozen=True)
 class Simulation:
     """Scatter from shot to shot in `--sim` (standard deviations), and injected faults by shot."""
 
@@ -273,9 +334,13 @@ class CampaignPlan:
     analysis: Analysis
     set_up: SetUp
     rules: Rules
+    report: ReportParticulars
     simulation: Simulation
     swings: dict[str, dict[str, str]] = field(default_factory=dict)
     """Swing -> club -> profile, where a swing's name is not its profile's."""
+    items: dict[str, ItemParticulars] = field(default_factory=dict)
+    """Balls and clubs as received."""
+    calibrations: dict[str, StatedCalibration] = field(default_factory=dict)
     balls: dict[str, Ball] = field(default_factory=dict)
     clubs: dict[str, Club] = field(default_factory=dict)
 
@@ -303,6 +368,17 @@ def levels(plan: CampaignPlan) -> tuple[str, ...]:
     """Return the levels of the compared factor."""
     found: tuple[str, ...] = getattr(plan.design, f"{plan.design.compare}s")
     return found
+
+
+def stated_uncertainty(plan: CampaignPlan, quantity: str) -> float | None:
+    """Return the standard uncertainty of a quantity besides its scatter, as the plan states it; None: not.
+
+    `rules.uncertainty` names it as a whole; else the plan's calibrations together.
+    """
+    if quantity in plan.rules.uncertainty:
+        return plan.rules.uncertainty[quantity]
+    stated = [c.uncertainty[quantity] for c in plan.calibrations.values() if quantity in c.uncertainty]
+    return hypot(*stated) if stated else None
 
 
 def controls_per_block(plan: CampaignPlan) -> int:

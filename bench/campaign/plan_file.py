@@ -11,10 +11,11 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
+from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from bench.campaign.plan import CampaignPlan, Quantity, levels
+from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
 from bench.config import Configuration
@@ -194,6 +195,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     yield from _hits(plan)
     yield from _covariates(plan)
     yield from _rules(plan)
+    yield from _particulars(plan)
 
 
 def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -227,6 +229,33 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
         wanted = ", ".join(get_args(Quantity))
         yield Mistake(f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it.")
+
+
+def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error for each unknown item or quantity, and for each date that is none."""
+    known = (*plan.ball_names, *plan.design.clubs)
+    dates: dict[str, str] = {}
+    for name, item in plan.items.items():
+        if name not in known:
+            cure = did_you_mean(name, known, "Correct it.")
+            yield Mistake(f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", cure)
+        dates[f"items.{name}.received"] = item.received
+    for name, stated in plan.calibrations.items():
+        dates[f"calibrations.{name}.date"] = stated.date
+        dates[f"calibrations.{name}.due"] = stated.due
+        for quantity in stated.uncertainty.keys() - set(STATED):
+            key, wanted = f"calibrations.{name}.uncertainty.{quantity}", f"one of {', '.join(STATED)}"
+            yield Mistake(key, "no quantity", wanted, "Correct it.")
+    for key, text in dates.items():
+        if text and not _is_date(text):
+            yield Mistake(key, format_value(text), "a date as 2026-11-21", "Correct it.")
+
+
+def _is_date(text: str) -> bool:
+    try:
+        return date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        return False
 
 
 def _carry(plan: CampaignPlan) -> Iterator[Mistake]:

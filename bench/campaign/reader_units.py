@@ -87,6 +87,7 @@ _COMMON: Mapping[str, DisplayUnit] = {
     **dict.fromkeys(_ANGLES, _DEGREES),
     **dict.fromkeys(("landing_angle_deg", "landing_angle"), DisplayUnit("°", 1)),
     "spin_rpm": _RPM,
+    "angle_rad": DisplayUnit("mrad", 2, 1e-3),
     "relative_humidity": DisplayUnit("%", 0, 0.01),
 }
 _SI: Mapping[str, DisplayUnit] = {

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.looks import share_done
-from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels
+from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainty
 from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.sequence import Role, Section, sections
@@ -279,11 +279,12 @@ def _source_of(rule: RuleSet, shot: Shot) -> str:
 
 def _combined(plan: CampaignPlan, rule: RuleSet, means: Sequence[_Mean]) -> tuple[float, float]:
     """Return standard uncertainty and effective degrees of freedom (Welch and Satterthwaite)."""
-    stated = plan.rules.uncertainty.get(rule.quantity)
+    stated = stated_uncertainty(plan, rule.quantity)
     if rule.difference:
         stated = 0.0  # common to both levels
     if stated is None:
-        raise _Unjudged(f"the uncertainty of {rule.quantity} is not stated (rules.uncertainty in the plan)")
+        where = "rules.uncertainty or calibrations in the plan"
+        raise _Unjudged(f"the uncertainty of {rule.quantity} is not stated ({where})")
     scatter = sum(mean.error**4 / mean.freedom for mean in means)
     error = hypot(stated, *(mean.error for mean in means), *(mean.coefficients for mean in means))
     return error, error**4 / scatter if scatter else inf

@@ -135,7 +135,7 @@ def run(
     """
     from datetime import UTC, datetime
 
-    from bench.campaign.operate import measured_balls, new_entry
+    from bench.campaign.operate import bench_calibrations, measured_balls, new_entry
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
@@ -144,13 +144,15 @@ def run(
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
         facts = {} if sim else _bench_facts(plan, configuration, measured)
+        now = datetime.now(UTC)
         entry = new_entry(
             plan,
             configuration,
-            datetime.now(UTC),
+            now,
             simulated=sim or facts["driver"] == "sim",
             real_time=facts,
             measured=measured,
+            calibrated=None if sim else bench_calibrations(plan, configuration, store, now),
         )
         store.begin(entry)
         _run(
@@ -233,7 +235,8 @@ def _run(
     """Run `entry` with a progress bar and print the outcome."""
     import json
 
-    from bench.campaign.campaign_report import load_record, write_campaign_report
+    from bench.campaign.campaign_record import load_record
+    from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.fitting import PromptKind
     from bench.campaign.look_events import note_look
@@ -304,18 +307,30 @@ def report(
         ),
     ] = None,
     units: Units = "si",
+    issue: Annotated[
+        bool, typer.Option("--issue", help="Issue the report: number, date and name are stored.")
+    ] = False,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who issues it.", show_default="user@host")] = "",
+    reason: Annotated[str, typer.Option(metavar="TEXT", help="Why a report is issued again.")] = "",
     json_: Annotated[
         bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
     ] = False,
 ) -> None:
-    """Write the report of a campaign: one HTML file, verdict first."""
-    import json
+    """Write the report of a campaign: one HTML file, verdict first.
 
-    from bench.campaign.campaign_report import load_record, write_campaign_report
+    With --issue the report of a finished campaign gets a number, also each amendment.
+    """
+    import json
+    from datetime import UTC, datetime
+
+    from bench.campaign.campaign_record import load_record
+    from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.look_events import note_look
     from bench.campaign.operate import find_campaign
     from bench.campaign.reader_units import UnitSystem
+    from bench.campaign.signature import issue_report
+    from bench.commands.campaign_terminal import user_name
     from bench.errors import Refused
 
     configuration = context.ensure_object(Session).configuration()
@@ -324,6 +339,9 @@ def report(
         entry = record.entry
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
+        if issue:
+            issue_report(store, record, by or user_name(), reason, datetime.now(UTC))
+            record = load_record(store, entry)
         looks = note_look(store, record, "report")
     found = findings(record.plan, record.shots, looks, UnitSystem(units))
     if json_:
@@ -332,6 +350,54 @@ def report(
     path = output or configuration.bench.data_dir / "campaigns" / entry.id / "report.html"
     write_campaign_report(path, record, found, UnitSystem(units))
     typer.echo(str(path))
+
+
+@app.command()
+def verify(
+    context: typer.Context,
+    campaign: Id,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            "--report", metavar="FILE", help="Page to verify.", show_default="report.html beside the records"
+        ),
+    ] = None,
+) -> None:
+    """Verify a report: compute its digest and every figure again from the records.
+
+    Exits with 1 and names what differs.
+    """
+    from bench.campaign.campaign_record import load_record
+    from bench.campaign.operate import find_campaign
+    from bench.campaign.verification import missing_records, verify_page
+    from bench.errors import BenchError, ExitCode
+
+    configuration = context.ensure_object(Session).configuration()
+    data_dir = configuration.bench.data_dir
+    with _store(configuration) as store:
+        record = load_record(store, find_campaign(store, campaign))
+        missing = missing_records(store.shots(record.entry.id), data_dir)
+    path = page or data_dir / "campaigns" / record.entry.id / "report.html"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        cure = f"golfbench campaign report {record.entry.id}"
+        raise BenchError(str(path), error.strerror or "not readable", "a report", cure) from error
+    except UnicodeDecodeError as error:
+        raise BenchError(str(path), "no text", "a report", "Name the report.") from error
+    result = verify_page(record, text, str(path))
+    for line in (*missing, *result.differences):
+        typer.echo(line)
+    typer.echo(f"digest of plan and data {result.digest}")
+    texts = (
+        f", {result.texts} texts of the page compared"
+        if result.texts
+        else ("; the page was written by another version of golfbench, its texts are not compared")
+    )
+    held = not (missing or result.differences)
+    typer.echo(f"{'verified' if held else 'NOT VERIFIED'}: {result.figures} figures computed again{texts}")
+    if not held:
+        raise typer.Exit(ExitCode.REFUSED)
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:

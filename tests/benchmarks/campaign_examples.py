@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bench.campaign.campaign_report import load_record, write_campaign_report
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry, run_simulated
 from bench.campaign.plan_file import campaign_names, load_plan

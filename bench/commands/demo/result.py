@@ -8,7 +8,8 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.campaign.campaign_report import load_record, write_campaign_report
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan

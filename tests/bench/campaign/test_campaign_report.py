@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from bench.campaign.campaign_report import CampaignRecord, render_campaign_report, write_campaign_report
+from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_report import render_campaign_report, write_campaign_report
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan

@@ -16,7 +16,8 @@ import pytest
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
 from bench.campaign.analysis import analyse
 from bench.campaign.block_model import Contrast
-from bench.campaign.campaign_report import CampaignRecord, render_campaign_report
+from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.carry import ShotCarry, measured_of, require_carry
 from bench.campaign.common_errors import common_errors
 from bench.campaign.equipment import carry_words

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.campaign.campaign_report import load_record
+from bench.campaign.campaign_record import load_record
 from bench.campaign.findings import findings
 from bench.campaign.look_events import note_look
 from bench.campaign.looks import look_level, look_now, share_done, spent

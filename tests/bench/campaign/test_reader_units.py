@@ -7,7 +7,8 @@ from math import inf, nan
 
 import pytest
 
-from bench.campaign.campaign_report import CampaignRecord, render_campaign_report
+from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.page import TABLE
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES

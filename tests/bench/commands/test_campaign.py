@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,7 +15,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from bench.campaign.campaign_report import load_record, render_campaign_report
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.operate import bench_lock, new_entry, require_free, run_simulated, runner_lock
 from bench.campaign.plan_file import campaign_names, load_plan
@@ -95,6 +97,25 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     page = Path(report.stdout.strip()).read_text()
     assert "guard opened" in page
     assert "note: a gust (" in page
+    assert f"{campaign}-draft" in page
+    verified = call("verify", campaign)
+    assert verified.exit_code == ExitCode.OK, verified.output
+    assert "\nverified: " in verified.stdout
+    assert call("report", campaign, "--issue", "--by", "Ann", "--units", "us").exit_code == ExitCode.OK
+    page = Path(report.stdout.strip()).read_text()
+    assert f"{campaign}-R1" in page
+    assert "issued by Ann" in page
+    assert call("verify", campaign).exit_code == ExitCode.OK
+    assert isinstance(call("report", campaign, "--issue").exception, Refused)
+    assert call("verify", campaign, "--report", tmp_path / "none.html").exception is not None
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        database.execute("UPDATE shots SET ball_speed_mps = ball_speed_mps + 1 WHERE shot = 3")
+    changed = call("verify", campaign)
+    assert changed.exit_code == ExitCode.REFUSED
+    assert "shot 3: not as reported" in changed.stdout
+    assert "NOT VERIFIED" in changed.stdout
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        database.execute("UPDATE shots SET ball_speed_mps = ball_speed_mps - 1 WHERE shot = 3")
     refused = call("resume", campaign)
     assert isinstance(refused.exception, Refused)
 

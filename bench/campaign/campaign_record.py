@@ -1,0 +1,65 @@
+"""A campaign with all its data in the database, and the issues of its report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import plan_from_record
+from bench.shot.shot import Shot
+from bench.store.campaigns import (
+    CampaignEntry,
+    CampaignRun,
+    CampaignStore,
+    Event,
+    Hit,
+    Prompt,
+    ShotNote,
+    Standing,
+)
+
+ISSUE = "issue"
+"""Kind of an event: the report was issued."""
+
+
+@dataclass(frozen=True)
+class CampaignRecord:
+    """A campaign as stored in the database."""
+
+    entry: CampaignEntry
+    standing: Standing
+    plan: CampaignPlan
+    shots: Sequence[Shot]
+    events: Sequence[Event]
+    hits: Counter[Hit]
+    prompts: Sequence[Prompt] = ()
+    notes: Sequence[ShotNote] = ()
+    runs: Sequence[CampaignRun] = ()
+
+    @property
+    def issues(self) -> list[Event]:
+        """Issues of its report in order; the last one supersedes those before it."""
+        return [event for event in self.events if event.kind == ISSUE]
+
+    @property
+    def number(self) -> str:
+        """Number of its report: that of the last issue, or of a draft."""
+        issues = len(self.issues)
+        return f"{self.entry.id}-R{issues}" if issues else f"{self.entry.id}-draft"
+
+
+def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
+    """Return a campaign with all its data in the database."""
+    return CampaignRecord(
+        entry,
+        store.standing(entry.id),
+        plan_from_record(entry.plan, f"campaign {entry.id}"),
+        [stored.shot for stored in store.shots(entry.id)],
+        store.events(entry.id),
+        store.hits(entry.hit_scope),
+        store.prompts(entry.id),
+        store.notes(entry.id),
+        store.runs(entry.id),
+    )

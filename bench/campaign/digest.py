@@ -1,0 +1,67 @@
+"""Digests of a campaign's records: of plan and data as a whole, and of each shot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from datetime import datetime
+from hashlib import sha256
+from typing import Any
+
+from bench.shot.shot import COLUMNS, Shot
+from bench.store.campaigns import CampaignEntry, Event, Prompt, ShotNote
+
+SHOT_DIGITS = 8
+"""Hex digits of a shot's digest."""
+NO_DATA = frozenset({"look", "issue"})
+"""Kinds of events that say what was made of the data, not what they are."""
+
+
+def shot_digest(shot: Shot) -> str:
+    """Return the digest of one shot, all its columns."""
+    row = [getattr(shot, column.name) for column in COLUMNS]
+    return sha256(_text(row).encode()).hexdigest()[:SHOT_DIGITS]
+
+
+def parts_digests(
+    entry: CampaignEntry,
+    shots: Iterable[Shot],
+    events: Iterable[Event],
+    prompts: Iterable[Prompt],
+    notes: Iterable[ShotNote],
+) -> dict[str, str]:
+    """Return the digests of plan, campaign, shots, events, prompts and notes."""
+    begun = asdict(entry)
+    plan = begun.pop("plan")
+    rows = sha256()
+    for shot in shots:
+        rows.update(_text([getattr(shot, column.name) for column in COLUMNS]).encode() + b"\n")
+    return {
+        "plan": _digest(plan),
+        "campaign": _digest(begun),
+        "shots": rows.hexdigest(),
+        "events": _digest([one for one in events if one.kind not in NO_DATA]),
+        "prompts": _digest(list(prompts)),
+        "notes": _digest(list(notes)),
+    }
+
+
+def whole_digest(parts: dict[str, str]) -> str:
+    """Return one digest of all parts, 64 hex digits (SHA-256)."""
+    return _digest(parts)
+
+
+def _digest(value: Any) -> str:
+    return sha256(_text(value).encode()).hexdigest()
+
+
+def _text(value: Any) -> str:
+    """Return JSON that is the same for the same values, figures with all their digits."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat()
+    raise TypeError(f"{type(value).__name__} has no digest")

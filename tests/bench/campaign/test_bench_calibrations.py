@@ -1,0 +1,70 @@
+"""Calibrations in force when a campaign begins, from the bench's own archive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from math import hypot
+from pathlib import Path
+
+import pytest
+
+from bench.calibration.archive import add_calibration
+from bench.calibration.values import ClubInMount, EncoderZeros
+from bench.campaign.bench_calibrations import calibrations_in_force, speed_sensitivities
+from bench.campaign.operate import bench_calibrations, new_entry
+from bench.campaign.plan_file import load_plan
+from bench.campaign.swings import require_swings
+from bench.config import database_url, load_configuration
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from sim.kinematics import head_motion
+
+NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
+CONFIGURATION = load_configuration(Path("shipped"))
+
+
+def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -> None:
+    plan = load_plan(Path("clubs"), CONFIGURATION)
+    begun = NOW - timedelta(days=10)
+
+    def add(values: ClubInMount | EncoderZeros, days: int) -> None:
+        date, expires = begun + timedelta(days=days), NOW + timedelta(days=80)
+        add_calibration(engine, bench, values, date=date, expires=expires, by="Ann", method="jig")
+
+    bench = CONFIGURATION.bench.id
+    with open_database(database_url("", tmp_path)) as engine:
+        add(EncoderZeros((1, 2, 3), (1, 1, 1), 65536, 1e-3), 0)
+        add(EncoderZeros((4, 5, 6), (1, 1, 1), 65536, 2e-3), 1)
+        add(ClubInMount("driver", 1.09, 0.18, 1.0, 5e-4, 1e-3), 2)
+        add(ClubInMount("driver-9", 1.09, 0.16, 1.0, 6e-4, 1e-3), 3)
+        add(ClubInMount("iron", 0.95, 0.5, 1.0, 7e-4, 1e-3), 4)
+        found = calibrations_in_force(engine, bench, plan.design.clubs, NOW)
+        names = [(one["kind"], one["subject"], one["version"]) for one in found["in_force"]]
+        assert names == [("encoders", "", 2), ("club", "driver", 1), ("club", "driver-9", 2)]
+        assert found["nominal"] == ["ball", "club driver-12", "valves"]
+        kept = bench_calibrations(plan, CONFIGURATION, CampaignStore(engine), NOW)
+    entry = new_entry(plan, CONFIGURATION, NOW, simulated=False, calibrated=kept)
+    assert entry.calibrations["bench"]["in_force"] == found["in_force"]
+    assert {one["club"] for one in entry.calibrations["bench"]["club_speed"]} == set(plan.design.clubs)
+
+
+def test_club_speed_grows_by_the_clubs_angular_rate() -> None:
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    robot, profiles = CONFIGURATION.plant.robot, require_swings(plan, CONFIGURATION)
+    (one,) = speed_sensitivities(profiles, plan.clubs, robot)
+    profile = profiles["default", "driver"]
+    at = round(profile.impact_time / profile.period)
+    robot = replace(robot, club=plan.clubs["driver"])
+    motion = head_motion(robot.record[0], *profile.angle[at], *profile.velocity[at])
+    # The club's own speed about the wrist is nearly in the direction of the head's.
+    assert 0.9 * abs(motion[5]) <= one["length"] <= abs(motion[5])
+    assert 0 < one["zeros"] < 0.5 * hypot(motion[3], motion[4])
+
+
+@pytest.mark.parametrize("clubs", [(), ("driver",)])
+def test_an_empty_archive_has_nominal_values_only(tmp_path: Path, clubs: tuple[str, ...]) -> None:
+    with open_database(database_url("", tmp_path)) as engine:
+        found = calibrations_in_force(engine, "bench1", clubs, NOW)
+    assert found["in_force"] == []
+    assert ("club driver" in found["nominal"]) == bool(clubs)
