@@ -232,7 +232,7 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield an error for each unknown item or quantity, and for each date that is none."""
+    """Yield an error for each unknown item or quantity, and each invalid date."""
     known = (*plan.ball_names, *plan.design.clubs)
     dates: dict[str, str] = {}
     for name, item in plan.items.items():

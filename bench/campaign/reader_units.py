@@ -107,7 +107,7 @@ _US: Mapping[str, DisplayUnit] = {
     **_COMMON,
     **dict.fromkeys(_LENGTHS, _YARDS),
     **dict.fromkeys(_SPEEDS, _MILES),
-    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("in", 2, _INCH_MM)),
+    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("in", 3, _INCH_MM)),
     "air_temperature_k": DisplayUnit("°F", 1, 5 / 9, 459.67 * 5 / 9),
     "air_pressure_pa": DisplayUnit("inHg", 2, 3386.389),
     "temperature_difference_k": DisplayUnit("°F", 1, 5 / 9),
