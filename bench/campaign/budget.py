@@ -152,7 +152,7 @@ def _budget(
 def _type_b(
     plan: CampaignPlan, shots: Sequence[Shot], column: str, calibrations: Mapping[str, Any]
 ) -> Iterator[BudgetLine | str]:
-    """Yield the contributions of calibrations, and what is missing as text."""
+    """Yield the contributions of calibrations, and as text those that are missing."""
     quantity = _STATED_AS.get(column, column)
     sources = {shot.carry_source for shot in shots} if column == "carry_m" else set()
     if sources & _FLOWN:

@@ -127,7 +127,7 @@ def _dispersion(plan: CampaignPlan, shots: Sequence[Shot], views: SectionViews, 
     above.set(title="Landing points from above", xlabel=f"left  ←  offline, {unit}  →  right")
     above.set_ylabel(f"carry, {unit}")
     speed.set(title="Carry against ball speed", xlabel=f"ball speed, {fast.unit}", ylabel=f"carry, {unit}")
-    figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    figure.legend(*speed.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return figure
 
 

@@ -92,30 +92,17 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
     if not record.shots:
         raise ValueError("a report needs at least one shot")
     plan, entry, shots = record.plan, record.entry, record.shots
-    listed, handwork = _listed(record, found), _handwork(record.prompts)
-    events = [event for event in record.events if event.kind != ISSUE]
-    parts = record_parts(record)
-    digest, calibrations = whole_digest(parts), calibration_table(record)
-    budgets = uncertainty_budgets(plan, shots, entry.calibrations, simulated=entry.simulated)
     template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
     return template.render(
+        **_signed_part(record, found, units),
+        **_lists(record, found, units),
         title=entry.title,
-        number=record.number,
-        issued=bool(record.issues),
-        particulars=particulars(record, digest),
-        particular_tables=(item_table(record), calibrations),
-        overdue=overdue(calibrations),
-        statement=STATEMENT,
-        budgets=budgets,
-        contributions=_contributions(budgets),
-        data=_page_data(record, found, units, parts, digest),
         entry=entry,
         plan=plan,
         found=found,
         first=min(times),
         last=max(times),
-        notes=_notes(record.notes),
         time_format="%H:%M:%S" if _one_day(record) else "%Y-%m-%d %H:%M:%S",
         facts=_facts(record, units),
         standing_words=_standing_words(record.standing),
@@ -135,14 +122,6 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         decision_rule=DECISION_RULE,
         mixed_pair=_mixed_pair,
         reasons=_reasons(found),
-        events=events[:_MAX_LINES],
-        more_events=max(0, len(events) - _MAX_LINES),
-        handwork=handwork[:_MAX_LINES],
-        more_handwork=max(0, len(handwork) - _MAX_LINES),
-        table=TABLE,
-        all_rows=len(shots) <= _ALL_ROWS,
-        listed=len(listed),
-        rows=[(shot, shot_figures(shot, units)) for shot in listed[:_MAX_ROWS]],
         many_clubs=len(plan.design.clubs) > 1,
         many_swings=len(plan.design.swings) > 1,
         sources=_sources(shots),
@@ -154,6 +133,43 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         ),
         equipment=_equipment(record, units),
     )
+
+
+def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
+    """Return the variables of the part that is signed."""
+    parts, calibrations = record_parts(record), calibration_table(record)
+    digest = whole_digest(parts)
+    budgets = uncertainty_budgets(
+        record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
+    )
+    return {
+        "number": record.number,
+        "issued": bool(record.issues),
+        "particulars": particulars(record, digest),
+        "particular_tables": (item_table(record), calibrations),
+        "overdue": overdue(calibrations),
+        "statement": STATEMENT,
+        "budgets": budgets,
+        "contributions": _contributions(budgets),
+        "data": _page_data(record, found, units, parts, digest),
+    }
+
+
+def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
+    """Return the variables of long lists, with their number where they are cut."""
+    listed, handwork = _listed(record, found), _handwork(record.prompts)
+    events = [event for event in record.events if event.kind != ISSUE]
+    return {
+        "notes": _notes(record.notes),
+        "events": events[:_MAX_LINES],
+        "more_events": max(0, len(events) - _MAX_LINES),
+        "handwork": handwork[:_MAX_LINES],
+        "more_handwork": max(0, len(handwork) - _MAX_LINES),
+        "table": TABLE,
+        "all_rows": len(record.shots) <= _ALL_ROWS,
+        "listed": len(listed),
+        "rows": [(shot, shot_figures(shot, units)) for shot in listed[:_MAX_ROWS]],
+    }
 
 
 def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[..., Any]]:

@@ -1,4 +1,4 @@
-"""All quantities of each level, side by side: what is opened first."""
+"""All quantities of each level, side by side."""
 
 from __future__ import annotations
 

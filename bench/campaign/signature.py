@@ -1,6 +1,6 @@
 """What a test report states besides its results (ISO/IEC 17025:2017, 7.8), from plan and records.
 
-What nobody stated is printed as "not stated": a person who signs sees the gap.
+What was left out is printed as "not stated": a person who signs sees the gap.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Is a report still what the records say? Digest, every figure and every text are computed again.
 
 A page carries, as data, the digests of what it was made from and its figures with all digits. Verifying
-computes both from the records, and writes the page again to compare what is shown.
+computes both from the records, and writes the page again to compare the texts shown.
 """
 
 from __future__ import annotations
