@@ -383,6 +383,7 @@ def model_checked(puppet: Puppet, **limits: float) -> Puppet:
 
 
 def _doubted(puppet: Puppet) -> None:
+    puppet.give(encoder_indexed=1)  # without its zero a joint has no chambers to compare
     model_checked(puppet)
     puppet.state.model["started"] = False  # it takes over what it sees first
     for k in range(3):
