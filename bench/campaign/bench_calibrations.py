@@ -38,6 +38,15 @@ def calibrations_in_force(
     }
 
 
+def calibration_versions(database: Engine, bench: str, clubs: Iterable[str], now: datetime) -> dict[str, str]:
+    """Return the versions of the calibrations in force by kind and club, to see what changes between runs."""
+    found = calibrations_in_force(database, bench, clubs, now)
+    return {
+        " ".join(filter(None, (str(one["kind"]), str(one["subject"])))): f"version {one['version']}"
+        for one in found["in_force"]
+    }
+
+
 def speed_sensitivities(
     profiles: Profiles, clubs: Mapping[str, Club], robot: RobotParameters
 ) -> list[dict[str, Any]]:

@@ -38,7 +38,7 @@ from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
 
-_LASTING = ("driver", "profile", "club", "series", "launch_monitor")
+_LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that do not differ by themselves from start to start."""
 SHORTEST_PREFIX = 4
 """Min number of characters of an abbreviated campaign id."""

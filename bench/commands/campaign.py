@@ -143,7 +143,7 @@ def run(
     bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
-        facts = {} if sim else _bench_facts(plan, configuration, measured)
+        facts = {} if sim else _bench_facts(plan, configuration, measured, store)
         now = datetime.now(UTC)
         entry = new_entry(
             plan,
@@ -202,7 +202,7 @@ def resume(
         if entry.real_time:
             begun = plan_from_record(entry.plan, f"campaign {entry.id}")
             facts = _bench_facts(
-                begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}")
+                begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}"), store
             )
         _run(
             store,
@@ -214,13 +214,21 @@ def resume(
         )
 
 
-def _bench_facts(plan: CampaignPlan, configuration: Configuration, measured: Measured) -> dict[str, Any]:
+def _bench_facts(
+    plan: CampaignPlan, configuration: Configuration, measured: Measured, store: CampaignStore
+) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
+    from datetime import UTC, datetime
+
+    from bench.campaign.bench_calibrations import calibration_versions
     from bench.campaign.operate import bench_facts
     from bench.network.client import BenchClient
 
     with BenchClient.connect(configuration) as client:
-        return bench_facts(plan, configuration, client.status(), measured)
+        facts = bench_facts(plan, configuration, client.status(), measured)
+    bench, clubs = configuration.bench.id, plan.design.clubs
+    versions = calibration_versions(store.database, bench, clubs, datetime.now(UTC))
+    return {**facts, "calibrations": versions}
 
 
 def _run(

@@ -11,8 +11,9 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import ClubInMount, EncoderZeros
-from bench.campaign.bench_calibrations import calibrations_in_force, speed_sensitivities
-from bench.campaign.operate import bench_calibrations, new_entry
+from bench.campaign.bench_calibrations import calibration_versions, calibrations_in_force, speed_sensitivities
+from bench.campaign.interruptions import changed
+from bench.campaign.operate import bench_calibrations, new_entry, run_start
 from bench.campaign.plan_file import load_plan
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
@@ -43,7 +44,14 @@ def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -
         names = [(one["kind"], one["subject"], one["version"]) for one in found["in_force"]]
         assert names == [("encoders", "", 2), ("club", "driver", 1), ("club", "driver-9", 2)]
         assert found["nominal"] == ["ball", "club driver-12", "valves"]
+        versions = calibration_versions(engine, bench, plan.design.clubs, NOW)
+        assert versions == {"encoders": "version 2", "club driver": "version 1", "club driver-9": "version 2"}
         kept = bench_calibrations(plan, CONFIGURATION, CampaignStore(engine), NOW)
+    one, two = (
+        run_start("Ann", CONFIGURATION, {"driver": "daq", "calibrations": known})
+        for known in (versions, versions | {"encoders": "version 3"})
+    )
+    assert changed(one.facts, two.facts) == ["calibrations.encoders version 2 → version 3"]
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=False, calibrated=kept)
     assert entry.calibrations["bench"]["in_force"] == found["in_force"]
     assert {one["club"] for one in entry.calibrations["bench"]["club_speed"]} == set(plan.design.clubs)

@@ -182,6 +182,12 @@ def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:
     (pair,) = figures["sections"][0]["confirmatory"]["pairs"]
     assert pair["verdict"] == "different"
     assert figures["by_status"] == {"valid": 39, "excluded": 1}
+    (section,) = figures["sections"]
+    assert [(one["name"], one["letters"]) for one in section["ranking"]] == [("pole", "a"), ("seam", "b")]
+    assert section["dispersion"][0]["area_low"] < section["dispersion"][0]["area"]
+    assert [chart["column"] for chart in section["control_charts"]] == ["carry_m", "ball_speed_mps"]
+    carry = section["quantities"][0]["spreads"]["carry_m"]
+    assert carry["mean"] == pytest.approx(section["levels"][0]["spread"]["mean"])
     assert f"{pair['difference']:.2f}" in figures["sections"][0]["verdicts"][0]["headline"]
 
 

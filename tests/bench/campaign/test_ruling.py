@@ -14,6 +14,7 @@ import pytest
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.reader_units import UnitSystem
 from bench.campaign.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.ruling import Decision, RuleFinding, decide_by_limit, judge_rules
 from bench.config import Configuration, load_configuration
@@ -112,6 +113,9 @@ def test_a_ball_that_is_too_long_at_the_rules_set_up_is_not_inside_at_the_robots
     at_set_up = _only(judge_rules(_with_rules(distance, "ods"), _shots(ODS, _scatter(totals[0]))))
     assert at_set_up.decision is Decision.FAILS
     assert "362.3 ±" in at_set_up.words
+    assert "at most 320.0 yd (331.3 ± " in at_set_up.words_in(UnitSystem.SI)
+    assert ", at most 292.6 m) – " in at_set_up.words_in(UnitSystem.SI)
+    assert at_set_up.words_in(UnitSystem.US) == at_set_up.words
 
 
 @pytest.mark.parametrize(
