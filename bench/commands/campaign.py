@@ -221,9 +221,12 @@ def _bench_facts(
     from datetime import UTC, datetime
 
     from bench.campaign.bench_calibrations import calibration_versions
+    from bench.campaign.notifications import read_services
     from bench.campaign.operate import bench_facts
     from bench.network.client import BenchClient
 
+    if configuration.notifications.file:
+        read_services(Path(configuration.notifications.file))
     with BenchClient.connect(configuration) as client:
         facts = bench_facts(plan, configuration, client.status(), measured)
     bench, clubs = configuration.bench.id, plan.design.clubs
@@ -240,35 +243,22 @@ def _run(
     *,
     ask: bool,
 ) -> None:
-    """Run `entry` with a progress bar and print the outcome."""
+    """Run `entry` and print the outcome."""
     import json
 
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.fitting import PromptKind
     from bench.campaign.look_events import note_look
-    from bench.campaign.operate import run_live, run_simulated, run_start
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
-    from bench.commands.campaign_screen import CampaignScreen, campaign_bar
-    from bench.commands.campaign_terminal import TerminalOperator
     from bench.errors import ExitCode
-    from bench.interrupt import deferred_interrupt
     from bench.store.campaigns import CampaignState
     from bench.telemetry.whole_file import whole_file
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
-    typer.echo(f"campaign {entry.id}", err=True)
-    with deferred_interrupt() as asked, campaign_bar() as bar:
-        take = run_live if entry.real_time else run_simulated
-        asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
-        operator = TerminalOperator(bar, entry.id, asked_for)
-        start = run_start(operator.name, configuration, facts)
-        outcome = take(
-            entry, configuration, store, CampaignScreen(entry, plan, bar), asked.is_made, operator, start
-        )
+    outcome = _take(store, entry, configuration, plan, facts, ask=ask)
     record = load_record(store, entry)
     found = findings(plan, record.shots, note_look(store, record, "end of a run"), outputs.units)
     figures = findings_record(found)
@@ -289,6 +279,36 @@ def _run(
         _tell(outcome, found, checks, outputs.units)
     if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _take(
+    store: CampaignStore,
+    entry: CampaignEntry,
+    configuration: Configuration,
+    plan: CampaignPlan,
+    facts: Mapping[str, Any],
+    *,
+    ask: bool,
+) -> RunOutcome:
+    """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
+    from bench.campaign.broadcast import Together
+    from bench.campaign.fitting import PromptKind
+    from bench.campaign.notifications import notifying
+    from bench.campaign.operate import run_live, run_simulated, run_start
+    from bench.commands.campaign_screen import CampaignScreen, campaign_bar
+    from bench.commands.campaign_terminal import TerminalOperator
+    from bench.interrupt import deferred_interrupt
+
+    typer.echo(f"campaign {entry.id}", err=True)
+    with deferred_interrupt() as asked, campaign_bar() as bar:
+        take = run_live if entry.real_time else run_simulated
+        asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
+        operator = TerminalOperator(bar, entry.id, asked_for)
+        start = run_start(operator.name, configuration, facts)
+        screen, file = CampaignScreen(entry, plan, bar), configuration.notifications.file
+        with notifying(file if entry.real_time else "", entry, screen.say) as notifier:
+            watcher = Together(screen, notifier)
+            return take(entry, configuration, store, watcher, asked.is_made, operator, start)
 
 
 def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:

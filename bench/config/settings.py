@@ -111,6 +111,14 @@ class SwingSettings:
     """Key of [balls]."""
 
 
+@dataclass(frozen=True)
+class NotificationSettings:
+    """Notifications of campaigns that wait for a person, are suspended or finish."""
+
+    file: str = ""
+    """File of the services' URLs, one a line, readable by its owner only; empty: no notifications."""
+
+
 def _clubs() -> dict[str, Club]:
     return {club.name: club for club in (Club.driver(), Club.thesis())}
 
@@ -130,6 +138,7 @@ class Configuration:
     daq: DaqSettings = field(default_factory=DaqSettings)
     launch_monitor: LaunchMonitorSettings = field(default_factory=LaunchMonitorSettings)
     network: NetworkSettings
+    notifications: NotificationSettings = field(default_factory=NotificationSettings)
     swing: SwingSettings
     plant: PlantParameters = field(default_factory=PlantParameters)
     """The simulated plant, with club and ball of `swing` and the loop's period as its tick."""

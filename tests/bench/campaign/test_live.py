@@ -47,6 +47,7 @@ from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
+from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 PLAN = """
@@ -535,10 +536,19 @@ def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
 def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
     tmp_path: Path,
 ) -> None:
-    file = write_configuration(tmp_path, "clubs", "[lifecycle]\nseries = true\n")
+    urls = tmp_path / "notify.urls"
+    file = write_configuration(
+        tmp_path, "clubs", f'[lifecycle]\nseries = true\n[notifications]\nfile = "{urls}"\n'
+    )
     (tmp_path / "plan.toml").write_text(TWO_CLUBS)
     data_dir = load_configuration(file).bench.data_dir
-    with running_bench(file) as bench, open_database(database_url("", data_dir)) as engine:
+    with (
+        webhook() as (url, notified, _),
+        running_bench(file) as bench,
+        open_database(database_url("", data_dir)) as engine,
+    ):
+        urls.write_text(url)
+        urls.chmod(0o600)
         store = CampaignStore(engine)
         with campaign(file, "run", tmp_path / "plan.toml", "--ask") as process:
             while not (entries := store.entries()) or entries[0][1].state is not CampaignState.WAITING:
@@ -562,6 +572,8 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
         assert code == ExitCode.OK, output
         (prompt,) = store.prompts(name)
         assert (prompt.before_shot, prompt.by) == (2, "Ann")
+        titles = [body["title"].partition(": ")[2].partition(" ")[2] for body in notified]
+        assert titles == ["waits for a person", "is finished"]
         first, second = (stored.shot for stored in store.shots(name))
         assert [(s.club, s.status) for s in (first, second)] == [
             ("driver", ShotStatus.VALID),

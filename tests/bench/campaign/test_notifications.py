@@ -1,0 +1,150 @@
+"""Notifications of a campaign: what is sent to a webhook, how often it is tried, and what is never shown."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Event, Thread
+
+import pytest
+
+from bench.campaign.notifications import Notifier, Service, notifying, read_services
+from bench.errors import BenchError
+from bench.store.campaigns import CampaignEntry, CampaignState
+from tests.bench.store.test_campaigns import ENTRY
+
+HIDDEN = "k9-of-the-chat"
+"""Part of a URL that is shown nowhere."""
+
+pytestmark = pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # by apprise
+
+
+@contextmanager
+def webhook(refused: int = 0) -> Iterator[tuple[str, list[dict[str, str]], list[str]]]:
+    """Serve a webhook on loopback that refuses the first notifications; yield its URL, bodies and paths."""
+    bodies: list[dict[str, str]] = []
+    paths: list[str] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            paths.append(self.path)
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            accepted = len(paths) > refused
+            if accepted:
+                bodies.append(json.loads(body))
+            self.send_response(200 if accepted else 500)
+            self.end_headers()
+
+        def log_message(self, format: str, *arguments: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"json://127.0.0.1:{server.server_port}/{HIDDEN}", bodies, paths
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.fixture
+def campaign() -> CampaignEntry:
+    return ENTRY
+
+
+def url_file(folder: Path, text: str, mode: int = 0o600) -> Path:
+    file = folder / "notify.urls"
+    file.write_text(text)
+    file.chmod(mode)
+    return file
+
+
+def test_states_that_need_a_person_are_sent_and_tried_again(
+    tmp_path: Path, campaign: CampaignEntry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    said: list[str] = []
+    with webhook(refused=1) as (url, bodies, paths):
+        file = url_file(tmp_path, f"# the laboratory's chat\n\n{url}\n")
+        with notifying(str(file), campaign, said.append, waits=(0.0, 0.0)) as notifier:
+            notifier.standing(CampaignState.RUNNING, "")
+            notifier.standing(CampaignState.WAITING, "Mount club driver-9 in place of driver.")
+            notifier.standing(CampaignState.SUSPENDED, "5 shots in a row not valid")
+            notifier.standing(CampaignState.STOPPED, "by Ctrl-C")
+            notifier.standing(CampaignState.FINISHED, "")
+    name = f"golfbench {campaign.bench}: {campaign.name}"
+    words = ("waits for a person", "is suspended", "is finished")
+    assert [body["title"] for body in bodies] == [f"{name} {word}" for word in words]
+    assert bodies[0]["message"].splitlines() == [
+        "Mount club driver-9 in place of driver.",
+        f"campaign {campaign.id}",
+    ]
+    assert len(paths) == 4
+    assert said == []
+
+
+def test_a_service_that_refuses_is_named_by_its_line_and_never_by_its_url(
+    tmp_path: Path,
+    campaign: CampaignEntry,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    said: list[str] = []
+    with webhook(refused=9) as (url, _, paths):
+        file = url_file(tmp_path, f"{url}\n")
+        with notifying(str(file), campaign, said.append, waits=(0.0, 0.0, 0.0)) as notifier:
+            notifier.standing(CampaignState.FINISHED, "")
+    assert len(paths) == 3
+    (text,) = said
+    assert f"not sent ({file}, line 1)" in text
+    shown = capfd.readouterr()
+    assert HIDDEN not in text + shown.out + shown.err + caplog.text
+
+
+def test_a_service_that_hangs_or_fails_is_in_nobodys_way(campaign: CampaignEntry) -> None:
+    end, said = Event(), list[str]()
+
+    def hangs(title: str, text: str) -> bool:
+        end.wait(30.0)
+        raise RuntimeError("no network")
+
+    notifier = Notifier(campaign, [Service("here", hangs)], said.append, waits=(0.0,))
+    began = time.monotonic()
+    for _ in range(200):
+        notifier.standing(CampaignState.WAITING, "Fill the feeder.")
+    assert time.monotonic() - began < 1.0
+    notifier.close(patience=0.2)
+    assert said == ["Notifications were still on their way at the end; they are given up."]
+    end.set()
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "place", "found"),
+    [
+        (f"json://127.0.0.1/{HIDDEN}", 0o644, "notify.urls", "mode 644"),
+        (f"# chat\nnosuch://{HIDDEN}", 0o600, "notify.urls, line 2", "does not know"),
+    ],
+)
+def test_a_bad_file_is_refused_without_showing_what_is_in_it(
+    tmp_path: Path, text: str, mode: int, place: str, found: str
+) -> None:
+    with pytest.raises(BenchError) as error:
+        read_services(url_file(tmp_path, text, mode))
+    assert error.value.place.endswith(place)
+    assert found in error.value.found
+    assert HIDDEN not in str(error.value)
+
+
+def test_nobody_is_notified_as_shipped(campaign: CampaignEntry) -> None:
+    with notifying("", campaign, print) as nobody:
+        nobody.standing(CampaignState.FINISHED, "")
+    with pytest.raises(BenchError, match="FileNotFoundError"):
+        read_services(Path("no-such-file"))
