@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import measured_of
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
-from bench.campaign.digest import parts_digests, shot_digest, whole_digest
+from bench.campaign.digest import SHOT_DIGITS, parts_digests, shot_digests, whole_digest
 from bench.campaign.equipment import (
     EquipmentTable,
     ball_table,
@@ -137,21 +137,21 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
 
 def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
     """Return the variables of the part that is signed."""
-    parts, calibrations = record_parts(record), calibration_table(record)
-    digest = whole_digest(parts)
+    shots, calibrations = shot_digests(record.shots), calibration_table(record)
+    parts = record_parts(record, shots)
     budgets = uncertainty_budgets(
         record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
     )
     return {
         "number": record.number,
         "issued": bool(record.issues),
-        "particulars": particulars(record, digest),
+        "particulars": particulars(record, whole_digest(parts)),
         "particular_tables": (item_table(record), calibrations),
         "overdue": overdue(calibrations),
         "statement": STATEMENT,
         "budgets": budgets,
         "contributions": _contributions(budgets),
-        "data": _page_data(record, found, units, parts, digest),
+        "data": _page_data(record, found, units, parts, shots),
     }
 
 
@@ -204,13 +204,13 @@ def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[...
     }
 
 
-def record_parts(record: CampaignRecord) -> dict[str, str]:
-    """Return the digests of the parts of `record`."""
-    return parts_digests(record.entry, record.shots, record.events, record.prompts, record.notes)
+def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]:
+    """Return the digests of the parts of `record`; `shots` are those of its shots."""
+    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes)
 
 
 def _page_data(
-    record: CampaignRecord, found: Findings, units: UnitSystem, parts: Mapping[str, str], digest: str
+    record: CampaignRecord, found: Findings, units: UnitSystem, parts: dict[str, str], shots: Sequence[str]
 ) -> str:
     """Return what a page carries to be verified, as JSON that is safe within it."""
     data = {
@@ -221,9 +221,9 @@ def _page_data(
         "units": str(units),
         "looks": found.looks,
         "software": software_versions()["source"],
-        "digest": digest,
+        "digest": whole_digest(parts),
         "parts": parts,
-        "shots": "".join(map(shot_digest, record.shots)),
+        "shots": "".join(digest[:SHOT_DIGITS] for digest in shots),
         "figures": findings_record(found),
     }
     return json.dumps(data, separators=(",", ":")).replace("&", "\\u0026").replace("<", "\\u003c")

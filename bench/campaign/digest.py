@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from hashlib import sha256
@@ -13,34 +13,34 @@ from bench.shot.shot import COLUMNS, Shot
 from bench.store.campaigns import CampaignEntry, Event, Prompt, ShotNote
 
 SHOT_DIGITS = 8
-"""Hex digits of a shot's digest."""
+"""Hex digits of a shot's digest on a page."""
 NO_DATA = frozenset({"look", "issue"})
 """Kinds of events that say what was made of the data, not what they are."""
 
 
-def shot_digest(shot: Shot) -> str:
-    """Return the digest of one shot, all its columns."""
-    row = [getattr(shot, column.name) for column in COLUMNS]
-    return sha256(_text(row).encode()).hexdigest()[:SHOT_DIGITS]
+def shot_digests(shots: Iterable[Shot]) -> list[str]:
+    """Return the digest of each shot, all its columns; 64 hex digits."""
+    names = [column.name for column in COLUMNS]
+    return [_digest([getattr(shot, name) for name in names]) for shot in shots]
 
 
 def parts_digests(
     entry: CampaignEntry,
-    shots: Iterable[Shot],
+    shots: Sequence[str],
     events: Iterable[Event],
     prompts: Iterable[Prompt],
     notes: Iterable[ShotNote],
 ) -> dict[str, str]:
-    """Return the digests of plan, campaign, shots, events, prompts and notes."""
+    """Return the digests of plan, campaign, shots, events, prompts and notes.
+
+    `shots` are those of the shots.
+    """
     begun = asdict(entry)
     plan = begun.pop("plan")
-    rows = sha256()
-    for shot in shots:
-        rows.update(_text([getattr(shot, column.name) for column in COLUMNS]).encode() + b"\n")
     return {
         "plan": _digest(plan),
         "campaign": _digest(begun),
-        "shots": rows.hexdigest(),
+        "shots": _digest(shots),
         "events": _digest([one for one in events if one.kind not in NO_DATA]),
         "prompts": _digest(list(prompts)),
         "notes": _digest(list(notes)),
