@@ -6,7 +6,8 @@
 Each swing is of another plant, drawn from its seed, from the hanging pose over arming, address and swing to
 the return; every fourth has no ball. `--first` is the first seed, `--spread` widens or narrows all
 tolerances, `--homing` searches the encoders' index in place of swinging. `--stops` swings each robot twice
-and stops copies of it in every phase, by request or emergency stop, which may not escalate. `--access` arms,
+and stops copies of it in every phase, by request or emergency stop, which may not escalate; one of them is
+armed again from where it came to rest. `--access` arms,
 vents, releases the guard and secures it. `--check off` leaves out the model-based check; `--configuration`
 and `--profile` take another machine and swing.
 """
@@ -166,7 +167,7 @@ def _with_stops(
     promised: int | None,
 ) -> list[Row]:
     """Return how many of two swings of each robot were stopped, and how many stops of it escalated."""
-    stopped, escalated, stops = list[str](), list[str](), 0
+    stopped, escalated, rearmed, stops = list[str](), list[str](), list[str](), 0
     for seed in track(seeds, "stopping", console=Console(stderr=True), transient=True):
         made = healthy_run(healthy_plant(plant, seed, spread), parameters, profile, seed)
         if made is None or made.cause:
@@ -174,7 +175,8 @@ def _with_stops(
             stopped.append(f"{cause.name} (seed {seed})")
         if made is not None:
             stops += made.stops
-            escalated += [f"{text} (seed {seed})" for text in made.escalated]
+            for text in made.escalated:
+                (rearmed if "armed again" in text else escalated).append(f"{text} (seed {seed})")
     return [
         Row(
             NAME,
@@ -184,8 +186,9 @@ def _with_stops(
             note + (f": {', '.join(found[:4])}" if found else ""),
             at_most=promised,
         )
-        for what, number, found in (
-            ("stopped without a fault", 2 * len(seeds), stopped),
-            ("stops that escalated without a fault", stops, escalated),
+        for what, number, found, promised in (
+            ("stopped without a fault", 2 * len(seeds), stopped, promised),
+            ("stops that escalated without a fault", stops, escalated, promised),
+            ("stops after which arming was stopped", stops, rearmed, None),
         )
     ]
