@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bench.config import load_configuration, shipped_configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
-from bench.lifecycle import Answer, Phase, Request, State
+from bench.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
@@ -147,6 +147,8 @@ class Player:
                 case State.ESTOP | State.FAULT if self.bench.plant_state["guard_locked"][0]:
                     self._press()
                     self._ask(Request.RESET)
+                    if self.control["refusal"][0] == Refusal.LOCK:
+                        self._ask(Request.ACCESS)  # a lock that read wrong has to be seen released
                 case State.ESTOP | State.FAULT | State.ACCESS:
                     self._press()
                     self._ask(Request.SECURE)
