@@ -101,7 +101,7 @@ def _site(**changes: Any) -> Any:
         (_table("angle", slice(500, None), 0, 0.2), "angle_rad[499][0]", "a step no", "at most 0.05 rad"),
         (_table("velocity", slice(None), 2, 0.2), "velocity_rad_per_s[0][2]", "0.200 rad/s", "0.1 rad/s"),
         (_actuator("shoulder", upper=0.3), "angle_rad[1999][0]", "hits an end stop", "plant.shoulder"),
-        (_actuator("right_arm", upper=0.15), "angle_rad[0][1]", "m: the swing hits", "to 0.1608 m"),
+        (_actuator("right_arm", upper=0.15), "angle_rad[0][1]", "m: the swing hits", "to 0.1625 m"),
         (_actuator("wrist", lower=6.9, upper=7.0), "angle_rad[0][2]", "hits an end stop", "plant.wrist"),
         (_site(ground=-1.59), "angle_rad[", "over ground", "at least 5 mm"),
         (_table("valve", 77, 1, 1.5), "valve[77][1] (0.077 s, arm)", "1.5", "at most 1, envelope"),

@@ -40,7 +40,7 @@ def test_the_plan_is_in_the_profile(bench: Bench) -> None:
     planned = planned_figures(bench).shown
     assert planned["head_speed_mps"] == pytest.approx(41.537, abs=0.001)
     assert planned["attack_angle_deg"] == pytest.approx(-0.0001, abs=0.001)
-    assert planned["strike_mm"] == pytest.approx(-0.013, abs=0.001)
+    assert planned["strike_mm"] == pytest.approx(-0.057, abs=0.001)
     without = replace(bench.profile, delivery={})
     with pytest.raises(BenchError, match="in_plane_error_mm"):
         planned_figures(bench._replace(profile=without))
