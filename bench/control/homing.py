@@ -185,7 +185,8 @@ def search_cause(
 ) -> int:
     """Return the cause that ends the search, or 0; `following` (3,) rad is the max following error.
 
-    A joint that does not follow its reference has its own cause: it, or its valve, may be stuck.
+    A joint that does not follow its reference, or is too fast, has its own cause: it, or its valve, may be
+    stuck. While zeros are unknown the model-based check cannot tell.
     """
     if not 0.0 <= s.measured_step <= max_gap:
         return Cause.TICK_GAP
@@ -201,7 +202,7 @@ def search_cause(
         if not abs(s.reference[i] - angle[i]) <= following[i]:
             return Cause.SHOULDER_FOLLOWING + i
         if not abs(velocity[i]) <= faster * p.home_speed[i]:
-            return Cause.HOMING_FAILED
+            return Cause.SHOULDER_FOLLOWING + i
         if i != turned:
             continue
         if s.home_touching and p.home_stops:

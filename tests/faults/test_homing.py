@@ -1,0 +1,23 @@
+"""A valve that sticks open in the search, where zeros are unknown and no model can tell, loses its air."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from bench.faults.case import Workbench
+from bench.faults.catalogue import Breakage
+from bench.faults.instants import Instant
+from sim.faults import Fault
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
+@pytest.mark.parametrize("value", [1.0, -1.0], ids=["open", "open in reverse"])
+@pytest.mark.parametrize(("joint", "tick"), [("shoulder", 500), ("shoulder", 2500), ("arm", 500)])
+def test_a_valve_stuck_open_in_the_search_loses_its_air(
+    workbench: Workbench, joint: str, tick: int, value: float
+) -> None:
+    fault = Fault(f"{joint} valve stuck", f"{joint} valve", "stuck", value)
+    outcome = workbench.run(Breakage(fault), Instant("homing", tick, f"{tick} ms"))
+    assert (outcome.verdict, outcome.reaction) == ("safe", "PASSIVE")
+    assert outcome.reaction_ticks < 50
