@@ -160,7 +160,7 @@ def _matrix(
         model_check=model_check,
         profile=profile.name,
         seconds=seconds,
-        origin=origin_of(configuration, profile, datetime.now(UTC)),
+        origin=origin_of(configuration, profile, datetime.now(UTC)) | {"every": plan.every},
     )
     if compare:
         rest = tuple(case for case in plan.cases if _is_compared(case[0]))

@@ -186,7 +186,7 @@ def search_cause(
     """Return the cause that ends the search, or 0; `following` (3,) rad is the max following error.
 
     A joint that does not follow its reference, or is too fast, has its own cause: it, or its valve, may be
-    stuck. While zeros are unknown the model-based check cannot tell.
+    stuck. While zeros are unknown the model-based check is blind to it.
     """
     if not 0.0 <= s.measured_step <= max_gap:
         return Cause.TICK_GAP

@@ -28,7 +28,7 @@ def hazard_table(summary: dict[str, Any]) -> str:
     v = summary["verdicts"]
     lines = [
         HEAD,
-        f"{summary['cases']} cases from {len(summary['instants'])} instants, "
+        f"{summary['cases']} cases{_sampled(summary)} from {len(summary['instants'])} instants, "
         f"model-based check {'on' if summary['model_check'] else 'off'}: "
         f"{v['safe']} detected and safe, {v['harmless']} harmless, {v['undetected']} undetected with another "
         f"shot or pose, {v['unsafe']} unsafe; {summary['left_out_by_rule']} pairs left out by rule.",
@@ -57,6 +57,11 @@ _ALWAYS = (
     "- An output that keeps both vents shut: each vent's coil on a contact of its own in the emergency stop.",
     "- The bench's computer and the valve electronics failing together: the emergency stop's own dump valve.",
 )
+
+
+def _sampled(summary: dict[str, Any]) -> str:
+    every = summary["origin"].get("every", 1)
+    return f", a sample of one in {every}," if every > 1 else ""
 
 
 def _origin(summary: dict[str, Any]) -> str:

@@ -57,6 +57,8 @@ class MatrixPlan:
 
     cases: tuple[tuple[Breakage, Instant], ...]
     skipped: tuple[Skipped, ...]
+    every: int = 1
+    """One case of so many was drawn."""
 
 
 def instants_for(breakage: Breakage, profile: Profile) -> tuple[Instant, ...]:
@@ -87,7 +89,7 @@ def plan_matrix(
     """Return the cases of `profile`.
 
     They are narrowed by `signals` (parts of names), `phases`, `families`, `one_instant` of each phase, and to
-    one case of `every`.
+    one case of `every`, at least one of each breakage.
     """
     cases: list[tuple[Breakage, Instant]] = []
     skipped = []
@@ -111,7 +113,9 @@ def plan_matrix(
                 )
             else:
                 cases.append((breakage, instant))
-    return MatrixPlan(tuple(case for case in cases if _drawn(*case) % every == 0), tuple(skipped))
+    first = {breakage.name: instant for breakage, instant in sorted(cases, key=lambda case: -_drawn(*case))}
+    drawn = tuple(c for c in cases if _drawn(*c) % every == 0 or (every > 1 and first[c[0].name] is c[1]))
+    return MatrixPlan(drawn, tuple(skipped), every)
 
 
 def _drawn(breakage: Breakage, instant: Instant) -> int:
