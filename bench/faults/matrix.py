@@ -113,7 +113,8 @@ def plan_matrix(
                 )
             else:
                 cases.append((breakage, instant))
-    first = {breakage.name: instant for breakage, instant in sorted(cases, key=lambda case: -_drawn(*case))}
+    by_lot = sorted(cases, key=lambda case: _drawn(*case) % every, reverse=True)
+    first = {breakage.name: instant for breakage, instant in by_lot}
     drawn = tuple(c for c in cases if _drawn(*c) % every == 0 or (every > 1 and first[c[0].name] is c[1]))
     return MatrixPlan(drawn, tuple(skipped), every)
 
