@@ -340,7 +340,7 @@ EDGES = (
         _S.READY,
         "arm",
         _S.ARMED,
-        f"no stop a moment ago, {_CLEAR}, recorder alive",
+        f"no stop a moment ago, {_CLEAR}, recorder alive, no pressure shown in a chamber",
         "warn, charge, go to address",
     ),
     Edge(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.air_watch import air_cause
+from bench.control.air_watch import air_cause, chambers_show_pressure
 from bench.control.envelope import interlock_cause
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.compiled import compiled
@@ -100,6 +100,18 @@ def _failing(s: Any, request: int) -> int:
 
 
 @compiled
+def _settling(p: Any, s: Any, request: int, time: float) -> int:
+    """Return the refusal of `request` while a joint moves or, before arming, a chamber holds air, or 0."""
+    # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
+    if request != Request.SWING and time - s.moved_at < p.still_time:
+        return Refusal.MOVING.value
+    # Trapped air holds a robot up, and lets it fall while its chambers vent further in the warning.
+    if request == Request.ARM and chambers_show_pressure(s, p):
+        return Refusal.NOT_VENTED.value
+    return 0
+
+
+@compiled
 def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
@@ -141,9 +153,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
             return failing
         if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
             return Refusal.STOPPED
-        # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
-        if request != Request.SWING and time - s.moved_at < p.still_time:
-            return Refusal.MOVING
+        settling = _settling(p, s, request, time)
+        if settling != 0:
+            return settling
     if request in (Request.ARM, Request.SWING):
         if not s.support_ready:
             return Refusal.SUPPORT

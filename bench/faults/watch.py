@@ -28,7 +28,7 @@ _INSIDE = 5.0
 _LEAVING = 3.0
 """Time in which the guard locks behind the last person, s."""
 _LONGEST_VENT = 20.0
-"""Time at rest after which access is given up, s."""
+"""Time at rest after which access and arming are given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
 """Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
 
@@ -190,13 +190,17 @@ class Watch:
             return bool(control["phase"] == Phase.HOLD and state is State.ARMED)
         if request == Request.SECURE:
             return state is State.ACCESS and self.ticks - self._released_at >= round(_INSIDE / self.period)
-        if request == Request.ARM and not (self.bench.is_still() or self._seems_still()):
+        if request == Request.ARM and not (self.bench.is_vented() or self._seems_ready()):
             return False
         return state in (State.SAFE, State.READY) or request == Request.DISARM
 
-    def _seems_still(self) -> bool:
-        """Return whether the operator has seen no motion for a while, whatever the encoders say."""
-        return self.ticks - self.rest_tick >= round(0.5 * _STILL_FOR / self.period)
+    def _seems_ready(self) -> bool:
+        """Return whether the operator has seen no motion for a while, whatever the encoders say.
+
+        With pressure shown in a chamber for as long as it may take to vent, whatever the sensors say.
+        """
+        seen = 0.5 * _STILL_FOR if self.bench.shows_no_pressure() else _LONGEST_VENT
+        return self.ticks - self.rest_tick >= round(seen / self.period)
 
     def _leave(self) -> None:
         """Leave: close the guard and press the button beside the robot."""
@@ -213,7 +217,7 @@ class Watch:
         if self.ticks - self.rest_tick < round(_STILL_FOR / self.period):
             return False
         if self.state in (State.READY, State.SAFE):
-            waits = Request.ACCESS in left or Request.HOME in left
+            waits = bool({Request.ACCESS, Request.HOME, Request.ARM}.intersection(left))
             return not (waits and self.ticks - self.rest_tick < round(_LONGEST_VENT / self.period))
         if self.state is State.ACCESS:
             begin, longest = (

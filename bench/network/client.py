@@ -46,8 +46,15 @@ REST = 1.0
 """s at rest at the address before a swing: the air in the chambers settles later than the robot."""
 
 LONGEST_SWAY = 10.0
-"""s for which home, arm and reset wait until the robot rests: as long as a raised arm may take to sink."""
+"""s for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure.
 
+As long as a raised arm may take to sink, and as chambers may take to vent as shipped (`lifecycle.vent_time`).
+"""
+
+_SETTLING = frozenset({REFUSAL_TEXT[Refusal.MOVING]})
+"""Reasons of a refused home, arm or reset that pass by themselves."""
+_VENTING = frozenset({REFUSAL_TEXT[Refusal.NOT_VENTED]})
+"""Reasons of a refused arm that pass by themselves, too: READY begins while chambers still empty."""
 _LOOK_FOR_REST = 0.1
 """s between two requests while it sways."""
 
@@ -403,14 +410,14 @@ class BenchClient:
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
     def _ask_at_rest(self, verb: Verb) -> CommandAnswer:
-        """Ask again while a joint still moves, at most for LONGEST_SWAY."""
+        """Ask again while a joint still moves or a chamber vents, at most for LONGEST_SWAY."""
         longest = time.monotonic() + LONGEST_SWAY
         while True:
             try:
                 return self._ask_keyed(verb)
             except CommandRefused as refused:
-                moving = refused.answer.reason == REFUSAL_TEXT[Refusal.MOVING]
-                if not moving or time.monotonic() > longest:
+                passing = _SETTLING | _VENTING if verb is Verb.ARM else _SETTLING
+                if refused.answer.reason not in passing or time.monotonic() > longest:
                     raise
             time.sleep(_LOOK_FOR_REST)
 

@@ -12,6 +12,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
 from bench.errors import Refused
@@ -164,8 +165,16 @@ class SwingEngine(Generic[AnyStepper]):
         since = control["time"][0] - control["moved_at"][0]
         return bool(since >= self.stepper.parameters.control["still_time"][0])
 
+    def is_vented(self) -> bool:
+        """Return whether it is still, and no sensor shows pressure in a chamber; else nothing is armed."""
+        return self.is_still() and self.shows_no_pressure()
+
+    def shows_no_pressure(self) -> bool:
+        """Return whether no living sensor shows pressure in its chamber."""
+        return not chambers_show_pressure(self.control[0], self.stepper.parameters.control[0])
+
     def arm(self, *, at_rest: bool = True) -> bool:
-        """Charge the chambers of the robot once it is still, and take it to its address.
+        """Charge the chambers of the robot once it is vented, and take it to its address.
 
         With `at_rest` until it rests there.
 
@@ -174,7 +183,7 @@ class SwingEngine(Generic[AnyStepper]):
         Raises:
             Refused: the robot does not reach its address.
         """
-        self.wait_for(self.is_still, LONGEST_SWAY)
+        self.wait_for(self.is_vented, LONGEST_SWAY)
         accepted = self.request(Request.ARM)
         if accepted and self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
             return True

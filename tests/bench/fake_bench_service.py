@@ -52,6 +52,8 @@ class FakeDesk:
         self.error: Exception | None = None
         self.sways = 0
         """Requests that are still refused because a joint moves."""
+        self.vents = 0
+        """Requests to arm or home that are still refused because a chamber shows pressure."""
         self.armed_phase = "HOLD"
         """"RETURN" while the robot is on its way to the address."""
         self._began = time.monotonic()
@@ -66,6 +68,9 @@ class FakeDesk:
         if self.sways and request in (Request.HOME, Request.ARM, Request.RESET):
             self.sways -= 1
             return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.MOVING])
+        if self.vents and request in (Request.HOME, Request.ARM):
+            self.vents -= 1
+            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.NOT_VENTED])
         self.state = NEXT[request]
         return Reply(True, self.state.name, "")
 

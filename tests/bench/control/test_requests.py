@@ -209,6 +209,17 @@ def test_access_waits_for_the_last_chamber() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
+def test_arming_waits_for_the_last_chamber() -> None:
+    puppet = reach(State.ARMED, vent_time=0.5)
+    puppet.tick(Request.DISARM)
+    empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
+    puppet.give(chamber_pressure=(empty,) * 5 + (full,)).run(100)
+    assert puppet.bench is State.READY
+    assert asked(puppet, Request.ARM) is Refusal.NOT_VENTED
+    puppet.give(chamber_pressure=(empty,) * 6).tick()
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+
+
 def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
     puppet = reach(State.READY, vent_time=5.0, vented_still=0.05)
     empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0

@@ -83,6 +83,33 @@ def test_a_robot_that_sways_is_waited_for(running: RunningPlane, bench: BenchCli
     assert len(running.desk.requests) == 4
 
 
+def test_arming_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state, running.desk.sways, running.desk.vents = State.READY, 2, 3
+    assert bench.arm().accepted
+    assert len(running.desk.requests) == 6
+
+
+def test_homing_does_not_wait_for_chambers(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state, running.desk.vents = State.SAFE, 1
+    with pytest.raises(CommandRefused):
+        bench.home()
+    assert len(running.desk.requests) == 1
+
+
+def test_chambers_that_never_empty_are_refused_in_words(
+    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.network.client.LONGEST_SWAY", 0.2)
+    bench.take_lease("Ann")
+    running.desk.state, running.desk.vents = State.READY, 1000
+    with pytest.raises(CommandRefused) as caught:
+        bench.arm()
+    assert caught.value.found == "refused in state READY: the chambers are not proven empty yet"
+    assert caught.value.cure == "Wait, then ask again."
+
+
 def test_a_robot_that_never_rests_is_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
