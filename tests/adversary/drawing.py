@@ -16,6 +16,8 @@ from tests.adversary.player import INPUTS, PERMITS, Player
 from tests.adversary.story import Setup, Step, Story, fault_entry
 
 PROFILES = ("default",)
+_RAISED = np.array([1.42, 0.66, 1.40])
+"""rad from the hanging pose to the lower end stops."""
 _VALUES = {
     ("encoder", "offset"): (0.02, 3.0),
     ("encoder", "scale"): (0.5, 2.0),
@@ -48,8 +50,9 @@ _SIGNALS = tuple(signal for signal in SIGNALS if signal != "launch monitor")
 
 def drawn_setup(random: Generator) -> Setup:
     """Return a bench."""
-    # Back from the hanging pose: beyond it the club lies on the ground.
-    turned = (-0.4 * random.uniform(0, 1, 3)).round(3).tolist() if random.uniform() < 0.3 else (0.0,) * 3
+    # Back from the hanging pose, as far as to the end stops: beyond it the club lies on the ground.
+    share, raised = random.uniform(0, 1, 3), random.uniform() < 0.3
+    turned = (-share * _RAISED).round(3).tolist() if raised else (0.0,) * 3
     return Setup(
         profile=str(random.choice(PROFILES)),
         incremental=bool(random.uniform() < 0.3),
