@@ -105,7 +105,7 @@ REFUSAL_TEXT = {
     Refusal.DEVICE: "the device went passive by itself: reset first",
     Refusal.SENSOR: "a fitted pressure sensor gives no believable value: `golfbench status` names it",
     Refusal.VENT: "a vent does not follow its command: `golfbench status` names it",
-    Refusal.LOCK: "the guard read locked while it was released: check lock and switch, release it again",
+    Refusal.LOCK: "the guard read locked while released or open: check lock and switches, release it again",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",

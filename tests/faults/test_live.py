@@ -73,7 +73,7 @@ def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_
 
 def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) -> None:
     door = '[faults.door]\nsignal = "guard closed"\nkind = "off"\njoint = "shoulder"\nangle = -0.15\n'
-    file = write_configuration(tmp_path, "angle", PATIENT.format(driver="sim") + door + "duration = 1.0\n")
+    file = write_configuration(tmp_path, "angle", PATIENT.format(driver="sim") + door + "duration = 0.5\n")
     with running_bench(file, clock="wall") as bench:
         assert stopped(bench) == (Cause.GUARD, Reaction.BRAKE)
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
