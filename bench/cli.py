@@ -47,6 +47,7 @@ EXIT_CODES = """[bold]Exit codes[/bold]
   74  a file or folder cannot be read or written
   75  no answer from the bench: denied or not running
  130  interrupted by Ctrl-C
+ 143  a campaign: ended by SIGTERM, as tidily as by Ctrl-C
 """
 
 app = typer.Typer(

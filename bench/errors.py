@@ -25,6 +25,8 @@ class ExitCode(IntEnum):
     """The bench does not answer: denied or not running."""
     INTERRUPTED = 130
     """Ctrl-C."""
+    TERMINATED = 143
+    """SIGTERM, as systemd and `kill` send it."""
 
 
 class BenchError(Exception):

@@ -18,9 +18,13 @@ class StopFlag:
 
     def __init__(self) -> None:
         self._made = False
+        self.cause = "Ctrl-C"
+        """Name of the signal that set the flag first."""
 
-    def make(self, *_: object) -> None:
-        """Set the flag; the arguments of a signal handler are ignored."""
+    def make(self, number: int = signal.SIGINT, *_: object) -> None:
+        """Set the flag; as a signal handler, for signal `number`."""
+        if not self._made and number != signal.SIGINT:
+            self.cause = signal.Signals(number).name
         self._made = True
 
     def is_made(self) -> bool:
@@ -35,22 +39,29 @@ class StopFlag:
 
 
 @contextmanager
-def deferred_interrupt() -> Iterator[StopFlag]:
+def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     """Yield a flag that Ctrl-C sets; raise KeyboardInterrupt at the end of the block if it was set.
 
+    With `terminate` SIGTERM sets it, too; the block then ends with SystemExit. Child processes of the block
+    that are ended by SIGTERM must not inherit this.
+
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
-    exit code 130. Outside the main thread, which gets no signals, the flag is never set.
+    exit code 130, after SIGTERM 143. Outside the main thread, which gets no signals, the flag is never set.
     """
     asked = StopFlag()
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
-    before = signal.signal(signal.SIGINT, asked.make)
+    numbers = (signal.SIGINT, signal.SIGTERM) if terminate else (signal.SIGINT,)
+    before = {number: signal.signal(number, asked.make) for number in numbers}
     try:
         yield asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     if asked.is_made():
+        if asked.cause == "SIGTERM":
+            raise SystemExit(128 + signal.SIGTERM)
         raise KeyboardInterrupt
 
 

@@ -104,8 +104,11 @@ def run_simulated(
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
     start: RunStart = RunStart(),  # noqa: B008 - a value
+    cause: Callable[[], str] = lambda: "Ctrl-C",
 ) -> RunOutcome:
     """Start or resume a simulated campaign; run it until its end or a stop.
+
+    `cause` names what `interrupted` it.
 
     Raises:
         Refused: another runner has it.
@@ -128,6 +131,7 @@ def run_simulated(
             watcher,
             operator=operator,
             start=start,
+            cause=cause,
         )
         return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
@@ -146,6 +150,7 @@ def run_live(
     interrupted: Callable[[], bool],
     operator: Operator | None = None,
     start: RunStart = RunStart(),  # noqa: B008 - a value
+    cause: Callable[[], str] = lambda: "Ctrl-C",
 ) -> RunOutcome:
     """Start or resume a campaign on the running bench; every shot is stored at once.
 
@@ -194,7 +199,7 @@ def run_live(
             air=air,
         )
         with shots as source:
-            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator, start)
+            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator, start, cause)
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 

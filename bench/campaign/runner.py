@@ -195,9 +195,13 @@ class Runner:
         batch: int = BATCH,
         operator: Operator | None = None,
         start: RunStart = RunStart(),  # noqa: B008 - a value
+        cause: Callable[[], str] = lambda: "Ctrl-C",
     ) -> None:
-        """`operator` None: prompts that the simulation cannot answer wait for the database."""
-        self._start = start
+        """`operator` None: prompts that the simulation cannot answer wait for the database.
+
+        `cause` names what interrupted the run.
+        """
+        self._start, self._cause = start, cause
         self._entry, self._plan, self._store, self._source = entry, plan, store, source
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
@@ -285,7 +289,7 @@ class Runner:
         self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
 
     def _wait_for_database(self, waited: float) -> None:
-        """Give up waiting for the database after some time or on Ctrl-C."""
+        """Give up waiting for the database after some time or when interrupted."""
         if not self._locked_for:
             self._watcher.say("The database is locked by another process: waiting for it.")
         self._locked_for = waited
@@ -352,7 +356,7 @@ class Runner:
             self._go_back_to_work()
             return self._shots(course, step, interrupted, writer)
         except KeyboardInterrupt:
-            return CampaignState.STOPPED, "interrupted before the next shot"
+            return CampaignState.STOPPED, f"interrupted by {self._cause()} before the next shot"
         except DatabaseLocked as error:
             self._source.rest()
             lost = "; the last shot is not stored and is taken again" * bool(self._pending)
@@ -391,8 +395,9 @@ class Runner:
                 for kind, text in trouble.args:
                     self._say(kind, text)
                 continue
-            if taken.stopped:  # by Ctrl-C: as if it had not been begun
-                return CampaignState.STOPPED, "interrupted within a swing, which is taken again"
+            if taken.stopped:  # as if it had not been begun
+                words = f"interrupted by {self._cause()} within a swing, which is taken again"
+                return CampaignState.STOPPED, words
             shot = self._gated(step, taken)
             for kind, text in taken.events:
                 self._say(kind, text)
@@ -528,7 +533,7 @@ class Runner:
                 if requested == "abort":
                     return CampaignState.ABORTED, self._by_request("aborted")
                 if requested == "stop" or interrupted():
-                    how = self._by_request("").strip() if requested else "by Ctrl-C"
+                    how = self._by_request("").strip() if requested else f"by {self._cause()}"
                     return CampaignState.STOPPED, f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
                 if operator and operator.answered():
                     self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
@@ -597,7 +602,7 @@ class Runner:
         paused: float | None = None
         while True:
             if interrupted():
-                yield CampaignState.STOPPED, "interrupted by Ctrl-C"
+                yield CampaignState.STOPPED, f"interrupted by {self._cause()}"
                 return
             match self._requested()[0]:
                 case "stop":

@@ -131,7 +131,8 @@ def run(
 ) -> None:
     """Run a campaign on the running bench, or simulated with --sim.
 
-    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C.
+    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
+    143 after SIGTERM.
     """
     from datetime import UTC, datetime
 
@@ -181,7 +182,8 @@ def resume(
 ) -> None:
     """Resume a campaign that was paused, stopped, suspended or cut off.
 
-    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C.
+    Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
+    143 after SIGTERM.
     """
     from bench.campaign.carry import measured_of
     from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
@@ -300,7 +302,7 @@ def _take(
     from bench.interrupt import deferred_interrupt
 
     typer.echo(f"campaign {entry.id}", err=True)
-    with deferred_interrupt() as asked, campaign_bar() as bar:
+    with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
         operator = TerminalOperator(bar, entry.id, asked_for)
@@ -308,7 +310,9 @@ def _take(
         screen, file = CampaignScreen(entry, plan, bar), configuration.notifications.file
         with notifying(file if entry.real_time else "", entry, screen.say) as notifier:
             watcher = Together(screen, notifier)
-            return take(entry, configuration, store, watcher, asked.is_made, operator, start)
+            return take(
+                entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
+            )
 
 
 def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:

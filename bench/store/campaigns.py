@@ -356,13 +356,14 @@ class CampaignStore:
         c = _PROMPTS.c
         mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
         with self._writing() as connection:
-            done = connection.execute(update(_PROMPTS).where(mine).values(answered=date, by=by))
+            values = {"answered": date, "by": by, "answer": _next_answer(connection)}
+            done = connection.execute(update(_PROMPTS).where(mine).values(values))
         return bool(done.rowcount)
 
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
-        """Return the bench's newest answered prompt of `kind`, with its campaign; None if there is none.
+        """Return the bench's prompt of `kind` that was answered last, with its campaign; None if there is none.
 
-        A simulated campaign has a bench of its own, a real bench has one for all its campaigns.
+        The last answer is the newest whatever the clock said, which may have jumped back. A simulated campaign has a bench of its own, a real bench has one for all its campaigns.
         """
         c, of = _PROMPTS.c, _CAMPAIGNS.c
         scope = c.campaign == entry.id if entry.simulated else (of.bench == entry.bench) & ~of.simulated
@@ -370,7 +371,7 @@ class CampaignStore:
             select(c.campaign, *(c[name] for name in Prompt._fields))
             .join(_CAMPAIGNS, of.id == c.campaign)
             .where(scope & (c.kind == kind) & c.answered.is_not(None))
-            .order_by(c.answered.desc(), c.number.desc())
+            .order_by(c.answer.desc(), c.number.desc())
             .limit(1)
         )
         with self._reading() as connection:
@@ -392,7 +393,7 @@ class CampaignStore:
         hits: Mapping[Hit, int] | None = None,
         prompts: Iterable[Prompt] = (),
     ) -> None:
-        """Add a batch in one transaction; the shots' files are whole already.
+        """Add a batch in one transaction; the shots' files are whole and the prompts answered already.
 
         Raises:
             Refused: one of these shots is there already: another runner has this campaign.
@@ -412,7 +413,9 @@ class CampaignStore:
                 if found:
                     connection.execute(insert(_EVENTS), found)
                 if asked:
-                    connection.execute(insert(_PROMPTS), asked)
+                    first = _next_answer(connection)
+                    numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
+                    connection.execute(insert(_PROMPTS), numbered)
                 for hit, number in (hits or {}).items():
                     _count(connection, entry.hit_scope, hit, number)
         except IntegrityError:
@@ -429,6 +432,10 @@ class CampaignStore:
 
     def _reading(self) -> AbstractContextManager[Connection]:
         return transaction(self._engine, writes=False, waiting=self.waiting)
+
+
+def _next_answer(connection: Connection) -> int:
+    return (connection.scalar(select(func.max(_PROMPTS.c.answer))) or 0) + 1
 
 
 def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:

@@ -30,7 +30,7 @@ from bench.store.tables import (
     SchemaVersionRow,
 )
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -73,6 +73,17 @@ def _add_runs(connection: Connection) -> None:
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_7])
 
 
+def _add_order_of_answers(connection: Connection) -> None:
+    """Version 7 had no order of answers but their dates."""
+    _add_columns(connection, "campaign_prompts", ("answer",))
+    prompts = Row.metadata.tables["campaign_prompts"]
+    c = prompts.c
+    dated = select(c.campaign, c.number).where(c.answered.is_not(None))
+    for order, row in enumerate(connection.execute(dated.order_by(c.answered, c.number)).all(), 1):
+        mine = (c.campaign == row[0]) & (c.number == row[1])
+        connection.execute(update(prompts).where(mine).values(answer=order))
+
+
 def _add_columns(connection: Connection, table: str, names: Iterable[str]) -> None:
     """Add columns to `table` unless they came with it: a table made by a migration has today's columns."""
     there = {column["name"] for column in inspect(connection).get_columns(table)}
@@ -89,6 +100,7 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     4: _add_air_readings,
     5: _add_carries,
     6: _add_runs,
+    7: _add_order_of_answers,
 }
 """Migration of the tables from each version to the next."""
 

@@ -235,6 +235,8 @@ class CampaignPromptRow(Row):
     answered: Mapped[datetime | None]
     by: Mapped[str]
     """Who answered; empty until then."""
+    answer: Mapped[int] = mapped_column(server_default="0")
+    """Rises by one per answer: the order of answers, whatever the clock said; 0 until then."""
 
 
 class HitCountRow(Row):

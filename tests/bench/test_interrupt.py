@@ -9,6 +9,7 @@ import threading
 
 import pytest
 
+from bench.errors import ExitCode
 from bench.interrupt import deferred_interrupt
 
 _STRUCK_EVERYWHERE = """
@@ -59,6 +60,24 @@ def test_control_c_is_a_question_until_the_block_ends() -> None:
         work()
     assert steps == [False, True, True]
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_sigterm_is_a_question_only_where_it_is_asked_for() -> None:
+    before, causes = signal.getsignal(signal.SIGTERM), []
+
+    def work() -> None:
+        with deferred_interrupt(terminate=True) as asked:
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+            causes.append((asked.is_made(), asked.cause))
+
+    with pytest.raises(SystemExit) as end:
+        work()
+    assert end.value.code == ExitCode.TERMINATED
+    assert causes == [(True, "SIGTERM")]
+    assert signal.getsignal(signal.SIGTERM) is before
+    with deferred_interrupt():
+        assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:

@@ -199,6 +199,26 @@ def test_the_campaign_begun_last_is_first_although_the_clock_jumped_back(tmp_pat
         assert [entry.id for entry, _, _ in store.entries()] == ["c", "b", "a"]
 
 
+def test_the_club_mounted_last_is_known_although_the_clock_jumped_back(tmp_path: Path) -> None:
+    """An old campaign that is resumed may mount a club after a newer one did."""
+    first, second = (replace(ENTRY, id=name, simulated=False) for name in ("old", "new"))
+    with _store(database_url("", tmp_path)) as store:
+        for entry in (first, second):
+            store.begin(entry)
+            store.ask(entry.id, PROMPTS[1]._replace(number=1))
+        assert store.last_answered(first, "club") is None
+        answered = []
+        for campaign, hours in (("new", 0), ("old", -2)):
+            store.answer(campaign, 1, "Ann", NOW + timedelta(hours=hours))
+            answered.append(store.last_answered(first, "club"))
+        assert [found and found[0] for found in answered] == ["new", "old"]
+        store.add(second, [], prompts=[PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9))])
+        assert store.last_answered(first, "club") == (
+            "new",
+            PROMPTS[0]._replace(number=2, answered=NOW - timedelta(hours=9)),
+        )
+
+
 def test_runs_notes_and_shots_set_aside_come_back(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
@@ -291,7 +311,7 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-@pytest.mark.parametrize("version", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("version", [2, 3, 4, 5, 6, 7])
 def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
         plain.executescript((STORED / f"version_{version}.sql").read_text())
@@ -304,3 +324,12 @@ def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int)
         assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 2}
         assert [event.text for event in store.events(ENTRY.id)] == ["guard opened"]
         assert store.prompts(ENTRY.id) == (PROMPTS if version > 2 else [])
+        if version > 2:
+            real = replace(ENTRY, id="real", simulated=False)
+            store.begin(real)
+            store.ask(real.id, PROMPTS[1]._replace(number=1))
+            store.answer(real.id, 1, "Ann", NOW - timedelta(days=9))
+            assert [store.last_answered(entry, "club") is not None for entry in (ENTRY, real)] == [True] * 2
+            with store.database.connect() as connection:
+                order = connection.exec_driver_sql("SELECT answer FROM campaign_prompts ORDER BY answer")
+                assert list(order.scalars()) == [0, 1, 2]
