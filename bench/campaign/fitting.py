@@ -1,18 +1,21 @@
 """The fitting of the bench (club, balls, profile), and the prompts needed before a shot.
 
+A feeder with a magazine is loaded at once with the balls of the coming shots: the load list.
+
 Pure: what is in place follows from the answered prompts and the shots since, so that a restart knows it too.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
 
 from bench.campaign.course import Step
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.sequence import Arm, Role, block_trials, sections
+from bench.campaign.sequence import Arm, PlannedShot, Role, block_trials, sections, warm_up_arms
+from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import Hit, Prompt
 
@@ -85,23 +88,90 @@ def missing(
         )
     if not handling.magazine or fitting.feeder[:1] == ((arm.ball, sample),):
         return None
-    balls = coming_balls(plan, step, hits)
-    order = ", ".join(f"{name} {number}" for name, number in balls)
-    empty = "Empty the feeder, then fill" if fitting.feeder else "Fill"
+    balls = coming_balls(plan, step.trial, hits)
+    count = f"with {len(balls)} ball{'s' * (len(balls) > 1)} in this order"
+    empty = "Empty the feeder, then fill it" if fitting.feeder else "Fill the feeder"
     text = (
-        f"{empty} it in this order: {order}. Balls kept at {handling.temperature - 273.15:.0f} ± "
+        f"{empty} {count}: {', '.join(places(balls))}. Balls kept at {handling.temperature - 273.15:.0f} ± "
         f"{handling.temperature_tolerance:g} °C for {handling.conditioning_time / 3600:g} h."
-    ).replace("Fill it", "Fill the feeder")
+    )
     return Preparation(PromptKind.BALLS, text, {"balls": [list(ball) for ball in balls]})
 
 
-def coming_balls(plan: CampaignPlan, step: Step, hits: Mapping[Hit, int]) -> list[Numbered]:
-    """Return the balls from `step` on as far as the magazine goes, as if every shot were valid.
+def places(balls: Sequence[Numbered]) -> list[str]:
+    """Return the places of the magazine with their balls, the first to be hit first."""
+    return [f"{place}. {name} {number}" for place, (name, number) in enumerate(balls, 1)]
+
+
+def balls_of(prompt: Prompt) -> list[Numbered]:
+    """Return the load list of `prompt`; empty if it asks for something else."""
+    return [(str(name), int(number)) for name, number in prompt.content.get("balls", ())]
+
+
+def require_count(prompt: Prompt, count: int) -> None:
+    """Refuse a number of loaded balls that is not that of the load list.
+
+    Raises:
+        Refused: too few or too many, or `prompt` asks for no balls.
+    """
+    balls = balls_of(prompt)
+    place, found = f"before shot {prompt.before_shot}", f"{count} balls loaded"
+    if not balls:
+        raise Refused(place, found, f"what is asked for: {prompt.text}", "Answer without a number of balls.")
+    if count < len(balls):
+        cure = (
+            f"Load the rest from {places(balls)[count]} on, if the others are by the list; then answer again."
+        )
+    else:
+        cure = "Empty the feeder and load it by the list; then answer again."
+    if count != len(balls):
+        raise Refused(place, found, f"{len(balls)}, as listed", cure)
+
+
+class LoadList(NamedTuple):
+    """One load of the magazine."""
+
+    before: PlannedShot
+    balls: list[Numbered]
+
+
+def load_lists(plan: CampaignPlan, hits: Mapping[Hit, int]) -> list[LoadList]:
+    """Return the loads of a plan's magazine, as if every shot were valid and each warm-up the shortest.
+
+    `hits` are those that its balls have taken before. Empty without a magazine.
+    """
+    if not plan.ball_handling.magazine:
+        return []
+    counted, feeder, found = Counter(hits), list[Numbered](), list[LoadList]()
+    for trial in _shortest_course(plan):
+        sample = sample_for(plan, trial.arm.ball, counted)
+        if sample is None:
+            break
+        if feeder[:1] != [(trial.arm.ball, sample)]:
+            feeder = coming_balls(plan, trial, counted)
+            found.append(LoadList(trial, feeder))
+        feeder = feeder[1:]
+        counted[Hit("ball", trial.arm.ball, sample)] += 1
+    return found
+
+
+def _shortest_course(plan: CampaignPlan) -> Iterator[PlannedShot]:
+    """Yield the planned shots with the shortest warm-ups, none repeated."""
+    for section in sections(plan):
+        for arm in warm_up_arms(section) if plan.warm_up.at_most else ():
+            for position in range(1, plan.warm_up.window + 1):
+                yield PlannedShot(Role.WARM_UP, section.number, 0, position, arm)
+        for number in range(1, plan.design.blocks + 1):
+            yield from block_trials(plan, section, number)
+
+
+def coming_balls(plan: CampaignPlan, trial: PlannedShot, hits: Mapping[Hit, int]) -> list[Numbered]:
+    """Return the balls from `trial` on as far as the magazine goes, as if every shot were valid.
 
     A ball comes once: it must be picked up before it can be filled in again.
     """
     counted, found = Counter(hits), list[Numbered]()
-    for arm in _coming_arms(plan, step)[: plan.ball_handling.magazine]:
+    for arm in _coming_arms(plan, trial)[: plan.ball_handling.magazine]:
         sample = sample_for(plan, arm.ball, counted)
         if sample is None or (arm.ball, sample) in found:
             break
@@ -118,9 +188,8 @@ def sample_for(plan: CampaignPlan, ball: str, hits: Counter[Hit]) -> int | None:
     return number if hits[Hit("ball", ball, number)] < handling.hits else None
 
 
-def _coming_arms(plan: CampaignPlan, step: Step) -> list[Arm]:
-    """Return the arms from `step` to the end of its warm-up's window or its section, with the same club."""
-    trial = step.trial
+def _coming_arms(plan: CampaignPlan, trial: PlannedShot) -> list[Arm]:
+    """Return the arms from `trial` to the end of its warm-up's window or its section, over club changes."""
     if trial.role is Role.WARM_UP:
         return [trial.arm] * max(1, plan.warm_up.window + 1 - trial.position)
     section = sections(plan)[trial.section - 1]
@@ -130,6 +199,4 @@ def _coming_arms(plan: CampaignPlan, step: Step) -> list[Arm]:
         for number in range(block, min(block + plan.ball_handling.magazine, plan.design.blocks) + 1)
         for each in block_trials(plan, section, number)
     ]
-    arms = [each.arm for each in trials[trial.position - 1 :]]
-    others = (index for index, arm in enumerate(arms) if arm.club != trial.arm.club)
-    return arms[: next(others, len(arms))]
+    return [each.arm for each in trials[trial.position - 1 :]]

@@ -18,6 +18,7 @@ from bench.campaign.broadcast import Broadcast, Together
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.course import Course, course
+from bench.campaign.fitting import require_count
 from bench.campaign.gate import planned_delivery
 from bench.campaign.interruptions import RunStart, software_versions
 from bench.campaign.live import HOLDER, LiveShots, require_live
@@ -283,13 +284,19 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
     return found
 
 
-def answer(store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime) -> tuple[str, bool]:
+def answer(
+    store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime, balls: int | None = None
+) -> tuple[str, bool]:
     """Say that what campaign asks for is done; return what it was, and whether a runner waits for it.
 
+    `balls` is the number of loaded balls, to be checked; None: as listed.
+
     Raises:
-        Refused: it asks for nothing.
+        Refused: it asks for nothing, or for another number of balls.
     """
     prompts = store.prompts(store.entry(campaign).id)
+    if balls is not None and prompts and prompts[-1].answered is None:
+        require_count(prompts[-1], balls)
     if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
         place, expected = f"campaign {campaign}", "a prompt that waits for an answer"
         raise Refused(place, "no open prompt", expected, "golfbench campaign list")

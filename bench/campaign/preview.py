@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import sqrt
@@ -12,9 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from bench.campaign.fitting import LoadList, load_lists, places
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
 from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
+from bench.store.campaigns import Hit
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",
@@ -92,8 +94,8 @@ def outlook(plan: CampaignPlan) -> Outlook:
     )
 
 
-def preview_record(plan: CampaignPlan) -> dict[str, Any]:
-    """Return the output of `check` for JSON."""
+def preview_record(plan: CampaignPlan, hits: Mapping[Hit, int]) -> dict[str, Any]:
+    """Return the output of `check` for JSON; `hits` are those that its balls have taken before."""
     trials = all_trials(plan)
     return {
         "name": plan.campaign.name,
@@ -104,21 +106,24 @@ def preview_record(plan: CampaignPlan) -> dict[str, Any]:
         "expected_duration_s": len(trials) * plan.design.seconds_per_shot,
         "hits": hits_needed(plan),
         "outlook": vars(outlook(plan)),
-        "sequence": [
-            {
-                "role": t.role,
-                "section": t.section,
-                "block": t.block,
-                "position": t.position,
-                **t.arm._asdict(),
-            }
-            for t in trials
+        "sequence": [_trial_record(trial) for trial in trials],
+        "loads": [
+            {"before": _trial_record(load.before), "balls": load.balls} for load in load_lists(plan, hits)
         ],
     }
 
 
-def show_preview(plan: CampaignPlan, console: Console, *, everything: bool = False) -> None:
-    """Print the plan's order, hits and resolution; the first blocks only unless `everything`."""
+def _trial_record(trial: PlannedShot) -> dict[str, Any]:
+    return {name: value for name, value in trial._asdict().items() if name != "arm"} | trial.arm._asdict()
+
+
+def show_preview(
+    plan: CampaignPlan, hits: Mapping[Hit, int], console: Console, *, everything: bool = False
+) -> None:
+    """Print the plan's order, load lists, hits and resolution; the first blocks only unless `everything`.
+
+    `hits` are those that its balls have taken before.
+    """
     d, trials = plan.design, all_trials(plan)
     hours = len(trials) * d.seconds_per_shot / 3600
     console.print(f"[bold]{escape(plan.campaign.title or plan.campaign.name)}[/]", highlight=False)
@@ -137,15 +142,31 @@ def show_preview(plan: CampaignPlan, console: Console, *, everything: bool = Fal
         if len(blocks) > _SHOWN and not everything:
             table.add_row("...", f"{len(blocks) - _SHOWN} more blocks (--all shows them)")
         console.print(table)
-    hits = Table(
+    if loads := load_lists(plan, hits):
+        console.print(_load_table(plan, loads, everything=everything))
+    table = Table(
         "ball", "hits", "balls × hits allowed", title="Hits at most, repeats left out", title_justify="left"
     )
     for name, number in hits_needed(plan).items():
         handling = plan.ball_handling
-        hits.add_row(escape(name), str(number), f"{handling.samples} × {handling.hits}")
-    console.print(hits)
+        table.add_row(escape(name), str(number), f"{handling.samples} × {handling.hits}")
+    console.print(table)
     for line in outlook_words(plan):
         console.print(line, highlight=False, markup=False)
+
+
+def _load_table(plan: CampaignPlan, loads: Sequence[LoadList], *, everything: bool) -> Table:
+    """Return the load lists of the magazine: which ball goes to which place."""
+    title = f"Load lists: a magazine of {plan.ball_handling.magazine}, the first ball to be hit at place 1"
+    table = Table("load", "before", "place and ball", title=title, title_justify="left")
+    for number, load in enumerate(loads, 1):
+        if number > _SHOWN and not everything:
+            table.add_row("...", "", f"{len(loads) - _SHOWN} more loads (--all shows them)")
+            break
+        before = load.before
+        where = f"block {before.block}, shot {before.position}" if before.block else "warm-up"
+        table.add_row(str(number), where, escape("  ".join(places(load.balls))))
+    return table
 
 
 def _warm_up(plan: CampaignPlan) -> str:

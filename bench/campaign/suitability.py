@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.campaign.fitting import load_lists
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import all_trials
 
@@ -17,7 +18,7 @@ _SCATTER_VENTED = 1.8
 
 
 class Needs(NamedTuple):
-    """Needs of a plan, without warm-up and repeats."""
+    """Needs of a plan, without repeats; of the warm-ups the shortest count for the feeder only."""
 
     bytes: int
     club_changes: int
@@ -28,9 +29,9 @@ class Needs(NamedTuple):
 
 def needs(plan: CampaignPlan) -> Needs:
     """Return the needs of `plan`."""
-    trials, magazine, work = all_trials(plan), plan.ball_handling.magazine, plan.hand_work
+    trials, work = all_trials(plan), plan.hand_work
     changes = sum(one.arm.club != two.arm.club for one, two in pairwise(trials))
-    fills = -(-len(trials) // magazine) if magazine else 0
+    fills = len(load_lists(plan, {}))
     seconds = changes * work.club_change + fills * work.feeder_fill
     return Needs(len(trials) * BYTES, changes, fills, seconds)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from bench.campaign.runner import RunOutcome
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
-    from bench.store.campaigns import CampaignEntry, CampaignStore
+    from bench.store.campaigns import CampaignEntry, CampaignStore, Hit, ShotNote
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
@@ -67,7 +68,7 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print every block.")] = False,
     json_: Json = False,
 ) -> None:
-    """Check a plan before anything moves; print its shot order and resolution.
+    """Check a plan before anything moves; print its shot order, load lists and resolution.
 
     Exits with 2 and lists all mistakes.
     """
@@ -80,14 +81,15 @@ def check(
 
     plan, configuration = _checked(context, file)
     free, warnings = free_space(configuration.bench.data_dir), list[str]()
+    hits = _hits_before(configuration)
     if needs_series(plan) and not configuration.lifecycle.series:
         warnings.append(f"On a running bench this plan needs the address held between swings. {START_SERIES}")
     if json_:
         beside = {"needs": needs(plan)._asdict(), "free_bytes": free, "warnings": warnings}
-        typer.echo(json.dumps(preview_record(plan) | beside, indent=2))
+        typer.echo(json.dumps(preview_record(plan, hits) | beside, indent=2))
         return
     console = Console()
-    show_preview(plan, console, everything=everything)
+    show_preview(plan, hits, console, everything=everything)
     for line in (*needs_words(plan, free), *warnings):
         console.print(line, highlight=False, markup=False)
 
@@ -113,6 +115,18 @@ def _store(configuration: Configuration) -> Iterator[CampaignStore]:
     settings = configuration.bench
     with open_database(database_url(settings.database, settings.data_dir)) as engine:
         yield CampaignStore(engine)
+
+
+def _hits_before(configuration: Configuration) -> Counter[Hit]:
+    """Return the hits that the balls of the configured bench have taken; creates no database."""
+    from bench.config import database_url
+    from bench.store.database import is_there
+
+    settings = configuration.bench
+    if not is_there(database_url(settings.database, settings.data_dir)):
+        return Counter()
+    with _store(configuration) as store:
+        return store.hits(settings.id)
 
 
 @app.command()
@@ -297,22 +311,33 @@ def _take(
     from bench.campaign.fitting import PromptKind
     from bench.campaign.notifications import notifying
     from bench.campaign.operate import run_live, run_simulated, run_start
+    from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import CampaignScreen, campaign_bar
-    from bench.commands.campaign_terminal import TerminalOperator
+    from bench.commands.campaign_terminal import TerminalOperator, user_name
     from bench.interrupt import deferred_interrupt
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
-        operator = TerminalOperator(bar, entry.id, asked_for)
-        start = run_start(operator.name, configuration, facts)
+        start = run_start(user_name(), configuration, facts)
         screen, file = CampaignScreen(entry, plan, bar), configuration.notifications.file
-        with notifying(file if entry.real_time else "", entry, screen.say) as notifier:
-            watcher = Together(screen, notifier)
+        with (
+            notifying(file if entry.real_time else "", entry, screen.say) as notifier,
+            mark_keys(bar, user_name(), lambda: screen.message, _marker(store, entry.id)) as keys,
+        ):
+            watcher, operator = Together(screen, notifier), TerminalOperator(bar, entry.id, asked_for, keys)
             return take(
                 entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
             )
+
+
+def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
+    """Return what stores a mark, with a store of its own: the runner's may give up waiting."""
+    from bench.store.campaigns import CampaignStore
+
+    own = CampaignStore(store.database)
+    return lambda note: own.add_note(campaign, note)
 
 
 def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:
@@ -453,12 +478,14 @@ def watch(
 ) -> None:
     """Show the progress of a running campaign, from any machine that reaches the bench.
 
-    Ctrl-C ends the watching only.
+    Ctrl-C ends the watching only. On the bench's own computer the key m marks the last shot.
     """
     import json
     import time
 
+    from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import ProgressScreen, campaign_bar
+    from bench.commands.campaign_terminal import user_name
     from bench.errors import Refused
     from bench.network.client import BenchClient
 
@@ -478,16 +505,36 @@ def watch(
             return
         screen, event, stood, last = ProgressScreen(bar), None, None, message
         typer.echo(f"campaign {message['campaign']}", err=True)
-        while message is not None:
-            screen.show(message)
-            if message["event"] != event and (event := message["event"]):
-                screen.say(event["text"])
-            if (message["state"], message["reason"]) != stood and message["reason"]:
-                screen.say(f"{message['state']}: {message['reason']}")
-            last, stood = message, (message["state"], message["reason"])
-            time.sleep(1.0)
-            message = running()
+        with ExitStack() as stack:
+            if store := _local_store(stack, configuration, message["campaign"]):
+                store_mark = _marker(store, message["campaign"])
+                stack.enter_context(mark_keys(bar, user_name(), lambda: last, store_mark))
+            while message is not None:
+                screen.show(message)
+                if message["event"] != event and (event := message["event"]):
+                    screen.say(event["text"])
+                if (message["state"], message["reason"]) != stood and message["reason"]:
+                    screen.say(f"{message['state']}: {message['reason']}")
+                last, stood = message, (message["state"], message["reason"])
+                time.sleep(1.0)
+                message = running()
     typer.echo(f"{last['state']}; {last['shots']} shots, {last['valid']} valid; its runner has ended")
+
+
+def _local_store(stack: ExitStack, configuration: Configuration, campaign: str) -> CampaignStore | None:
+    """Open the database of `campaign` in `stack` if this machine reaches it; None otherwise."""
+    from bench.config import database_url
+    from bench.errors import BenchError
+    from bench.store.database import is_there
+
+    if not is_there(database_url(configuration.bench.database, configuration.bench.data_dir)):
+        return None
+    try:
+        store = stack.enter_context(_store(configuration))
+        store.entry(campaign)
+    except BenchError:  # watching needs no database
+        return None
+    return store
 
 
 @app.command()
@@ -521,6 +568,10 @@ def answer(
     by: Annotated[
         str, typer.Option(metavar="NAME", help="Person who did it.", show_default="user@host")
     ] = "",
+    balls: Annotated[
+        int | None,
+        typer.Option(metavar="COUNT", min=0, help="Number of balls loaded, compared with the load list."),
+    ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
     from datetime import UTC, datetime
@@ -532,7 +583,7 @@ def answer(
     with _store(configuration) as store:
         entry = find_campaign(store, campaign)
         now = datetime.now(UTC)
-        text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now)
+        text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now, balls)
     after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
     typer.echo(f"done: {text}\n{entry.id} {after}")
 

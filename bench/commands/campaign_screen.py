@@ -38,11 +38,15 @@ class CampaignBar(Progress):
     """A progress bar with lines of text below it."""
 
     lines: Sequence[Text] = ()
+    key_line: Text | None = None
+    """Line of the keys, the last one."""
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """Yield the bar, then the lines."""
         yield self.make_tasks_table(self.tasks)
         yield from self.lines
+        if (line := self.key_line) is not None:
+            yield line
 
 
 def campaign_bar() -> CampaignBar:

@@ -361,9 +361,10 @@ class CampaignStore:
         return bool(done.rowcount)
 
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
-        """Return the bench's prompt of `kind` that was answered last, with its campaign; None if there is none.
+        """Return the bench's prompt of `kind` that was answered last, with its campaign; None if none was.
 
-        The last answer is the newest whatever the clock said, which may have jumped back. A simulated campaign has a bench of its own, a real bench has one for all its campaigns.
+        The last answer is the newest whatever the clock said, which may have jumped back. A simulated
+        campaign has a bench of its own, a real bench has one for all its campaigns.
         """
         c, of = _PROMPTS.c, _CAMPAIGNS.c
         scope = c.campaign == entry.id if entry.simulated else (of.bench == entry.bench) & ~of.simulated

@@ -249,5 +249,5 @@ def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
     beside = {name: record.pop(name) for name in ("needs", "free_bytes", "warnings")}
     assert beside["free_bytes"] > 0
     assert record["shots"] == len(record["sequence"]) == 3 * 20 * 13
-    previewed = preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped"))))
+    previewed = preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped"))), {})
     assert record == json.loads(json.dumps(previewed))

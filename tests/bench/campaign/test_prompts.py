@@ -20,11 +20,23 @@ from rich.console import Console
 from rich.progress import Progress
 
 from bench.campaign.course import Step
-from bench.campaign.fitting import Fitting, Preparation, PromptKind, coming_balls, fitting_after, missing
+from bench.campaign.fitting import (
+    Fitting,
+    Preparation,
+    PromptKind,
+    balls_of,
+    coming_balls,
+    fitting_after,
+    load_lists,
+    missing,
+    places,
+    require_count,
+)
 from bench.campaign.gate import Centre
 from bench.campaign.operate import answer, course_of, new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.preview import preview_record, show_preview
 from bench.campaign.runner import Runner, RunOutcome, Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials
 from bench.campaign.swings import require_swings
@@ -298,15 +310,68 @@ def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Serie
         assert [p.before_shot for p in series.prompts] == asked
 
 
-def test_a_ball_is_asked_for_once_and_with_the_mounted_club_only() -> None:
+def test_a_ball_is_asked_for_once_and_a_load_lasts_over_club_changes() -> None:
     plan = clubs_plan(magazine=50, samples=3)
-    first = Step(next(iter(all_trials(plan))), 1, Centre())
+    first = all_trials(plan)[0]
     balls = coming_balls(plan, first, {})
     assert len(balls) == len(set(balls)) <= 3
-    warm = Step(PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour")), 1, Centre())
+    trials = all_trials(clubs_plan(magazine=4))
+    assert len({trial.arm.club for trial in trials[:4]}) > 1
+    assert coming_balls(clubs_plan(magazine=4), first, {}) == [("tour", n) for n in range(1, 5)]
+    warm = PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour"))
     assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
     used = Counter({Hit("ball", "tour", 1): 20})
     assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
+
+
+def test_the_load_lists_of_a_check_are_those_that_are_asked_for(make: Callable[..., Series]) -> None:
+    plan = ten_shots(magazine=4)
+    series = make(plan)
+    series.run(Rig(), Person())
+    asked = [balls_of(prompt) for prompt in series.prompts]
+    loads = load_lists(plan, {})
+    assert [load.balls for load in loads] == asked
+    assert [load.before.role for load in loads][:2] == [Role.WARM_UP, Role.TEST] or not plan.warm_up.at_most
+    assert sum(len(load.balls) for load in loads) == len(series.store.shots(series.entry.id))
+    used = Counter({Hit("ball", "tour", n): 1 for n in range(1, 5)})
+    assert ("tour", 5) in load_lists(plan, used)[0].balls
+    assert load_lists(ten_shots(magazine=0), {}) == []
+
+
+def test_check_prints_the_load_lists() -> None:
+    plan, text = ten_shots(magazine=4), StringIO()
+    loads = load_lists(plan, {})
+    show_preview(plan, {}, Console(file=text, width=100))
+    assert "Load lists: a magazine of 4" in text.getvalue()
+    assert "  ".join(places(loads[0].balls)) in text.getvalue()
+    assert [load["balls"] for load in preview_record(plan, {})["loads"]] == [load.balls for load in loads]
+    show_preview(ten_shots(magazine=0), {}, Console(file=text, width=100))
+    assert text.getvalue().count("Load lists") == 1
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(3, r"3 balls loaded, expected 4, as listed. Load the rest from 4\. "), (5, "Empty the")],
+)
+def test_another_number_of_balls_than_listed_is_refused(
+    make: Callable[..., Series], count: int, words: str
+) -> None:
+    series = make(ten_shots(magazine=4))
+    series.run(Rig(), person := Person(times=0), lambda: bool(person.shown))
+    (prompt,) = series.prompts
+    assert prompt.text.startswith("Fill the feeder with 4 balls in this order: 1. ")
+    with pytest.raises(Refused, match=words):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW, count)
+    assert series.prompts[0].answered is None
+    answer(series.store, series.folder, series.entry.id, "Bob", NOW, 4)
+    assert series.prompts[0].by == "Bob"
+    with pytest.raises(Refused, match="no open prompt"):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW, 4)
+
+
+def test_a_count_answers_no_other_prompt() -> None:
+    with pytest.raises(Refused, match="Answer without a number"):
+        require_count(Prompt(1, 2, "club", "Mount club iron.", {"club": "iron"}, NOW), 1)
 
 
 def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
@@ -343,6 +408,40 @@ def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pyt
     assert "before shot 7" in text
     assert "Mount club driver-9 [sic]." in text
     assert "golfbench campaign answer clubs-1" in text
+
+
+def test_a_load_list_is_confirmed_by_its_count_and_a_wrong_one_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    master, slave = pty.openpty()
+    out = StringIO()
+    balls = [["tour", 1], ["range", 1], ["tour", 2], ["range", 2], ["tour", 3]]
+    with os.fdopen(slave, "r") as terminal, Progress(console=Console(file=out), disable=True) as bar:
+        monkeypatch.setattr("sys.stdin", terminal)
+        person = TerminalOperator(bar, "two-1", frozenset(PromptKind))
+        person.show(Prompt(1, 7, PromptKind.BALLS, "Fill it.", {"balls": balls}, NOW))
+
+        def answers(line: str, expected: bool) -> None:
+            os.write(master, f"{line}\n".encode())
+            deadline, before = time.monotonic() + 5.0, out.getvalue()
+            while (found := person.answered()) is False and out.getvalue() == before:
+                assert time.monotonic() < deadline
+            assert found is expected
+
+        answers("4", False)
+        assert "4 balls loaded, expected 5, as listed. Load the rest from 5. tour 3 on" in _line(out)
+        answers("6", False)
+        assert "Empty the feeder and load it by the list" in _line(out)
+        answers("maybe", False)
+        assert "'maybe' is no answer" in _line(out)
+        answers("5", True)
+        os.close(master)
+    assert "1. tour 1   2. range 1   3. tour 2   4. range 2" in out.getvalue()
+    assert "5. tour 3" in out.getvalue()
+
+
+def _line(out: StringIO) -> str:
+    return " ".join(out.getvalue().split())
 
 
 def test_the_course_of_a_plan_with_prompts_is_that_without(make: Callable[..., Series]) -> None:
