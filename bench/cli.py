@@ -32,6 +32,7 @@ from bench.commands.swing import app as swing_app
 from bench.commands.tune import tune
 from bench.commands.view import view
 from bench.errors import BenchError, ExitCode
+from bench.interrupt import Terminated
 
 if TYPE_CHECKING:
     from typer.core import TyperGroup
@@ -235,6 +236,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         command_line().main(args=arguments, prog_name="golfbench", obj=session)
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
+    except Terminated:
+        sys.exit(ExitCode.TERMINATED)
     except Exception as error:
         if session.debug:
             traceback.print_exception(error)

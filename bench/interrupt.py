@@ -9,6 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+class Terminated(BaseException):
+    """SIGTERM ended a block whose work is complete."""
+
+
 class StopFlag:
     """Request to stop, set in a signal handler.
 
@@ -42,7 +46,7 @@ class StopFlag:
 def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     """Yield a flag that Ctrl-C sets; raise KeyboardInterrupt at the end of the block if it was set.
 
-    With `terminate` SIGTERM sets it, too; the block then ends with SystemExit. Child processes of the block
+    With `terminate` SIGTERM sets it, too; the block then ends with Terminated. Child processes of the block
     that are ended by SIGTERM must not inherit this.
 
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
@@ -61,7 +65,7 @@ def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
             signal.signal(number, handler)
     if asked.is_made():
         if asked.cause == "SIGTERM":
-            raise SystemExit(128 + signal.SIGTERM)
+            raise Terminated
         raise KeyboardInterrupt
 
 

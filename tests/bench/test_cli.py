@@ -18,6 +18,7 @@ import pytest
 
 from bench.cli import command_line, main
 from bench.errors import BenchError, ExitCode, Refused
+from bench.interrupt import Terminated
 from drivers.base import DriverError
 
 HEAVY = (
@@ -140,6 +141,7 @@ def test_shell_completion_is_there() -> None:
         (FileNotFoundError(2, "No such file or directory", "swing.toml"), 74, ["swing.toml: No such file"]),
         (ZeroDivisionError("1/0"), 70, ["internal error: ZeroDivisionError: 1/0", "--debug"]),
         (KeyboardInterrupt(), 130, []),
+        (Terminated(), 143, []),
     ],
 )
 def test_errors_show_their_cure_and_no_traceback(
