@@ -1,7 +1,7 @@
 """The key that marks a shot while a campaign runs, with a comment typed below the progress bar.
 
 Keys are read in a thread of their own, from a terminal in the foreground only: neither a pipe nor a
-background process loses a byte or stops, and the series waits for nobody.
+background process loses a byte or stops, and the series goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def in_foreground(terminal: int) -> bool:
     """Return whether this process may read from `terminal`; one in the background would be stopped."""
     try:
         return os.tcgetpgrp(terminal) == os.getpgrp()
-    except OSError:  # not the controlling terminal: nobody is stopped
+    except OSError:  # not the controlling terminal: it stops no process
         return True
 
 
