@@ -396,8 +396,7 @@ class Runner:
                     self._say(kind, text)
                 continue
             if taken.stopped:  # as if it had not been begun
-                words = f"interrupted by {self._cause()} within a swing, which is taken again"
-                return CampaignState.STOPPED, words
+                return CampaignState.STOPPED, f"interrupted by {self._cause()}; the swing is taken again"
             shot = self._gated(step, taken)
             for kind, text in taken.events:
                 self._say(kind, text)
