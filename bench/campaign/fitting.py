@@ -194,9 +194,14 @@ def sample_for(plan: CampaignPlan, ball: str, hits: Counter[Hit]) -> int | None:
 
 
 def _coming_arms(plan: CampaignPlan, trial: PlannedShot) -> list[Arm]:
-    """Return the arms from `trial` to the end of its warm-up's window or its section, over club changes."""
+    """Return the arms from `trial` to the end of its warm-up or its section, over club changes.
+
+    A warm-up that its window does not end may take all its shots: a further load on the way would vent.
+    """
     if trial.role is Role.WARM_UP:
-        return [trial.arm] * max(1, plan.warm_up.window + 1 - trial.position)
+        warm = plan.warm_up
+        last = warm.window if trial.position <= warm.window else warm.at_most
+        return [trial.arm] * max(1, last + 1 - trial.position)
     section = sections(plan)[trial.section - 1]
     block = trial.block - (trial.section - 1) * plan.design.blocks
     trials = [

@@ -161,7 +161,7 @@ def _load_table(plan: CampaignPlan, loads: Sequence[LoadList], *, everything: bo
     table = Table("load", "before", "place and ball", title=title, title_justify="left")
     for number, load in enumerate(loads, 1):
         if number > _SHOWN and not everything:
-            table.add_row("...", "", f"{len(loads) - _SHOWN} more loads (--all shows them)")
+            table.add_row("...", "", f"{len(loads) - _SHOWN} more (--all shows them)")
             break
         before = load.before
         where = f"block {before.block}, shot {before.position}" if before.block else "warm-up"

@@ -40,9 +40,26 @@ class CampaignBar(Progress):
     lines: Sequence[Text] = ()
     key_line: Text | None = None
     """Line of the keys, the last one."""
+    _hidden = False
+
+    def hide(self) -> None:
+        """Give the terminal to a prompt.
+
+        The bar is emptied before it stops: it would erase as many lines of the prompt when it starts again.
+        """
+        self._hidden = True
+        self.refresh()
+        self.stop()
+
+    def show(self) -> None:
+        """Go on below the prompt."""
+        self._hidden = False
+        self.start()
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """Yield the bar, then the lines."""
+        if self._hidden:
+            return
         yield self.make_tasks_table(self.tasks)
         yield from self.lines
         if (line := self.key_line) is not None:

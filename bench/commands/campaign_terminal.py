@@ -16,12 +16,12 @@ from contextlib import suppress
 from rich.console import Group
 from rich.markup import escape
 from rich.panel import Panel
-from rich.progress import Progress
 from rich.table import Table
 from rich.text import Text
 
 from bench.campaign.fitting import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign_keys import MarkKeys, in_foreground
+from bench.commands.campaign_screen import CampaignBar
 from bench.errors import Refused
 from bench.store.campaigns import Prompt
 
@@ -47,7 +47,7 @@ class TerminalOperator:
     """Shows prompts above the progress bar; on a terminal, Enter confirms."""
 
     def __init__(
-        self, bar: Progress, campaign: str, kinds: frozenset[PromptKind], keys: MarkKeys | None = None
+        self, bar: CampaignBar, campaign: str, kinds: frozenset[PromptKind], keys: MarkKeys | None = None
     ) -> None:
         """`kinds` of prompts wait for the operator; others are answered automatically."""
         self.name, self.kinds = user_name(), kinds
@@ -60,7 +60,7 @@ class TerminalOperator:
         self._prompt = prompt
         if self._keys:
             self._keys.pause()
-        self._bar.stop()
+        self._bar.hide()
         command, balls = f"golfbench campaign answer {self._campaign}", balls_of(prompt)
         enter = "Enter, or the number of balls that you loaded and Enter" if balls else "Enter"
         how = f"{enter} (or {command})" if self._listening else command
@@ -110,7 +110,7 @@ class TerminalOperator:
 
     def hide(self) -> None:
         """Show the bar again."""
-        self._bar.start()
+        self._bar.show()
         if self._keys:
             self._keys.resume()
 

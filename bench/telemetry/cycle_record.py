@@ -11,12 +11,14 @@ unpacking lists, Parquet compresses each channel by itself, and a reader may loa
 from __future__ import annotations
 
 from math import nan
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from drivers.base import CHAMBERS, JOINTS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 SCHEMA_VERSION = 3
 """Version of FIELDS; stored in every file and message."""
@@ -146,6 +148,8 @@ CYCLE = np.dtype([(f.name, f.dtype, f.shape) for f in FIELDS], align=True)
 
 def arrow_schema() -> pa.Schema:
     """Return the Arrow schema of cycles; each column carries `unit` and `description` as metadata."""
+    import pyarrow as pa  # 29 MB, and needed for files and telemetry only
+
     return pa.schema(
         [
             pa.field(
@@ -163,6 +167,8 @@ def arrow_schema() -> pa.Schema:
 
 def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
     """Return `cycles` (n records of CYCLE) as an Arrow table of `arrow_schema()`; NaN stays NaN."""
+    import pyarrow as pa
+
     columns = [
         pa.array(np.ascontiguousarray(values), from_pandas=False)
         for field in FIELDS

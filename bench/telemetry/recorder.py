@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
@@ -50,6 +48,8 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
     Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
     metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
     """
+    import pyarrow.parquet as pq  # 29 MB, and needed for files only
+
     if cycles.dtype != CYCLE:
         raise TypeError(f"cycles have dtype {cycles.dtype}, expected CYCLE")
     text = json.dumps(
@@ -73,6 +73,9 @@ def read_swing(path: Path) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
     Raises BenchError when the file is missing, no Parquet file, not a swing of golfbench, or of a
     schema version that this program does not know.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         table = pq.read_table(path, memory_map=False)
     except FileNotFoundError as error:

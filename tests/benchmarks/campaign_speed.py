@@ -1,14 +1,16 @@
 """How long a thousand simulated shots take with everything stored, and the report of ten thousand.
 
 The thousand are swung in lock-step, cycles written and synced; the greatest memory after a fifth of them and
-at the end tells whether it grows. The ten thousand of the report are drawn, not swung. Options: `--shots N`,
-`--report N`.
+at the end tells whether it grows. The ten thousand of the report are drawn, not swung; its memory is that of
+`golfbench campaign report` as a process of its own. Options: `--shots N` (0: none), `--report N`.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -68,7 +70,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         return [
-            *_swung(Path(folder) / "swung", given.shots),
+            *(_swung(Path(folder) / "swung", given.shots) if given.shots else ()),
             *_reported(Path(folder) / "drawn", given.report),
         ]
 
@@ -127,4 +129,33 @@ def _reported(folder: Path, shots: int) -> list[Row]:
         took = time.perf_counter() - begun
     size = (folder / "report.html").stat().st_size / 1e6
     note = f"of {len(drawn)} shots, {size:.1f} MB"
-    return [Row(TITLE, "report", took, "s", note, at_most=10.0)]
+    return [
+        Row(TITLE, "report", took, "s", note, at_most=10.0),
+        Row(TITLE, "memory of the report", _memory(folder, entry.id), "MB", note, at_most=366.0),
+    ]
+
+
+def _memory(folder: Path, campaign: str) -> float:
+    """Return the greatest memory of the command that writes the report, MB.
+
+    By the process itself: what `wait` reports begins with the memory of the process that started it.
+    """
+    file = folder / "bench.toml"
+    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{folder}"\n')
+    arguments = ["--config", str(file), "campaign", "report", campaign]
+    command = [sys.executable, "-c", _MEASURED, *arguments, "--output", str(folder / "again.html")]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return int(done.stderr.split()[-2]) / 1024
+
+
+_MEASURED = """
+import atexit, sys
+from bench.cli import main
+
+def report():
+    with open("/proc/self/status") as status:
+        print(next(line for line in status if line.startswith("VmHWM")), file=sys.stderr)
+
+atexit.register(report)
+main(sys.argv[1:])
+"""

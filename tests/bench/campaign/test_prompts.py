@@ -17,7 +17,6 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from rich.progress import Progress
 
 from bench.campaign.course import Step
 from bench.campaign.fitting import (
@@ -40,6 +39,7 @@ from bench.campaign.preview import preview_record, show_preview
 from bench.campaign.runner import Runner, RunOutcome, Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials
 from bench.campaign.swings import require_swings
+from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
 from bench.errors import Refused
@@ -320,6 +320,8 @@ def test_a_ball_is_asked_for_once_and_a_load_lasts_over_club_changes() -> None:
     assert coming_balls(clubs_plan(magazine=4), first, {}) == [("tour", n) for n in range(1, 5)]
     warm = PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour"))
     assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
+    longer = replace(plan, warm_up=replace(plan.warm_up, at_most=8))
+    assert len(coming_balls(longer, warm._replace(position=4), {})) == 3, "one load for all that may come"
     used = Counter({Hit("ball", "tour", 1): 20})
     assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
 
@@ -391,7 +393,7 @@ def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
 def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = pty.openpty()
     out = StringIO()
-    with os.fdopen(slave, "r") as terminal, Progress(console=Console(file=out), disable=True) as bar:
+    with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
         monkeypatch.setattr("sys.stdin", terminal)
         person = TerminalOperator(bar, "clubs-1", frozenset(PromptKind))
         os.write(master, b"\n")
@@ -416,7 +418,7 @@ def test_a_load_list_is_confirmed_by_its_count_and_a_wrong_one_refused(
     master, slave = pty.openpty()
     out = StringIO()
     balls = [["tour", 1], ["range", 1], ["tour", 2], ["range", 2], ["tour", 3]]
-    with os.fdopen(slave, "r") as terminal, Progress(console=Console(file=out), disable=True) as bar:
+    with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
         monkeypatch.setattr("sys.stdin", terminal)
         person = TerminalOperator(bar, "two-1", frozenset(PromptKind))
         person.show(Prompt(1, 7, PromptKind.BALLS, "Fill it.", {"balls": balls}, NOW))
