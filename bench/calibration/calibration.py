@@ -88,12 +88,16 @@ class Calibration:
         """Return the calibration of `kind` in force, if any; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
 
-    def problems(self, now: datetime) -> list[str]:
-        """Return the reasons against arming at `now`, each with its action; empty if there are none."""
+    def problems(self, at: datetime, now: datetime | None = None) -> list[str]:
+        """Return the reasons against arming `at` a time, each with its action; empty if there are none.
+
+        The words are those of `now`, by default the same time.
+        """
         found = [
-            f"{entry.name} expired on {entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
+            f"{entry.name} {'expired' if entry.expired(now or at) else 'expires'} on "
+            f"{entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
             for entry in self.entries
-            if entry.expired(now)
+            if entry.expired(at)
         ]
         if self.required:
             names = {

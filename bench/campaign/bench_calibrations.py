@@ -47,6 +47,26 @@ def calibration_versions(database: Engine, bench: str, clubs: Iterable[str], now
     }
 
 
+def calibration_warnings(
+    database: Engine, bench: str, clubs: Iterable[str], now: datetime, end: datetime, *, required: bool
+) -> list[str]:
+    """Return the calibrations that keep the bench from arming `now` or before `end`, each with its action.
+
+    `required` includes those that were never made, as on a machine.
+    """
+    found = [effective_calibration(database, bench, now, club=club, required=required) for club in clubs]
+    today = dict.fromkeys(text for one in found for text in one.problems(now))
+    later = dict.fromkeys(text for one in found for text in one.problems(end, now) if text not in today)
+    restart = ", then start the bench again: it arms with no such calibration."
+    return [
+        *(f"Calibration: {text}{restart}" for text in today),
+        *(
+            f"Calibration: {text}, before the expected end of the campaign, {end:%Y-%m-%d %H:%M} UTC."
+            for text in later
+        ),
+    ]
+
+
 def speed_sensitivities(
     profiles: Profiles, clubs: Mapping[str, Club], robot: RobotParameters
 ) -> list[dict[str, Any]]:

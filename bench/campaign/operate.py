@@ -13,7 +13,11 @@ from typing import Any
 
 from bench.calibration.aerodynamics_archive import newest_aerodynamics
 from bench.campaign.analysis import decide
-from bench.campaign.bench_calibrations import calibrations_in_force, speed_sensitivities
+from bench.campaign.bench_calibrations import (
+    calibration_warnings,
+    calibrations_in_force,
+    speed_sensitivities,
+)
 from bench.campaign.broadcast import Broadcast, Together
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
@@ -27,7 +31,7 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
-from bench.campaign.suitability import START_SERIES, needs_series, series_words
+from bench.campaign.suitability import START_SERIES, needs, needs_series, series_words
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import Configuration, with_new_names
 from bench.errors import BenchError, Refused
@@ -181,6 +185,8 @@ def run_live(
         client.publish_campaign(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
+        for warning in _calibration_warnings(plan, entry, store):
+            watcher.say(warning)
         if needs_series(plan) and not client.status()["series"]:
             watcher.say(f"This is {series_words(plan)}. {START_SERIES}")
         corrections = CampaignCorrections(
@@ -202,6 +208,14 @@ def run_live(
         with shots as source:
             runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator, start, cause)
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+
+
+def _calibration_warnings(plan: CampaignPlan, entry: CampaignEntry, store: CampaignStore) -> list[str]:
+    now, needed = datetime.now(UTC), needs(plan)
+    lasts = timedelta(seconds=needed.swings * plan.design.seconds_per_shot + needed.hand_work)
+    return calibration_warnings(
+        store.database, entry.bench, plan.design.clubs, now, now + lasts, required=not entry.simulated
+    )
 
 
 def bench_facts(

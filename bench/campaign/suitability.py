@@ -20,6 +20,7 @@ _SCATTER_VENTED = 1.8
 class Needs(NamedTuple):
     """Needs of a plan, without repeats; of the warm-ups the shortest count for the feeder only."""
 
+    swings: int
     bytes: int
     club_changes: int
     feeder_fills: int
@@ -33,7 +34,7 @@ def needs(plan: CampaignPlan) -> Needs:
     changes = sum(one.arm.club != two.arm.club for one, two in pairwise(trials))
     fills = len(load_lists(plan, {}))
     seconds = changes * work.club_change + fills * work.feeder_fill
-    return Needs(len(trials) * BYTES, changes, fills, seconds)
+    return Needs(len(trials), len(trials) * BYTES, changes, fills, seconds)
 
 
 def free_space(folder: Path) -> int:

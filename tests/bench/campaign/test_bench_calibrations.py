@@ -11,7 +11,12 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import ClubInMount, EncoderZeros
-from bench.campaign.bench_calibrations import calibration_versions, calibrations_in_force, speed_sensitivities
+from bench.campaign.bench_calibrations import (
+    calibration_versions,
+    calibration_warnings,
+    calibrations_in_force,
+    speed_sensitivities,
+)
 from bench.campaign.interruptions import changed
 from bench.campaign.operate import bench_calibrations, new_entry, run_start
 from bench.campaign.plan_file import load_plan
@@ -55,6 +60,34 @@ def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=False, calibrated=kept)
     assert entry.calibrations["bench"]["in_force"] == found["in_force"]
     assert {one["club"] for one in entry.calibrations["bench"]["club_speed"]} == set(plan.design.clubs)
+
+
+def test_what_has_expired_or_will_is_told_before_the_first_shot(tmp_path: Path) -> None:
+    plan = load_plan(Path("clubs"), CONFIGURATION)
+    bench, clubs, begun = CONFIGURATION.bench.id, plan.design.clubs, NOW - timedelta(days=10)
+
+    def warnings(hours: float, *, required: bool = False) -> list[str]:
+        end = NOW + timedelta(hours=hours)
+        return calibration_warnings(engine, bench, clubs, NOW, end, required=required)
+
+    with open_database(database_url("", tmp_path)) as engine:
+        zeros = EncoderZeros((1, 2, 3), (1, 1, 1), 65536, 1e-3)
+        add_calibration(
+            engine, bench, zeros, date=begun, expires=NOW - timedelta(days=1), by="Ann", method="jig"
+        )
+        driver = ClubInMount("driver", 1.09, 0.18, 1.0, 5e-4, 1e-3)
+        add_calibration(
+            engine, bench, driver, date=begun, expires=NOW + timedelta(hours=2), by="Ann", method="jig"
+        )
+        expired, *others = warnings(1.0)
+        assert "encoders version 1" in expired
+        assert "expired on 2026-11-21 12:00 UTC: golfbench calibrate encoders, then start" in expired
+        assert others == []
+        _, ending = warnings(3.0)
+        assert "expires on 2026-11-22 14:00 UTC: golfbench calibrate club, before the expected end" in ending
+        never = [text for text in warnings(1.0, required=True) if "never calibrated" in text]
+        assert sum("club driver-" in text for text in never) == len(clubs) - 1
+        assert any("valves of bench" in text for text in never)
 
 
 def test_club_speed_grows_by_the_clubs_angular_rate() -> None:

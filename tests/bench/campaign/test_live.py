@@ -9,15 +9,21 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bench.calibration.archive import add_calibration
+from bench.calibration.values import ClubInMount, EncoderZeros
+from bench.campaign.budget import uncertainty_budgets
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
+from bench.campaign.findings import findings
 from bench.campaign.fitting import PromptKind
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
@@ -134,6 +140,75 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
             assert process.returncode == ExitCode.REFUSED, output
         assert "no answer" in store.entries()[0][1].reason
         assert store.entries()[0][1].state is CampaignState.SUSPENDED
+
+
+@pytest.mark.live
+@pytest.mark.timeout(400)
+def test_calibrations_are_kept_and_sigterm_leaves_the_bench_vented(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live")
+    (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 2"))
+    configuration = load_configuration(file)
+    encoders, club = configuration.plant.encoders, configuration.clubs["driver"]
+    zeros = EncoderZeros(encoders.zero_count, encoders.sign, encoders.counts_per_revolution, 1e-3)
+    mount = ClubInMount("driver", club.length_to_face, club.loft, club.lie, 5e-4, 1e-3)
+    now = datetime.now(UTC)
+    with open_database(database_url("", configuration.bench.data_dir)) as engine:
+        for values in (zeros, mount):
+            add_calibration(
+                engine,
+                configuration.bench.id,
+                values,
+                date=now,
+                expires=now + timedelta(days=2),
+                by="Ann",
+                method="jig",
+            )
+        with running_bench(file, "--series") as bench:
+            with campaign(file, "run", tmp_path / "plan.toml") as process:
+                in_swing(bench, 1)
+                process.terminate()
+                output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.TERMINATED, output
+            assert "interrupted by SIGTERM" in output
+            status = bench.client.wait_for("READY")
+            assert (status["vented"], status["lease"]) == (True, None)
+            store = CampaignStore(engine)
+            ((entry, standing, counts),) = store.entries()
+            assert (standing.state, counts) == (CampaignState.STOPPED, {"valid": 1}), (
+                "the swing was completed"
+            )
+            assert store.events(entry.id)[-1].text == "interrupted by SIGTERM"
+            with campaign(file, "resume", entry.id) as process:
+                output, _ = process.communicate(timeout=120)
+                assert process.returncode == ExitCode.OK, output
+        record = load_record(store, entry)
+    in_force = entry.calibrations["bench"]["in_force"]
+    assert [(one["kind"], one["version"], one["by"]) for one in in_force] == [
+        ("encoders", 1, "Ann"),
+        ("club", 1, "Ann"),
+    ]
+    assert len(record.shots) == 4
+    page = render_campaign_report(record, findings(record.plan, record.shots))
+    assert page.count("version 1, jig, by Ann") >= 2
+    assert "nominal: never calibrated" in page
+    speeds = {
+        calibrated: next(
+            budget
+            for budget in uncertainty_budgets(
+                record.plan, record.shots, entry.calibrations if calibrated else {}, simulated=False
+            )
+            if budget.column == "club_speed_mps"
+        )
+        for calibrated in (True, False)
+    }
+    assert [line.name for line in speeds[True].lines] == [
+        "scatter of the series",
+        "length of the club",
+        "zeros of the encoders",
+    ]
+    assert (speeds[True].missing, speeds[False].expanded) == ("", None)
+    assert 0.005 < speeds[True].type_b < 0.2
+    assert speeds[False].missing == "length of the club not calibrated, zeros of the encoders not calibrated"
 
 
 class StandingBench:
