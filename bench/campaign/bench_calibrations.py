@@ -57,11 +57,11 @@ def calibration_warnings(
     found = [effective_calibration(database, bench, now, club=club, required=required) for club in clubs]
     today = dict.fromkeys(text for one in found for text in one.problems(now))
     later = dict.fromkeys(text for one in found for text in one.problems(end, now) if text not in today)
-    restart = ", then start the bench again: it arms with no such calibration."
+    restart = ", then start the bench again: it does not arm before."
     return [
-        *(f"Calibration: {text}{restart}" for text in today),
+        *(f"{text[0].upper()}{text[1:]}{restart}" for text in today),
         *(
-            f"Calibration: {text}, before the expected end of the campaign, {end:%Y-%m-%d %H:%M} UTC."
+            f"{text[0].upper()}{text[1:]}, before the expected end of the campaign, {end:%Y-%m-%d %H:%M} UTC."
             for text in later
         ),
     ]

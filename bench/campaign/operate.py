@@ -185,10 +185,8 @@ def run_live(
         client.publish_campaign(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
-        for warning in _calibration_warnings(plan, entry, store):
+        for warning in _warnings(plan, entry, store, client.status()):
             watcher.say(warning)
-        if needs_series(plan) and not client.status()["series"]:
-            watcher.say(f"This is {series_words(plan)}. {START_SERIES}")
         corrections = CampaignCorrections(
             entry, plan, configuration, store.database, profiles, simulated=entry.simulated
         )
@@ -210,12 +208,17 @@ def run_live(
             return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
 
 
-def _calibration_warnings(plan: CampaignPlan, entry: CampaignEntry, store: CampaignStore) -> list[str]:
+def _warnings(
+    plan: CampaignPlan, entry: CampaignEntry, store: CampaignStore, status: BenchStatus
+) -> Iterator[str]:
+    """Yield what in the running bench does not suit the plan, but may end well."""
     now, needed = datetime.now(UTC), needs(plan)
     lasts = timedelta(seconds=needed.swings * plan.design.seconds_per_shot + needed.hand_work)
-    return calibration_warnings(
+    yield from calibration_warnings(
         store.database, entry.bench, plan.design.clubs, now, now + lasts, required=not entry.simulated
     )
+    if needs_series(plan) and not status["series"]:
+        yield f"This is {series_words(plan)}. {START_SERIES}"
 
 
 def bench_facts(
