@@ -86,8 +86,8 @@ def test_what_has_expired_or_will_is_told_before_the_first_shot(tmp_path: Path) 
         _, ending = warnings(3.0)
         assert "expires on 2026-11-22 14:00 UTC: golfbench calibrate club, before the expected end" in ending
         never = [text for text in warnings(1.0, required=True) if "never calibrated" in text]
-        assert sum("club driver-" in text for text in never) == len(clubs) - 1
-        assert any("valves of bench" in text for text in never)
+        assert sum("Club driver-" in text for text in never) == len(clubs) - 1
+        assert any("Valves of bench" in text for text in never)
 
 
 def test_club_speed_grows_by_the_clubs_angular_rate() -> None:
