@@ -79,7 +79,7 @@ class BlockFit(NamedTuple):
         for level, sign in ((first, 1.0), (second, -1.0)):
             if level:
                 weights[level - 1] += sign
-        if self.freedom < 1 or not np.allclose(self.estimable @ weights, weights, atol=1e-8):
+        if self.freedom < 1 or np.abs(self.estimable @ weights - weights).max(initial=0.0) > 1e-8:
             return None
         error = self.deviation * sqrt(max(float(weights @ self.inverse @ weights), 0.0))
         return Contrast(float(self.effects[first] - self.effects[second]), error, self.freedom)

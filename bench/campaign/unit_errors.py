@@ -20,10 +20,13 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special, stats
+from numpy.typing import NDArray
+from scipy import special
 from scipy.stats import qmc
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast
+
+Single = NDArray[np.float32]
 
 _MOST_UNITS = 480
 """Max number of units that are kept apart; of more, some of one level are taken together."""
@@ -37,8 +40,17 @@ _SINGULAR = 0.05
 _LEAST = 0.1
 """Least share of a difference's likely variance that is believed."""
 
+_FEW_UNITS = 64
+"""Number of units up to which sums of squares are drawn as they come about, unit by unit."""
+
 _DRAWS = 13
 """Log2 of the number of draws of the joint distribution of all pairs."""
+
+_TAIL = 20
+"""Number of draws beyond a limit up to which Bonferroni is more reliable."""
+
+_FEW_FREEDOM = 10.0
+"""Degrees of freedom below which Wallace's normal figure of Student's t is not near enough."""
 
 
 class Units(NamedTuple):
@@ -61,21 +73,24 @@ class UnitErrors(NamedTuple):
     """Variance of one shot of each level, that between balls left out; unbiased, so below 0 now and then."""
     ratio: float
     """Variance between balls over that of one shot."""
-    positive: Array
-    """The same, none below 0, shrunk towards equality by what chance explains."""
     assumed: Array
-    """The same, shrunk further: as the degrees of freedom assume them."""
+    """The same, none below 0, shrunk towards equality by what chance explains: as the degrees of freedom and
+    the joint distribution of all pairs assume them."""
     inverse: Array
     """(levels, levels): makes variances out of the sums of squares of each level's units."""
     expected: Array
     """(levels, levels): the sums of squares to expect from one unit of each level's variance."""
     spread: Array
     """Covariance of the sums of squares."""
+    sums: Array
+    """(units, units): covariance of the sums of residuals of all units; of many units empty."""
+    level: Codes
+    """Level of each unit."""
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the levels' effects."""
-        return np.asarray(np.tensordot(self.positive, self.parts, axes=1))
+        """Covariance of the levels' effects, as the degrees of freedom assume it."""
+        return np.asarray(np.tensordot(self.assumed, self.parts, axes=1))
 
     def contrast(self, fit: BlockFit, first: int, second: int) -> Contrast | None:
         """Return level `first` less level `second`; None if no blocks connect the two."""
@@ -124,9 +139,10 @@ def units_of(level: Codes, ball: Codes, levels: int) -> Units:
 class UnitLayout:
     """Sums of residuals by unit and their covariance: a design, whatever was measured."""
 
-    def __init__(self, fit: BlockFit, units: Units) -> None:
-        """Take the design of `fit`."""
+    def __init__(self, fit: BlockFit, units: Units, *, pooled: bool = False) -> None:
+        """Take the design of `fit`; `pooled`: all levels have one variance."""
         self._units, levels = units, len(units.balls)
+        self._pooled = pooled
         self._order = np.argsort(units.of_shot, kind="stable")
         self._starts = np.searchsorted(units.of_shot[self._order], np.arange(len(units.level)))
         self._level = units.level[units.of_shot]
@@ -180,17 +196,20 @@ class UnitLayout:
         middle = float(np.average(variances, weights=np.maximum(np.bincount(self._level), 1e-9)))
         positive = np.maximum(variances, 1e-2 * max(middle, 0.0))
         # How sure each would be if all were equal says how much of their differences is chance.
-        chance = np.diag(inverse @ self._spread(ratio, np.ones(len(positive))) @ inverse.T)
+        equal = self._spread_of(self._sums(ratio, np.ones(len(positive))))
+        chance = np.diag(inverse @ equal @ inverse.T)
         sure = 2 / np.maximum(chance, 1e-12)
         # An error that is small by chance must not count for less, too: differences that chance makes in 1 of
         # 200 campaigns do not enter the degrees of freedom.
         assumed = _shrunk(positive, sure, 0.995)
-        return self._errors(ratio, variances, _shrunk(positive, sure, 0.5), assumed, inverse)
+        # A geometric mean of few degrees of freedom each is too small: all sums together say how large.
+        assumed *= float(found.sum()) / max(float((self._expected(ratio) @ assumed).sum()), 1e-300)
+        return self._errors(ratio, variances, assumed, inverse)
 
     def foreseen(self, variances: Array, ratio: float) -> UnitErrors:
         """Return the errors to expect with these true variances of one shot and this ratio."""
         true = np.asarray(variances, dtype=float)
-        return self._errors(ratio, true, true, true, self._inverse(ratio))
+        return self._errors(ratio, true, true, self._inverse(ratio))
 
     def _expected(self, ratio: float) -> Array:
         """Return the expected sums of squares of each level's units, from one unit of each variance."""
@@ -202,35 +221,42 @@ class UnitLayout:
 
     def _inverse(self, ratio: float) -> Array:
         expected = self._expected(ratio)
+        if self._pooled:
+            return np.full(expected.shape, 1 / max(float(expected.sum()), 1e-300))
         scale = np.sqrt(np.maximum(np.diag(expected), 1e-300))
         scale[np.diag(expected) <= 0] = 1.0
         return np.asarray(
             np.linalg.pinv(expected / np.outer(scale, scale), rcond=_SINGULAR) / np.outer(scale, scale)
         )
 
-    def _errors(
-        self, ratio: float, variances: Array, positive: Array, assumed: Array, inverse: Array
-    ) -> UnitErrors:
+    def _errors(self, ratio: float, variances: Array, assumed: Array, inverse: Array) -> UnitErrors:
         parts = self._shot_parts + self._many(ratio)[:, None, None] * self._ball_parts
+        sums = self._sums(ratio, assumed)
+        few = len(sums) <= _FEW_UNITS
         return UnitErrors(
             parts,
             variances,
             ratio,
-            positive,
             assumed,
             inverse,
             self._expected(ratio),
-            self._spread(ratio, assumed),
+            self._spread_of(sums),
+            sums if few else np.zeros((0, 0)),
+            self._units.level,
         )
 
-    def _spread(self, ratio: float, variances: Array) -> Array:
-        """Return the covariance of the levels' sums of squares, where these are the true variances."""
+    def _sums(self, ratio: float, variances: Array) -> Array:
+        """Return the covariance of the units' sums of residuals, where these are the true variances."""
         level = self._units.level
         covariance = np.tensordot(variances, self._products, axes=1)
         if ratio:
             within = self._within * np.sqrt((self._many(ratio) * variances)[level])[:, None]
             covariance += within.T @ within
-        order = np.eye(len(self._units.balls))[level]
+        return np.asarray(covariance)
+
+    def _spread_of(self, covariance: Array) -> Array:
+        """Return the covariance of the levels' sums of squares, with this one of the units' sums."""
+        order = np.eye(len(self._units.balls))[self._units.level]
         return np.asarray(2 * order.T @ covariance**2 @ order)
 
 
@@ -256,10 +282,10 @@ def _square(rows: Array) -> Array:
 
 
 @cache
-def _draws(width: int) -> Array:
+def _draws(width: int) -> Single:
     """Return normal draws (2^13, width), evenly spread and always the same."""
     even = qmc.Sobol(width, rng=np.random.default_rng(1)).random_base2(_DRAWS)
-    return np.asarray(stats.norm.ppf(np.clip(even, 1e-12, 1 - 1e-12)))
+    return np.asarray(special.ndtri(np.clip(even, 1e-12, 1 - 1e-12)), dtype=np.float32)
 
 
 class JointErrors(NamedTuple):
@@ -268,29 +294,33 @@ class JointErrors(NamedTuple):
     largest: Array
     """Sorted draws."""
     pairs: int
+    exact: bool = False
+    """Whether the draws know more than the pairs' own degrees of freedom, so that Bonferroni is no bound."""
 
     def adjusted(self, p: float) -> float:
-        """Return a pair's p value for all pairs together (single step; never above Bonferroni's)."""
+        """Return a pair's p value for all pairs together (single step)."""
         if self.pairs < 2:
             return p
         above = len(self.largest) - int(np.searchsorted(self.largest, -float(special.ndtri(p / 2))))
-        return max(p, min(1.0, self.pairs * p, (above + 1) / (len(self.largest) + 1)))
+        bound = 1.0 if self.exact and above > _TAIL else min(1.0, self.pairs * p)
+        return max(p, min(bound, (above + 1) / (len(self.largest) + 1)))
 
     def single(self, alpha: float) -> float:
         """Return the level of one pair at which all together err with `alpha`."""
         if self.pairs < 2:
             return alpha
+        if alpha * len(self.largest) <= _TAIL:
+            return alpha / self.pairs
         beyond = 2 * float(special.ndtr(-np.quantile(self.largest, 1 - alpha)))
-        # Too far out for draws: Bonferroni.
-        return max(beyond, alpha / self.pairs) if alpha * len(self.largest) > 20 else alpha / self.pairs
+        return min(alpha, beyond if self.exact else max(beyond, alpha / self.pairs))
 
 
 class Draws(NamedTuple):
     """Differences of all pairs and their estimated variances, drawn as if no levels differed."""
 
-    differences: Array
+    differences: Single
     """(draws, pairs)"""
-    variances: Array
+    variances: Single
     freedom: Array
     """Of each pair."""
 
@@ -301,18 +331,31 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
     Both what pairs share of their levels' means and of their standard errors is in them.
     """
     width = len(errors.assumed)
-    drawn = _draws(2 * width)
-    means = drawn[:, :width] @ _root(errors.covariance).T
-    # Sums of squares: each like chi-square (Wilson and Hilferty), together with their correlation.
-    middle, deviation = errors.expected @ errors.positive, np.sqrt(np.maximum(np.diag(errors.spread), 1e-300))
-    step = (deviation / np.maximum(middle, 1e-300)) ** 2 / 9
-    linked = drawn[:, width:] @ _root(errors.spread / np.outer(deviation, deviation)).T
-    squares = middle * np.maximum(1 - step + linked * np.sqrt(step), 0.0) ** 3
+    unit = max(float(errors.assumed.max()), 1e-300)  # single precision has few powers of ten
+    drawn = _draws(width + (len(errors.sums) or width))
+    means = drawn[:, :width] @ _root(errors.covariance / unit).T
+    if len(errors.sums):
+        sums = drawn[:, width:] @ _root(errors.sums / unit).T
+        squares = sums**2 @ (errors.level[:, None] == np.arange(width)).astype(np.float32)
+    else:
+        squares = _squares(errors, unit, drawn[:, width:])
     first, second = np.array(pairs).T
     weights = np.array([errors.weights(one, two) for one, two in pairs])
-    variances = np.maximum(squares @ (weights @ errors.inverse).T, _LEAST * (weights @ errors.positive))
+    least = (_LEAST / unit * (weights @ errors.assumed)).astype(np.float32)
+    variances = np.maximum(squares @ (weights @ errors.inverse).T.astype(np.float32), least)
     freedom = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])
-    return Draws(means[:, first] - means[:, second], np.maximum(variances, 1e-300), freedom)
+    differences = (means[:, first] - means[:, second]) * np.float32(sqrt(unit))
+    return Draws(differences, np.maximum(variances, np.float32(1e-30)) * np.float32(unit), freedom)
+
+
+def _squares(errors: UnitErrors, unit: float, drawn: Single) -> Single:
+    """Return sums of squares of many units over `unit`: each like chi-square (Wilson and Hilferty)."""
+    middle, spread = errors.expected @ errors.assumed / unit, errors.spread / unit**2
+    deviation = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    step = (deviation / np.maximum(middle, 1e-300)) ** 2 / 9
+    linked = drawn @ _root(spread / np.outer(deviation, deviation)).T
+    cubed = np.maximum((1 - step + linked * np.sqrt(step)), 0.0) ** 3
+    return np.asarray(middle * cubed, dtype=np.float32)
 
 
 def together(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) -> JointErrors:
@@ -321,11 +364,25 @@ def together(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) 
         return JointErrors(np.zeros(0), len(pairs))
     differences, variances, freedom = drawn_pairs(errors, pairs, most)
     # Student's t as a normal figure (Wallace 1959).
+    factor = (freedom * ((8 * freedom + 1) / (8 * freedom + 3)) ** 2).astype(np.float32)
+    squared = np.log1p(differences**2 / variances / freedom.astype(np.float32)) * factor
+    if np.ptp(freedom) < 1e-9:  # the largest stays the largest
+        squared = squared.max(axis=1, keepdims=True)
+    for pair in np.flatnonzero(freedom[: squared.shape[1]] < _FEW_FREEDOM):
+        squared[:, pair] = _normal_square(squared[:, pair], float(freedom[pair]))
+    largest = np.sqrt(np.sort(squared.max(axis=1)).astype(float))
+    return JointErrors(largest, len(pairs), len(errors.sums) > 0)
+
+
+def _normal_square(squared: Single, freedom: float) -> Single:
+    """Return the square of the normal figure of Student's t whose figure by Wallace has this square."""
+    wallace = np.linspace(0.0, 8.0, 161)
     factor = freedom * ((8 * freedom + 1) / (8 * freedom + 3)) ** 2
-    squared = np.log1p(differences**2 / variances / freedom) * factor
-    return JointErrors(np.sqrt(np.sort(squared.max(axis=1))), len(pairs))
+    t = np.sqrt(freedom * np.expm1(np.minimum(wallace**2 / factor, 600.0)))
+    exact = -special.ndtri(special.stdtr(freedom, -t))
+    return np.asarray(np.interp(np.sqrt(squared), wallace, exact) ** 2, dtype=np.float32)
 
 
-def _root(covariance: Array) -> Array:
+def _root(covariance: Array) -> Single:
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float32)

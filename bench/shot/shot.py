@@ -148,10 +148,9 @@ class Shot:
 
     def __post_init__(self) -> None:
         """Refuse what a table cannot hold: non-finite figures, times without zone, a reason missing."""
-        for column in COLUMNS:
-            value = getattr(self, column.name)
+        for name, value in vars(self).items():
             if isinstance(value, float) and not isfinite(value):
-                raise ValueError(f"{column.name} is {value}; a figure that is not known is None")
+                raise ValueError(f"{name} is {value}; a figure that is not known is None")
         if self.time_utc.utcoffset() is None:
             raise ValueError(f"time_utc {self.time_utc} has no time zone")
         if (self.status is ShotStatus.VALID) == bool(self.reason):
