@@ -7,7 +7,8 @@ mixed model. Balls are random where a model had more than one, and each level ha
 ball" where there was one only. All pairs of a section err together with the plan's level (the distribution of
 the largest |t|, single step: a pair differs exactly if its joint interval leaves out 0); two one-sided tests
 (TOST), adjusted by Holm, say "the same". Before the plan's end a look has its share of the error
-(`bench.campaign.looks`).
+(`bench.campaign.looks`). In a split-plot clubs are judged by their mountings and, within each club, balls by
+their shots (`bench.campaign.split_plot`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
 from bench.campaign.common_errors import common_errors
@@ -30,6 +31,15 @@ from bench.campaign.power import power_of_shift, same_power_of_error
 from bench.campaign.repeatability import variance_components
 from bench.campaign.scatter import ScatterRatio, scatter_ratios
 from bench.campaign.sequence import Role
+from bench.campaign.split_plot import (
+    are_pooled,
+    ball_columns,
+    enough_mountings,
+    independent_codes,
+    set_codes,
+    shots_within,
+    within_club,
+)
 from bench.campaign.unit_errors import JointErrors, UnitErrors, UnitLayout, together, units_of
 from bench.shot.shot import Shot, ShotStatus
 
@@ -46,7 +56,7 @@ class Spread(NamedTuple):
     n: int
     """Number of shots."""
     balls: int
-    """Number of balls; with one only, the figures are those of this ball."""
+    """Number of balls; with one only, the figures are those of this ball. In a split-plot: of mountings."""
     mean: float
     low: float
     high: float
@@ -92,7 +102,7 @@ class Pair:
     shots: int
     """Valid shots of the level with fewer."""
     balls: int
-    """Balls of the level with fewer."""
+    """Balls of the level with fewer; mountings in a split-plot; 0 where neither is known."""
     models: bool
     """Whether it holds for the models; else for these specimens only: one ball of a level, or clubs."""
     power: float
@@ -123,7 +133,8 @@ class Comparison:
     deviation: float
     """Standard deviation of one shot, other effects and that between balls removed."""
     ball_deviation: float | None
-    """Between balls of one model, the levels' mean; None if no ball was hit twice."""
+    """Between balls of one model, the levels' mean; None if no ball was hit twice. In a split-plot: between
+    mountings of one club."""
     freedom: float
     """Of the residuals; each pair has its own."""
     single: float
@@ -154,19 +165,27 @@ class SectionAnalysis:
     """Valid values of a section's only level, in order; empty where levels are compared."""
     outliers: tuple[tuple[int, float], ...]
     """(shot, robust z) of outliers among valid shots; never removed."""
+    within: tuple[SectionAnalysis, ...] = ()
+    """Of a split-plot: balls compared within each club, named after the club."""
 
 
 def analyse(
     plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, looks: Sequence[int] | None = None
 ) -> SectionAnalysis:
     """Return the analysis of one section's `shots`; `looks` as `bench.campaign.looks.look_now` takes them."""
+    return _analysed(plan, shots, number, name, look_now(plan, shots, looks))
+
+
+def _analysed(
+    plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, look: Look
+) -> SectionAnalysis:
     mine = [shot for shot in shots if shot.role != Role.WARM_UP]
     tests = [shot for shot in mine if shot.role == Role.TEST]
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
-    look = look_now(plan, shots, looks)
     names, factor = levels(plan), plan.design.compare
     linear = bool(controls_per_block(plan)) and plan.analysis.drift == "linear"
-    raw, fit = _compared(plan, tests, [], "raw", look.alpha, scatter=not linear)
+    method = "mountings of a club random" if plan.split else "raw"
+    raw, fit = _compared(plan, tests, [], method, look.alpha, scatter=not linear)
     corrected = None
     if controls_per_block(plan):
         method = "drift removed by the control ball"
@@ -183,6 +202,19 @@ def analyse(
         look,
         tuple(map(float, values_of(plan, tests)[1])) if len(names) < 2 else (),
         _outliers(fit),
+        _within(plan, tests, number, look),
+    )
+
+
+def _within(
+    plan: CampaignPlan, tests: Sequence[Shot], number: int, look: Look
+) -> tuple[SectionAnalysis, ...]:
+    """Return the balls compared within each club of a split-plot."""
+    if not plan.split or len(plan.design.balls) < 2:
+        return ()
+    return tuple(
+        _analysed(within_club(plan, club), shots_within(plan, club, tests), number, club, look)
+        for club in plan.design.clubs
     )
 
 
@@ -209,7 +241,15 @@ class _Data(NamedTuple):
     time: Array | None
     delivery: Array | None
     """(n, covariates)"""
+    beside: Array | None
+    """(n, m): other factors that are taken out; the balls of a split-plot."""
     missing: int
+
+    def fit(self, levels: int) -> BlockFit:
+        """Fit all of it."""
+        columns = [each for each in (self.beside, self.delivery) if each is not None]
+        more = np.hstack(columns) if columns else None
+        return fit_blocks(self.y, self.level, self.block, levels, self.time, more)
 
 
 def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -> _Data:
@@ -222,9 +262,10 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
     index = {name: code for code, name in enumerate(names)}
     factor = plan.design.compare
     level = np.array([len(names) if s.role == Role.CONTROL else index[getattr(s, factor)] for s in kept], int)
-    # The compared balls are nested in their levels. Clubs and swings share balls in an order drawn by lot,
-    # which spreads them like shots.
-    ball = np.array([s.sample if factor == "ball" else n for n, s in enumerate(kept)], int)
+    # The compared balls, and mountings, are nested in their levels. Else clubs and swings share balls in an
+    # order drawn by lot, which spreads them like shots.
+    nested = factor == "ball" or plan.split
+    ball = independent_codes(plan, kept) if nested else np.arange(len(kept))
     return _Data(
         kept,
         values[chosen],
@@ -233,6 +274,7 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
         ball,
         np.array([s.shot for s in kept], dtype=float) if controls else None,
         np.array([delivered[index] for index in chosen], dtype=float) if wanted else None,
+        ball_columns(plan, kept),
         len(every) - len(kept),
     )
 
@@ -247,7 +289,7 @@ def _described(
     """Return a `pair` of levels with the fewest hits and balls of the two."""
     one, two, contrast = pair
     models = plan.design.compare == "ball"
-    fewest = int(min(balls[one], balls[two])) if models else 0
+    fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
     return _Described(
         names[one], names[two], contrast, int(min(hits[one], hits[two])), fewest, models and fewest > 1
     )
@@ -267,16 +309,18 @@ def _compared(
     if len(data.shots) < 3:
         return None, None
     count = len(names) + bool(controls)
-    fit = fit_blocks(data.y, data.level, data.block, count, data.time, data.delivery)
+    fit = data.fit(count)
     kept = _Fit(fit, data.shots)
     units = units_of(data.level, data.ball, count)
-    if fit.freedom < 1:
+    if fit.freedom < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
         return None, kept
-    errors = UnitLayout(fit, units).estimate(fit.residuals)
+    pooled = plan.split and are_pooled(units.balls)
+    errors = UnitLayout(fit, units, pooled=pooled).estimate(fit.residuals)
     hits = np.bincount(data.level, minlength=count)
     found, common = [], common_errors(plan, data.shots)
     for one, two in combinations(range(len(names)), 2):
-        contrast = errors.contrast(fit, one, two) if min(hits[one], hits[two]) else None
+        enough = min(hits[one], hits[two]) if not plan.split else min(units.balls[[one, two]]) - 1
+        contrast = errors.contrast(fit, one, two) if enough > 0 else None
         if contrast is not None:
             found.append((one, two, contrast.widened(*(common.get(names[n], 0.0) for n in (one, two)))))
     if not found and len(names) > 1:
@@ -333,12 +377,14 @@ def _scatter(
     """Return the ratios of all levels' scatter, what time and delivery explain taken off."""
     if len(names) < 2:
         return ()
-    explained = [column for column in (data.time, data.delivery) if column is not None]
-    values = data.y
+    explained = [column for column in (data.time, data.beside, data.delivery) if column is not None]
+    values, block = data.y, fit.block
     if explained:
         columns = np.column_stack(explained)
         values = values - columns @ fit.effects[len(fit.effects) - columns.shape[1] :]
-    return scatter_ratios(fit.block, values, data.level, data.ball, names, plan.analysis.confidence)
+    if plan.split:  # shots at the same place in two mountings of a block
+        block = np.unique(set_codes(plan, data.shots), return_inverse=True)[1]
+    return scatter_ratios(block, values, data.level, data.ball, names, plan.analysis.confidence)
 
 
 class _Described(NamedTuple):
@@ -410,7 +456,7 @@ def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -
     mean, error = float(values.mean()), mean_error(values, codes)
     grouped = codes if 1 < balls < n else np.zeros(n, int)
     whole = variance_components(values, grouped, confidence)[1]
-    half = float(stats.t.ppf((1 + confidence) / 2, error.freedom)) * error.error
+    half = float(special.stdtrit(error.freedom, (1 + confidence) / 2)) * error.error
     return Spread(n, balls, mean, mean - half, mean + half, whole.deviation, whole.low, whole.high)
 
 
@@ -438,7 +484,6 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
     by = Counter(shot.status for shot in shots)
     reasons = Counter(_kind(shot.reason) for shot in shots if shot.reason)
     kept, values = values_of(plan, shots)
-    balls = np.array([shot.sample for shot in kept], int)
     return Level(
         name,
         by[ShotStatus.VALID] + by[ShotStatus.EXCLUDED],
@@ -446,7 +491,7 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
         by[ShotStatus.EXCLUDED],
         by[ShotStatus.FAILED],
         dict(reasons.most_common()),
-        spread(values, balls, plan.analysis.confidence),
+        spread(values, independent_codes(plan, kept), plan.analysis.confidence),
     )
 
 

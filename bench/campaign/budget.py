@@ -20,6 +20,7 @@ from bench.campaign.analysis import mean_error
 from bench.campaign.plan import CampaignPlan, StatedCalibration, levels
 from bench.campaign.ruling import COVERAGE
 from bench.campaign.sequence import Role, sections
+from bench.campaign.split_plot import independent_codes
 from bench.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.flight import fly_many
@@ -117,8 +118,8 @@ def _budget(
     simulated: bool,
 ) -> UncertaintyBudget:
     values = np.array([getattr(shot, column) for shot in shots], dtype=float)
-    ball = np.array([shot.sample for shot in shots], int)
-    error, freedom = mean_error(values, np.unique(ball, return_inverse=True)[1])
+    codes = np.unique(independent_codes(plan, shots), return_inverse=True)[1]
+    error, freedom = mean_error(values, codes)
     a = BudgetLine(
         "scatter of the series", "A", f"{len(shots)} valid shots", column, error, 1.0, error, freedom
     )

@@ -20,6 +20,7 @@ from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.ruling import RuleFinding, judge_rules
 from bench.campaign.sequence import sections
 from bench.campaign.series import SeriesSize, series_needed
+from bench.campaign.split_plot import within_club
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
 from bench.shot.shot import Shot
 
@@ -94,13 +95,28 @@ def findings(
         tuple(analyses),
         tuple(models),
         tuple(views),
-        tuple(section_verdicts(named, *each, units) for each in zip(analyses, needed, strict=True)),
+        tuple(_verdicts(named, *each, units) for each in zip(analyses, needed, strict=True)),
         needed,
         tuple(section_notes(named, *each, units) for each in zip(analyses, needed, strict=True)),
         repeatability(shots),
         tuple(judge_rules(plan, shots, units)),
         None if looks is None else tuple(looks),
     )
+
+
+def _verdicts(
+    plan: CampaignPlan,
+    analysis: SectionAnalysis,
+    needed: tuple[SeriesSize | None, SeriesSize | None],
+    units: UnitSystem,
+) -> tuple[Verdict, ...]:
+    """Return a section's verdicts, in a split-plot with those on balls within each club."""
+    found = list(section_verdicts(plan, analysis, needed, units))
+    for inner in analysis.within:
+        own = within_club(plan, inner.name)
+        verdicts = section_verdicts(own, inner, _needed(own, inner), units)
+        found += [one._replace(headline=f"With {inner.name}: {one.headline}") for one in verdicts]
+    return tuple(found)
 
 
 def as_flown(plan: CampaignPlan, shots: Sequence[Shot]) -> CampaignPlan:
@@ -124,7 +140,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
         "shots": found.shots,
         "by_status": dict(found.by_status),
         "sections": [
-            _plain(asdict(analysis))
+            _section_record(analysis)
             | {
                 "mixed": None if mixed is None else _plain(asdict(mixed)),
                 "verdicts": [verdict._asdict() for verdict in verdicts],
@@ -148,6 +164,14 @@ def findings_record(found: Findings) -> dict[str, Any]:
         ],
         "rules": [asdict(rule) for rule in found.rules],
     }
+
+
+def _section_record(analysis: SectionAnalysis) -> dict[str, Any]:
+    """Return an analysis for JSON; balls within clubs only of a split-plot."""
+    record: dict[str, Any] = _plain(asdict(analysis))
+    if not analysis.within:
+        del record["within"]
+    return record
 
 
 def _views_record(views: SectionViews) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from bench.campaign.course import Step
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.sequence import Arm, PlannedShot, Role, block_trials, sections, warm_up_arms
+from bench.campaign.sequence import PlannedShot, Role, block_trials, sections, warm_up_arms
 from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import Hit, Prompt
@@ -47,19 +47,22 @@ class Fitting(NamedTuple):
     club: str
     feeder: tuple[Numbered, ...] = ()
     """Balls in it, the next one first."""
+    used_in: int = 0
+    """Block in which the club was hit since it was mounted; 0: in none."""
 
     def with_done(self, prompt: Prompt) -> Fitting:
         """Return the fitting after an answered prompt."""
         match prompt.content:
             case {"club": str(club)}:
-                return self._replace(club=club)
+                return self._replace(club=club, used_in=0)
             case {"balls": [*balls]}:
                 return self._replace(feeder=tuple((str(name), int(number)) for name, number in balls))
         return self
 
     def after(self, shot: Shot) -> Fitting:
         """Return the fitting after `shot`; after a failed one the feeder's content is unknown."""
-        return self._replace(feeder=() if shot.status is ShotStatus.FAILED else self.feeder[1:])
+        feeder = () if shot.status is ShotStatus.FAILED else self.feeder[1:]
+        return self._replace(feeder=feeder, used_in=shot.block or self.used_in)
 
 
 def fitting_after(club: str, shots: Sequence[Shot], prompts: Sequence[Prompt]) -> Fitting:
@@ -86,6 +89,9 @@ def missing(
         return Preparation(
             PromptKind.CLUB, f"Mount club {arm.club} in place of {fitting.club}.", {"club": arm.club}
         )
+    if plan.split and fitting.used_in not in {0, step.trial.block} and step.trial.block:
+        text = f"Take club {arm.club} off and mount it again: each mounting counts for itself."
+        return Preparation(PromptKind.CLUB, text, {"club": arm.club})
     if not handling.magazine or fitting.feeder[:1] == ((arm.ball, sample),):
         return None
     balls = coming_balls(plan, step.trial, hits)
@@ -149,7 +155,7 @@ def load_lists(plan: CampaignPlan, hits: Mapping[Hit, int]) -> list[LoadList]:
         return []
     counted, feeder, found = Counter(hits), list[Numbered](), list[LoadList]()
     for trial in _shortest_course(plan):
-        sample = sample_for(plan, trial.arm.ball, counted)
+        sample = sample_for(plan, trial, counted)
         if sample is None:
             break
         if feeder[:1] != [(trial.arm.ball, sample)]:
@@ -176,32 +182,43 @@ def coming_balls(plan: CampaignPlan, trial: PlannedShot, hits: Mapping[Hit, int]
     A ball comes once: it must be picked up before it can be filled in again.
     """
     counted, found = Counter(hits), list[Numbered]()
-    for arm in _coming_arms(plan, trial)[: plan.ball_handling.magazine]:
-        sample = sample_for(plan, arm.ball, counted)
-        if sample is None or (arm.ball, sample) in found:
+    for coming in _coming_trials(plan, trial)[: plan.ball_handling.magazine]:
+        ball = coming.arm.ball
+        sample = sample_for(plan, coming, counted)
+        if sample is None or (ball, sample) in found:
             break
-        found.append((arm.ball, sample))
-        counted[Hit("ball", arm.ball, sample)] += 1
+        found.append((ball, sample))
+        counted[Hit("ball", ball, sample)] += 1
     return found
 
 
-def sample_for(plan: CampaignPlan, ball: str, hits: Counter[Hit]) -> int | None:
-    """Return the number of the ball to take: the one of its model with the fewest hits; None: all used up."""
-    handling = plan.ball_handling
+def sample_for(plan: CampaignPlan, trial: PlannedShot, hits: Counter[Hit]) -> int | None:
+    """Return the number of the ball to take: the one of its model with the fewest hits; None: all used up.
+
+    In a split-plot all clubs of a block hit the same balls, else what differs between balls would be taken
+    for a difference of clubs.
+    """
+    ball, handling = trial.arm.ball, plan.ball_handling
+    if plan.split and trial.block:
+        d = plan.design
+        turn = (trial.position - 1) % plan.shots_per_mounting // len(d.balls)
+        number = handling.first_sample + ((trial.block - 1) * d.hits_per_mounting + turn) % handling.samples
+        if hits[Hit("ball", ball, number)] < handling.hits:
+            return number
     numbers = range(handling.first_sample, handling.first_sample + handling.samples)
     number = min(numbers, key=lambda sample: (hits[Hit("ball", ball, sample)], sample))
     return number if hits[Hit("ball", ball, number)] < handling.hits else None
 
 
-def _coming_arms(plan: CampaignPlan, trial: PlannedShot) -> list[Arm]:
-    """Return the arms from `trial` to the end of its warm-up or its section, over club changes.
+def _coming_trials(plan: CampaignPlan, trial: PlannedShot) -> list[PlannedShot]:
+    """Return the shots from `trial` to the end of its warm-up or its section, over club changes.
 
     A warm-up that its window does not end may take all its shots: a further load on the way would vent.
     """
     if trial.role is Role.WARM_UP:
         warm = plan.warm_up
         last = warm.window if trial.position <= warm.window else warm.at_most
-        return [trial.arm] * max(1, last + 1 - trial.position)
+        return [trial] * max(1, last + 1 - trial.position)
     section = sections(plan)[trial.section - 1]
     block = trial.block - (trial.section - 1) * plan.design.blocks
     trials = [
@@ -209,4 +226,4 @@ def _coming_arms(plan: CampaignPlan, trial: PlannedShot) -> list[Arm]:
         for number in range(block, min(block + plan.ball_handling.magazine, plan.design.blocks) + 1)
         for each in block_trials(plan, section, number)
     ]
-    return [each.arm for each in trials[trial.position - 1 :]]
+    return trials[trial.position - 1 :]

@@ -84,7 +84,7 @@ def _inside(alpha: float, shares: tuple[float, ...]) -> tuple[Array, Array, Arra
 
 def share_done(plan: CampaignPlan, shots: Iterable[Shot]) -> float:
     """Return the share of a section's planned shots that its `shots` have settled."""
-    planned = plan.design.blocks * len(levels(plan))
+    planned = plan.design.blocks * len(levels(plan)) * plan.shots_per_mounting
     return min(sum(s.role == Role.TEST and is_settled(plan, s) for s in shots) / planned, 1.0)
 
 

@@ -25,6 +25,7 @@ from bench.campaign.analysis import values_of
 from bench.campaign.block_model import Array, Codes, holm
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import Role
+from bench.campaign.split_plot import ball_columns
 from bench.shot.shot import Shot
 
 _LEAST, _MOST = -8.0, 18.0
@@ -52,11 +53,13 @@ class MixedModel:
 
     block_deviation: float
     ball_deviation: float | None
-    """Standard deviation between balls of one model; None if each model had one ball only, or very many."""
+    """Standard deviation between balls of one model; None if each model had one ball only, or very many.
+    Between mountings of one club in a split-plot."""
     deviation: float
     """Of one shot."""
     freedom: float
-    """Containment: balls less levels where balls are random, else what is left beside blocks and levels."""
+    """Containment: balls less levels where balls are random, mountings less levels and blocks in a
+    split-plot, else what is left beside blocks and levels."""
     converged: bool
     pairs: tuple[MixedPair, ...]
 
@@ -84,11 +87,14 @@ def mixed_model(plan: CampaignPlan, shots: Sequence[Shot]) -> MixedModel | None:
     kept, y = [every[index] for index in chosen], values[chosen]
     level = np.array([present.index(getattr(s, factor)) for s in kept])
     _, block = np.unique([s.block for s in kept], return_inverse=True)
-    balls = {ball: code for code, ball in enumerate(sorted({(s.ball, s.sample) for s in kept}))}
-    by_ball = factor == "ball" and len(present) < len(balls) <= min(_BALLS, len(kept) - 1)
-    ball = np.array([balls[s.ball, s.sample] for s in kept]) if by_ball else None
-    fit = fit_reml(y, level, block, ball)
+    named = [(s.club, s.block) if plan.split else (s.ball, s.sample) for s in kept]
+    balls = {ball: code for code, ball in enumerate(sorted(set(named)))}
+    nested = factor == "ball" or plan.split
+    by_ball = nested and len(present) < len(balls) <= min(_BALLS, len(kept) - 1)
+    ball = np.array([balls[name] for name in named]) if by_ball else None
+    fit = fit_reml(y, level, block, ball, ball_columns(plan, kept))
     freedom = float(len(balls) - len(present) if by_ball else len(kept) - len(present) - block.max())
+    freedom -= float(block.max()) if plan.split else 0.0
     if freedom < 1:
         return None
     found = []
@@ -113,10 +119,18 @@ def mixed_model(plan: CampaignPlan, shots: Sequence[Shot]) -> MixedModel | None:
     )
 
 
-def fit_reml(y: Array, level: Codes, block: Codes, group: Codes | None) -> Reml:
-    """Fit y (n,) with levels fixed, blocks and, if given, groups random; codes count from 0."""
-    count = int(level.max()) + 1
-    fixed = (level[:, None] == np.arange(count)).astype(float)
+def fit_reml(
+    y: Array, level: Codes, block: Codes, group: Codes | None, covariates: Array | None = None
+) -> Reml:
+    """Fit y (n,) with levels fixed, blocks and, if given, groups random; codes count from 0.
+
+    `covariates` (n, m) are fixed beside the levels.
+    """
+    levels_ = int(level.max()) + 1
+    fixed = (level[:, None] == np.arange(levels_)).astype(float)
+    if covariates is not None:
+        fixed = np.hstack([fixed, covariates[:, np.abs(covariates).sum(axis=0) > 0]])
+    count = fixed.shape[1]
     width = 0 if group is None else int(group.max()) + 1
     random = np.zeros((len(y), 0)) if group is None else (group[:, None] == np.arange(width)).astype(float)
     design = np.hstack([fixed, random])
@@ -157,8 +171,8 @@ def fit_reml(y: Array, level: Codes, block: Codes, group: Codes | None) -> Reml:
     best = problem.solve(group_log, block_log)
     variance = best.variance * scale**2
     return Reml(
-        best.effects * scale + middle,
-        best.inverse * variance,
+        best.effects[:levels_] * scale + middle,
+        best.inverse[:levels_, :levels_] * variance,
         variance,
         variance * exp(-block_log),
         variance * exp(-group_log) if width else 0.0,

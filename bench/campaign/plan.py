@@ -54,6 +54,8 @@ class ExperimentDesign:
     swings: tuple[str, ...]
     blocks: Annotated[int, Range(1, 100000, "")]
     """Complete blocks in each section."""
+    hits_per_mounting: Annotated[int, Range(0, 1000, "")]
+    """Hits of each ball before the next club is mounted (split-plot); 0: clubs in any order."""
     seed: Annotated[int, Range(0, 2**31 - 1, "")]
     """Seed of the shot order."""
     seconds_per_shot: Annotated[float, Range(1.0, 3600.0, "s")]
@@ -188,6 +190,8 @@ class Analysis:
     """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
     ball_deviation: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
+    mounting_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    """Expected standard deviation between mountings of one club, in the same unit."""
     covariates: tuple[Delivered, ...]
     """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
     explained: Annotated[float, Range(0.0, 0.9999, "")]
@@ -352,6 +356,16 @@ class CampaignPlan:
     def profile(self, swing: str, club: str) -> str:
         """Return the profile, a name or a path, that `club` swings as `swing`."""
         return self.swings.get(swing, {}).get(club, swing)
+
+    @property
+    def split(self) -> bool:
+        """Whether it is a split-plot: a club stays mounted while the balls take turns."""
+        return self.design.compare == "club" and self.design.hits_per_mounting > 0
+
+    @property
+    def shots_per_mounting(self) -> int:
+        """Number of shots with a club in each block, repeats left out."""
+        return self.design.hits_per_mounting * len(self.design.balls) if self.split else 1
 
     def record(self) -> dict[str, Any]:
         """Return the plan for JSON; `plan_from_record` reads it back."""

@@ -182,6 +182,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 "Add it to design.clubs.",
             )
     yield from _stop(plan)
+    yield from _split(plan)
     if 0 < plan.interruption.restart_after <= d.seconds_per_shot:
         found = f"{plan.interruption.restart_after:g}"
         expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
@@ -215,6 +216,24 @@ def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
         yield Mistake("analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it.")
     if stop.rule != "fixed" and len(levels(plan)) < 2:
         yield Mistake("stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it.")
+
+
+def _split(plan: CampaignPlan) -> Iterator[Mistake]:
+    """Yield an error if a split-plot could not answer its question."""
+    d = plan.design
+    if not d.hits_per_mounting:
+        return
+    if d.compare != "club":
+        found = f"{d.hits_per_mounting}, comparing {d.compare}s"
+        cure = "Leave it out: each club is a section, and is mounted once."
+        yield Mistake("design.hits_per_mounting", found, "0 unless clubs are compared", cure)
+        return
+    if len(d.clubs) > 1 and d.blocks < 2:
+        cure = "Each club is mounted once in each block; one mounting does not show how mountings differ."
+        yield Mistake("design.blocks", str(d.blocks), "at least 2 in a split-plot", cure)
+    if plan.control.ball:
+        found, cure = format_value(plan.control.ball), "Leave it out: blocks take the drift out of clubs."
+        yield Mistake("control.ball", found, "none in a split-plot", cure)
 
 
 def _rules(plan: CampaignPlan) -> Iterator[Mistake]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
-from math import sqrt
+from math import hypot, sqrt
 from typing import Any
 
 from rich.console import Console
@@ -16,6 +16,7 @@ from bench.campaign.fitting import LoadList, load_lists, places
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
 from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
+from bench.campaign.split_plot import within_club
 from bench.store.campaigns import Hit
 
 UNITS: Mapping[str, str] = {
@@ -73,11 +74,14 @@ def outlook(plan: CampaignPlan) -> Outlook:
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
     pairs, alpha = len(list(combinations(range(count), 2))), alpha_at_end(plan)
     deviation = a.deviation * sqrt(1 - (a.explained if a.covariates else 0.0))
-    known = foreseen(plan, deviation or 1.0, a.ball_deviation)
+    between = a.mounting_deviation if plan.split else a.ball_deviation
+    if plan.design.compare == "club" and not plan.split and deviation:
+        deviation = hypot(deviation, a.mounting_deviation)  # nearly each shot has a mounting of its own
+    known = foreseen(plan, deviation or 1.0, between)
     if known is None or not a.deviation:
         freedom = known.freedom if known else 0.0
         return Outlook(count, pairs, blocks, freedom, alpha / max(pairs, 1), *[None] * 6)
-    needed, _ = series_needed(plan, deviation, a.ball_deviation)
+    needed, _ = series_needed(plan, deviation, between)
     plain, _ = series_needed(plan, a.deviation, a.ball_deviation) if a.covariates else (None, None)
     return Outlook(
         count,
@@ -138,7 +142,7 @@ def show_preview(
         mine = [trial for trial in trials if trial.section == section.number]
         blocks = [(number, list(group)) for number, group in groupby(mine, key=lambda t: t.block)]
         for number, group in blocks if everything else blocks[:_SHOWN]:
-            table.add_row(str(number), "  ".join(_word(plan, trial) for trial in group))
+            table.add_row(str(number), _order(plan, group))
         if len(blocks) > _SHOWN and not everything:
             table.add_row("...", f"{len(blocks) - _SHOWN} more blocks (--all shows them)")
         console.print(table)
@@ -176,6 +180,17 @@ def _warm_up(plan: CampaignPlan) -> str:
     return f"until {w.window} club speeds lie within {w.tolerance:g} m/s, at most {w.at_most} shots a section"
 
 
+def _order(plan: CampaignPlan, trials: list[PlannedShot]) -> str:
+    """Return a block's order; in a split-plot a line for each mounting."""
+    if not plan.split:
+        return "  ".join(_word(plan, trial) for trial in trials)
+    mountings = [(club, list(group)) for club, group in groupby(trials, key=lambda t: t.arm.club)]
+    if len(plan.design.balls) < 2:
+        return "  ".join(f"{escape(club)} × {len(group)}" for club, group in mountings)
+    lines = (f"{escape(club)}: {'  '.join(escape(t.arm.ball) for t in group)}" for club, group in mountings)
+    return "\n".join(lines)
+
+
 def _word(plan: CampaignPlan, trial: PlannedShot) -> str:
     level = escape(getattr(trial.arm, plan.design.compare))
     return f"[dim]({escape(trial.arm.ball)})[/]" if trial.role is Role.CONTROL else level
@@ -191,6 +206,8 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
         return ["No standard deviation is stated (analysis.deviation): what can be resolved is not known."]
     together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
     between = f" and {a.ball_deviation:g} {unit} between balls" if a.ball_deviation else ""
+    if plan.design.compare == "club" and a.mounting_deviation:
+        between = f" and {a.mounting_deviation:g} {unit} between mountings"
     needed = None if found.needed is None else SeriesSize(found.balls or 0, found.needed)
     lines = [
         f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot{between}, a difference of "
@@ -198,7 +215,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
         f" at {100 * a.confidence:g} % confidence{together}.",
         f"A difference of {a.difference:g} {unit} is found with a chance of "
         f"{100 * (found.power or 0):.0f} %; "
-        f"{series_words(needed)} would make it {100 * a.power:.0f} %.",
+        f"{series_words(needed, plan)} would make it {100 * a.power:.0f} %.",
     ]
     if a.covariates:
         lines.append(
@@ -214,6 +231,14 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             else f"Each model is judged by its balls: {balls} of each, hit {plan.design.blocks / balls:.3g} "
             f"times on average; differences have {found.freedom:.0f} degrees of freedom."
         )
+    if plan.split:
+        lines.append(
+            f"Split-plot: clubs are judged by their mountings, {plan.design.blocks} of each, with "
+            f"{plan.shots_per_mounting} shots; differences have {found.freedom:.0f} degrees of freedom."
+        )
+        if len(plan.design.balls) > 1:
+            words = outlook_words(_inner(plan))[0].removeprefix("Expected: ")
+            lines.append(f"Balls within {plan.design.clubs[0]}: {words}")
     if found.same is not None:
         lines.append(
             f"If they are truly equal, they are called the same (within {a.margin:g} {unit}) with a chance "
@@ -224,10 +249,16 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     return lines
 
 
-def series_words(series: SeriesSize | None) -> str:
+def _inner(plan: CampaignPlan) -> CampaignPlan:
+    return within_club(plan, plan.design.clubs[0])
+
+
+def series_words(series: SeriesSize | None, plan: CampaignPlan) -> str:
     """Return a size in words."""
     if series is None:
         return "too many valid shots to name"
+    if plan.split:
+        return f"{series.shots} valid shots of each in {series.balls} mountings of each"
     if not series.balls or series.balls == series.shots:
         return f"{series.shots} valid shots of each" + (", each with another ball" if series.balls else "")
     return f"{series.shots} valid shots of each, with {series.balls} balls of each"

@@ -12,7 +12,7 @@ from typing import Any
 from bench.campaign.course import is_settled
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
-from bench.campaign.sequence import PlannedShot, Role, all_trials, sections
+from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials, is_mounted, sections
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState
 
@@ -149,9 +149,10 @@ class CampaignProgress(Watcher):
         """Return the time that the club changes to come take, s."""
         if not self._by_hand:
             return 0.0
-        clubs = [trial.arm.club for trial in self._open.values()]
-        before = [self._last.club, *clubs] if self._last else clubs
-        changes = sum(one != two for one, two in pairwise(before))
+        coming = list(self._open.values())
+        if self._last and coming:
+            coming.insert(0, _trial_of(self._last))
+        changes = sum(not is_mounted(self._plan, one, two) for one, two in pairwise(coming))
         return changes * self._plan.hand_work.club_change
 
     @property
@@ -163,15 +164,21 @@ class CampaignProgress(Watcher):
         if not self._by_hand:
             return None
         found: list[tuple[int, str]] = []
-        club = self._last.club if self._last else None
+        before = _trial_of(self._last) if self._last else None
         for number, trial in enumerate(self._open.values()):
-            if club not in {None, trial.arm.club}:
+            if before is not None and not is_mounted(self._plan, before, trial):
                 found.append((number, f"mount club {trial.arm.club}"))
                 break
-            club = trial.arm.club
+            before = trial
         if self._balls_left is not None and self._balls_left < len(self._open):
             found.append((self._balls_left, "fill the feeder"))
         if not found:
             return None
         shots, text = min(found)
         return {"shots": shots, "text": text, "seconds": None}
+
+
+def _trial_of(shot: Shot) -> PlannedShot:
+    """Return the planned shot that `shot` was."""
+    arm = Arm(shot.swing, shot.club, shot.ball)
+    return PlannedShot(Role(shot.role), shot.section, shot.block, shot.position, arm)

@@ -10,6 +10,7 @@ import numpy as np
 from bench.campaign.analysis import Spread, spread
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import Role
+from bench.campaign.split_plot import independent_codes
 from bench.shot.shot import Shot, ShotStatus
 
 QUANTITIES: Mapping[str, str] = {
@@ -67,10 +68,9 @@ def _quantities(plan: CampaignPlan, name: str, shots: Sequence[Shot], *, control
     valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
     spreads = {}
     for column in QUANTITIES:
-        measured = [(v, shot.sample) for shot in valid if (v := getattr(shot, column)) is not None]
-        values = np.array([value for value, _ in measured], dtype=float)
-        balls = np.array([ball for _, ball in measured], int)
-        spreads[column] = spread(values, balls, plan.analysis.confidence)
+        measured = [shot for shot in valid if getattr(shot, column) is not None]
+        values = np.array([getattr(shot, column) for shot in measured], dtype=float)
+        spreads[column] = spread(values, independent_codes(plan, measured), plan.analysis.confidence)
     return LevelQuantities(
         name,
         control,

@@ -334,7 +334,9 @@ class Runner:
             # A ball may have gone into a shot that was cut off.
             self._fitting = self._fitting._replace(feeder=())
         if not entry.simulated and (last := self._store.last_answered(entry, PromptKind.CLUB)):
-            self._fitting = self._fitting.with_done(last[1])  # perhaps one of another campaign
+            campaign, prompt = last
+            if campaign != entry.id:
+                self._fitting = self._fitting.with_done(prompt)
 
     def _require_same(self, step: Step, shot: Shot) -> None:
         """Refuse to continue if the stored shot is not the planned one."""
@@ -376,7 +378,7 @@ class Runner:
             for state, reason in self._hindered(step, interrupted):
                 return state, reason
             number = self.taken + 1
-            sample = sample_for(self._plan, step.trial.arm.ball, self._hits)
+            sample = sample_for(self._plan, step.trial, self._hits)
             if sample is None:
                 return CampaignState.SUSPENDED, (
                     f"balls used up: every sample of {step.trial.arm.ball!r} has its "

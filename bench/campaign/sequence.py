@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from enum import StrEnum
 from itertools import product
 from typing import NamedTuple
@@ -65,6 +66,8 @@ def sections(plan: CampaignPlan) -> tuple[Section, ...]:
     d = plan.design
     factors = {"swing": d.swings, "club": d.clubs, "ball": d.balls}
     others = {name: values for name, values in factors.items() if name != d.compare}
+    if plan.split:
+        return tuple(_split_section(plan, number, swing) for number, swing in enumerate(d.swings, 1))
     found = []
     for number, fixed in enumerate(product(*others.values()), 1):
         common = dict(zip(others, fixed, strict=True))
@@ -74,13 +77,19 @@ def sections(plan: CampaignPlan) -> tuple[Section, ...]:
     return tuple(found)
 
 
+def _split_section(plan: CampaignPlan, number: int, swing: str) -> Section:
+    """Return the section of a split-plot: all clubs with all balls."""
+    arms = tuple(Arm(swing, club, ball) for club, ball in product(plan.design.clubs, plan.design.balls))
+    return Section(number, arms, arms[0], None)
+
+
 def block_trials(plan: CampaignPlan, section: Section, number: int) -> list[PlannedShot]:
     """Return the shots of a section's block `number` (from 1), in order.
 
     The order of a block depends on seed, section and number only: it is the same after a restart.
     """
     random = np.random.default_rng((plan.design.seed, section.number, number))
-    shuffled = [section.arms[index] for index in random.permutation(len(section.arms))]
+    shuffled = _split_order(plan, section, random) if plan.split else _shuffled(section.arms, random)
     block = (section.number - 1) * plan.design.blocks + number
     line = [(Role.TEST, arm) for arm in shuffled]
     if section.control is not None:
@@ -89,6 +98,24 @@ def block_trials(plan: CampaignPlan, section: Section, number: int) -> list[Plan
         between = [control] if len(line) > 1 else []
         line = [control, *line[:middle], *between, *line[middle:], control]
     return [PlannedShot(role, section.number, block, place, arm) for place, (role, arm) in enumerate(line, 1)]
+
+
+def _shuffled(arms: Sequence[Arm], random: np.random.Generator) -> list[Arm]:
+    return [arms[index] for index in random.permutation(len(arms))]
+
+
+def _split_order(plan: CampaignPlan, section: Section, random: np.random.Generator) -> list[Arm]:
+    """Return a block of a split-plot: clubs in random order, with each the balls so often in random order."""
+    clubs = [plan.design.clubs[index] for index in random.permutation(len(plan.design.clubs))]
+    balls = {club: [arm for arm in section.arms if arm.club == club] for club in clubs}
+    turns = range(plan.design.hits_per_mounting)
+    return [arm for club in clubs for _ in turns for arm in _shuffled(balls[club], random)]
+
+
+def is_mounted(plan: CampaignPlan, before: PlannedShot, trial: PlannedShot) -> bool:
+    """Return whether the club of `before` stays mounted for `trial`; in a split-plot in its block only."""
+    same_plot = not plan.split or before.block in {0, trial.block}
+    return before.arm.club == trial.arm.club and same_plot
 
 
 def all_trials(plan: CampaignPlan) -> list[PlannedShot]:

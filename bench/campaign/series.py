@@ -21,6 +21,7 @@ from bench.campaign.looks import look_level
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import blocks_needed, power_of_shift, same_power_of_error
 from bench.campaign.sequence import Role, block_trials, sections
+from bench.campaign.split_plot import are_pooled, enough_mountings
 from bench.campaign.unit_errors import Draws, UnitLayout, drawn_pairs, together, units_of
 
 _REFERENCE = 40
@@ -31,7 +32,7 @@ class SeriesSize(NamedTuple):
     """Size of a series for each level."""
 
     balls: int
-    """Different balls; 0 where the level is no ball."""
+    """Different balls, or mountings of a club in a split-plot; 0 where the level is neither."""
     shots: int
     """Valid shots in all."""
 
@@ -48,8 +49,9 @@ class Foreseen(NamedTuple):
     draws: Draws
     deviation: float
     ball_deviation: float
+    """Between balls, or mountings in a split-plot."""
     units: int
-    """Balls, or shots where they count for themselves, of each level."""
+    """Balls, mountings, or shots where they count for themselves, of each level."""
     shots: int
     """Of each level."""
 
@@ -77,7 +79,8 @@ class Foreseen(NamedTuple):
 def foreseen(plan: CampaignPlan, deviation: float, ball_deviation: float, blocks: int = 0) -> Foreseen | None:
     """Return what a section of `plan` will be known by with these true deviations; None with one level.
 
-    `deviation` is that of one shot, after covariates.
+    `deviation` is that of one shot, after covariates; `ball_deviation` is that between mountings in a
+    split-plot.
     """
     count, controls = len(levels(plan)), bool(controls_per_block(plan))
     if count < 2 or deviation <= 0:
@@ -96,10 +99,10 @@ def foreseen(plan: CampaignPlan, deviation: float, ball_deviation: float, blocks
         delivery = np.random.default_rng(1).normal(size=(len(level), len(plan.analysis.covariates)))
     levels_ = count + controls
     fit = fit_blocks(np.zeros(len(level)), level, block, levels_, time, delivery)
-    if fit.freedom < 1:
+    if fit.freedom < 1 or (plan.split and not enough_mountings(level, block, levels_)):
         return None
     units = units_of(level, ball, levels_)
-    errors = UnitLayout(fit, units).foreseen(
+    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).foreseen(
         np.full(levels_, deviation**2), (ball_deviation / deviation) ** 2
     )
     pairs = list(combinations(range(count), 2))
@@ -113,9 +116,9 @@ def foreseen(plan: CampaignPlan, deviation: float, ball_deviation: float, blocks
         len(pairs),
         drawn_pairs(errors, pairs, fit.freedom),
         deviation,
-        ball_deviation if units.balls[0] > 1 and plan.design.compare == "ball" else 0.0,
+        ball_deviation if units.balls[0] > 1 and (plan.split or plan.design.compare == "ball") else 0.0,
         own,
-        blocks,
+        blocks * plan.shots_per_mounting,
     )
 
 
@@ -139,6 +142,8 @@ def series_needed(
     known = foreseen(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
+    if plan.split:
+        return _mountings_needed(plan, known)
     balls = plan.ball_handling.samples if plan.design.compare == "ball" else 0
     hits = max(1, round(plan.design.blocks / balls)) if balls else 1
     alpha = alpha_at_end(plan)
@@ -170,6 +175,23 @@ def series_needed(
     return results[0], results[1] if a.margin else None
 
 
+def _mountings_needed(plan: CampaignPlan, known: Foreseen) -> tuple[SeriesSize | None, SeriesSize | None]:
+    """Return what `series_needed` returns, of more mountings with the plan's hits each."""
+    a, hits, alpha = plan.analysis, plan.shots_per_mounting, alpha_at_end(plan)
+
+    def found(mountings: int) -> float:
+        error, freedom = _scaled(known, mountings * hits, mountings)
+        return power_of_shift(a.difference / error, freedom, known.single)
+
+    def same(mountings: int) -> float:
+        error, freedom = _scaled(known, mountings * hits, mountings)
+        return same_power_of_error(a.margin, error, freedom, alpha / known.pairs)
+
+    sizes = [blocks_needed(chance, a.power) for chance in ((found, same) if a.margin else (found,))]
+    results = [None if n is None else SeriesSize(n, n * hits) for n in sizes]
+    return results[0], results[1] if a.margin else None
+
+
 def _scaled(known: Foreseen, shots: int, units: int) -> tuple[float, float]:
     between = known.ball_deviation**2
 
@@ -194,6 +216,7 @@ def _planned(plan: CampaignPlan, blocks: int) -> tuple[Codes, Codes, Codes]:
             level = len(names) if trial.role is Role.CONTROL else code[getattr(arm, plan.design.compare)]
             ball = hits[arm.ball] % plan.ball_handling.samples
             hits[arm.ball] += 1
-            rows.append((level, number, ball if plan.design.compare == "ball" else len(rows)))
+            unit = number if plan.split else ball if plan.design.compare == "ball" else len(rows)
+            rows.append((level, number, unit))
     level, block, ball = np.array(rows, dtype=np.intp).T
     return level, block, ball

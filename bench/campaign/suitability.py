@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from bench.campaign.fitting import load_lists
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.sequence import all_trials
+from bench.campaign.sequence import all_trials, is_mounted
+from bench.campaign.split_plot import as_split_plot, fully_randomised
 
 BYTES = 1_400_000
 """Size of a shot's record in real time, bytes."""
@@ -31,7 +32,7 @@ class Needs(NamedTuple):
 def needs(plan: CampaignPlan) -> Needs:
     """Return the needs of `plan`."""
     trials, work = all_trials(plan), plan.hand_work
-    changes = sum(one.arm.club != two.arm.club for one, two in pairwise(trials))
+    changes = sum(not is_mounted(plan, one, two) for one, two in pairwise(trials))
     fills = len(load_lists(plan, {}))
     seconds = changes * work.club_change + fills * work.feeder_fill
     return Needs(len(trials), len(trials) * BYTES, changes, fills, seconds)
@@ -52,7 +53,27 @@ def needs_words(plan: CampaignPlan, free: int) -> list[str]:
     if not found.club_changes and not found.feeder_fills:
         return [room, "Work by hand: none is planned."]
     parts = [f"{found.club_changes} club changes", f"{found.feeder_fills} feeder fills"]
-    return [room, f"Work by hand: {', '.join(parts)}, about {found.hand_work / 60:.0f} min in all."]
+    words = [room, f"Work by hand: {', '.join(parts)}, about {found.hand_work / 60:.0f} min in all."]
+    return words + _other_layout(plan)
+
+
+def _other_layout(plan: CampaignPlan) -> list[str]:
+    """Return the club changes of the same shots in the other layout; empty without one."""
+    if plan.split:
+        other = needs(fully_randomised(plan))
+        return [f"Fully randomised it would be {_changes(other)}."]
+    layout = as_split_plot(plan)
+    if layout is None:
+        return []
+    d = layout.design
+    return [
+        f"As a split-plot (design.blocks = {d.blocks}, hits_per_mounting = {d.hits_per_mounting}) it would "
+        f"be {_changes(needs(layout))}."
+    ]
+
+
+def _changes(found: Needs) -> str:
+    return f"{found.club_changes} club changes, about {found.hand_work / 60:.0f} min of work by hand"
 
 
 def needs_series(plan: CampaignPlan) -> bool:

@@ -67,6 +67,8 @@ def section_verdicts(
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         text = "Each needs valid shots in at least two blocks that it shares with another."
+        if plan.split:
+            text = "Each needs at least two mountings, in blocks that it shares with others."
         return (Verdict(False, f"Too few valid shots to compare {plan.design.compare}s.", text),)
     if len(comparison.pairs) == 1:
         return (_pair(plan, analysis, comparison, comparison.pairs[0], needed, unit),)
@@ -86,11 +88,13 @@ def section_notes(
         notes.append(_covariate_words(plan, comparison, comparison.covariates, needed[0], unit))
     if needed[0] is not None:
         words = (
-            f"With this scatter {series_words(needed[0])} find a difference of "
+            f"With this scatter {series_words(needed[0], plan)} find a difference of "
             f"{_size_in(a.difference, unit)} with a chance of {100 * a.power:.0f} %"
         )
         if needed[1] is not None:
-            words += f", {series_words(needed[1])} call equal ones the same within {_margin(plan, unit)}"
+            words += (
+                f", {series_words(needed[1], plan)} call equal ones the same within {_margin(plan, unit)}"
+            )
         notes.append(f"{words}.")
     else:
         notes.append(f"With this scatter it takes too many shots to find {_size_in(a.difference, unit)}.")
@@ -160,7 +164,7 @@ def _all_pairs(
     )
     if count["not enough shots"] and needed[0]:
         wanted = _size_in(plan.analysis.difference, unit)
-        detail += f"; a difference of {wanted} would need {series_words(needed[0])}"
+        detail += f"; a difference of {wanted} would need {series_words(needed[0], plan)}"
     detail = f"{detail.rstrip(',')}. {_validity(plan, comparison.pairs)}{_look(analysis)}"
     return Verdict(not open_, f"{headline}.", f"{detail}Every pair is in the table below.")
 
@@ -176,6 +180,8 @@ def _differ(number: int) -> str:
 def _size(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
     """Return the number of shots, and of balls, of the level with fewest."""
     shots, balls = min(pair.shots for pair in pairs), min(pair.balls for pair in pairs)
+    if plan.split:
+        return f"At least {shots} valid shots of each in {balls} mountings, by which clubs are judged."
     if plan.design.compare != "ball":
         return f"At least {shots} valid shots of each."
     return f"At least {shots} valid shots of each with {balls} ball{'s' if balls > 1 else ''}."
@@ -217,7 +223,8 @@ def _pair(
         f"{_signed(of(pair.high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
         f"{of(comparison.deviation):.2f} {unit.unit} (SD)"
     )
-    seen += "" if between is None else f", balls of one model by {of(between):.2f} {unit.unit}"
+    groups = "mountings of one club" if plan.split else "balls of one model"
+    seen += "" if between is None else f", {groups} by {of(between):.2f} {unit.unit}"
     match pair.verdict:
         case "different" | "both":
             ahead, behind = (pair.first, pair.second) if pair.difference > 0 else (pair.second, pair.first)
@@ -241,11 +248,12 @@ def _pair(
             outlook = []
             if different:
                 outlook.append(
-                    f"about {series_words(different)} to find a difference of {_size_in(a.difference, unit)}"
+                    f"about {series_words(different, plan)} to find a difference of "
+                    f"{_size_in(a.difference, unit)}"
                 )
             if same:
                 outlook.append(
-                    f"about {series_words(same)} to call them the same within {_margin(plan, unit)}"
+                    f"about {series_words(same, plan)} to call them the same within {_margin(plan, unit)}"
                 )
             wanted = " and ".join(outlook) or "too many shots to name"
             seen += f". With this scatter it takes {wanted} ({100 * a.power:.0f} % chance)"

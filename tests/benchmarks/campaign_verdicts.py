@@ -1,13 +1,15 @@
 """Verdicts on known truth: false "different", coverage and power of designs as they are really hit.
 
 Shots are drawn, not swung: balls hit again, one ball of each, unequal scatter, missing cells, drift, looks
-before the end, three to ten levels. Seeds are fixed: SEED, the row and the campaign's number. Options:
+before the end, three to ten levels, clubs that stay mounted (split-plots). Seeds are fixed: SEED, the row and
+the campaign's number. Options:
 `--campaigns N` of each row, `--rows WORD` for those whose name contains it.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -20,6 +22,7 @@ import numpy as np
 
 from bench.campaign.analysis import Pair, SectionAnalysis, analyse, decide
 from bench.campaign.course import looks_after
+from bench.campaign.fitting import sample_for
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import Role, block_trials, sections
@@ -47,6 +50,8 @@ class Known:
     block: float = 1.5
     drift: float = 0.0
     """A shot."""
+    mounting: float = 0.0
+    """Between mountings of one club."""
     missing: float = 0.0
     """Share of shots without a valid result."""
     speed: float = 0.0
@@ -65,6 +70,8 @@ class Case(NamedTuple):
     """Levels whose interval is looked at beside all others."""
     looks: bool = False
     """Looked at after each block."""
+    within: bool = False
+    """Of a split-plot: balls within the first club are looked at, not clubs."""
 
 
 def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[str, float]]:
@@ -76,17 +83,23 @@ def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[
     trials = [t for b in range(1, plan.design.blocks + 1) for t in block_trials(plan, section, b)]
     count, samples = len(trials), plan.ball_handling.samples
     noise, blocks = random.normal(size=count), known.block * random.normal(size=plan.design.blocks + 1)
-    own = known.ball * random.normal(size=(len(names) + 1, samples))
+    own = known.ball * random.normal(size=(len(names) + len(plan.design.balls), samples))
     speeds = 43.0 + known.speed * random.normal(size=count)
     valid = random.random(count) >= known.missing
     hits, shots = dict.fromkeys(range(len(names) + 1), 0), []
+    mounted = known.mounting * random.normal(size=(len(plan.design.clubs), plan.design.blocks + 1))
     for index, trial in enumerate(trials):
-        code = len(names) if trial.role is Role.CONTROL else names.index(trial.arm.ball)
-        sample = hits[code] % samples
+        name: str = getattr(trial.arm, plan.design.compare)
+        code = len(names) if trial.role is Role.CONTROL else names.index(name)
+        sample, item = hits[code] % samples, code
         hits[code] += 1
+        if plan.split:
+            sample = (sample_for(plan, trial, Counter()) or 1) - 1
+            item = len(names) + plan.design.balls.index(trial.arm.ball)
         scale = known.scale[code] if known.scale and code < len(names) else 1.0
-        carry = 180.0 + difference * (code == 0) + own[code, sample] + blocks[trial.block]
+        carry = 180.0 + difference * (code == 0) + own[item, sample] + blocks[trial.block]
         carry += known.drift * index + scale * known.deviation * noise[index]
+        carry += float(mounted[plan.design.clubs.index(trial.arm.club), trial.block])
         carry += known.per_speed * (speeds[index] - 43.0)
         shots.append(
             Shot(
@@ -107,7 +120,9 @@ def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[
                 time_utc=BEGIN,
             )
         )
-    single = samples == 1  # then the truth is that of these balls
+    single = samples == 1 and not plan.split  # then the truth is that of these balls
+    if case.within:
+        return shots, dict.fromkeys(plan.design.balls, 0.0)
     truth = {n: difference * (c == 0) + (own[c, 0] if single else 0.0) for c, n in enumerate(names)}
     return shots, truth
 
@@ -132,7 +147,8 @@ class Counts:
 def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
     """Return the analyses that somebody sees: at the rule's stop, after each block, or at the end."""
     plan, counts = case.plan, len(shots)
-    ends = [max(s.shot for s in shots if s.block == b) for b in range(1, plan.design.blocks + 1)]
+    last = {s.block: s.shot for s in shots}
+    ends = [last[b] for b in range(1, plan.design.blocks + 1)]
     if case.looks:
         for number, end in enumerate(ends, 1):
             yield analyse(plan, shots[:end], 1, "", ends[:number])
@@ -144,15 +160,21 @@ def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
     yield analyse(plan, shots[:counts], 1, "", ())
 
 
-def tally(case: Case, difference: float, campaigns: int, first: int = 0) -> Counts:
-    """Return what `campaigns` campaigns give."""
+def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_shots: bool = False) -> Counts:
+    """Return what `campaigns` campaigns give; `by_shots`: as if each shot had a mounting of its own."""
     found, names = Counts(), levels(case.plan)
     watched = None if case.pair is None else (names[case.pair[0]], names[case.pair[1]])
     for number in range(first, first + campaigns):
         shots, truth = drawn(case, difference, number)
         wrong = right = False
         pairs: tuple[Pair, ...] = ()
-        for analysis in _looked(case, shots):
+        judged = case
+        if by_shots:
+            judged = case._replace(
+                plan=replace(case.plan, design=replace(case.plan.design, hits_per_mounting=0))
+            )
+        for looked in _looked(judged, shots):
+            analysis = looked.within[0] if case.within else looked
             pairs = analysis.confirmatory.pairs if analysis.confirmatory else ()
             called = [p for p in pairs if p.verdict in {"different", "both"}]
             wrong |= any(abs(truth[p.first] - truth[p.second]) < 1e-12 for p in called)
@@ -204,11 +226,37 @@ def cases() -> list[Case]:
         Case("2 levels, looked at after each of 20 blocks", plan(2, 20, 20), Known(), looks=True),
         Case("2 levels, club speed as covariate", plan(2, 12, 12, **speed), driven),
         Case("3 levels, control ball, drift, cells missing", plan(3, 16, 12, control=True), holes),
+        Case("3 levels, 4 blocks", plan(3, 4, 12), Known()),
+        Case("5 levels, 5 blocks, one 3 times as scattered", plan(5, 5, 12), Known(scale=(3.0, 1, 1, 1, 1))),
+        Case("5 levels, 5 blocks", plan(5, 5, 12), Known()),
         Case("4 levels, 10 blocks", plan(4, 10, 12), Known()),
         Case("5 levels, balls hit twice, ball SD as the shot's", plan(5, 24, 12), whole),
         Case("10 levels, two 4 times as scattered", plan(10, 20, 20), Known(scale=big), pair=(0, 1)),
         Case("10 levels, 12 balls, ball SD half the shot's", plan(10, 20, 12), half),
         Case("10 levels as shipped, drift, cells missing", plan(10, 20, 12, control=True), some),
+        *_split_cases(),
+    ]
+
+
+def _split_cases() -> list[Case]:
+    """Return rows of clubs that stay mounted, balls within them, and the same judged by shots."""
+    clubs = load_plan(Path("clubs-split-plot"), load_configuration(Path("shipped")))
+
+    def plan(count: int, blocks: int, hits: int, balls: int = 1) -> CampaignPlan:
+        names, hit = tuple("ABCDE"[:count]), tuple("abc"[:balls])
+        design = replace(clubs.design, clubs=names, balls=hit, blocks=blocks, hits_per_mounting=hits)
+        return replace(clubs, design=design, analysis=replace(clubs.analysis, margin=0.0, deviation=2.0))
+
+    half, whole = Known(ball=1.0, mounting=1.0), Known(ball=1.0, mounting=2.0)
+    holes = Known(ball=1.0, mounting=2.0, drift=0.02, missing=0.1)
+    return [
+        Case("split-plot, 2 clubs, 6 mountings x 6 hits, mounting SD half the shot's", plan(2, 6, 6), half),
+        Case("split-plot, 2 clubs, 6 mountings x 6 hits, mounting SD as the shot's", plan(2, 6, 6), whole),
+        Case("split-plot, 3 clubs, 2 mountings x 6 hits", plan(3, 2, 6), whole),
+        Case("split-plot, 3 clubs, 4 mountings x 4 hits", plan(3, 4, 4), whole),
+        Case("split-plot, 5 clubs, 4 mountings x 4 hits, no mounting error", plan(5, 4, 4), Known(ball=1.0)),
+        Case("split-plot, 3 clubs, 4 mountings, 2 balls x 3 hits, cells missing", plan(3, 4, 3, 2), holes),
+        Case("split-plot, 3 balls within a club, 4 mountings x 4 hits", plan(2, 4, 4, 3), whole, within=True),
     ]
 
 
@@ -227,6 +275,19 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
     null = tally(case, 0.0, campaigns)
     rows = []
     fixed = not looks_after(plan)
+    if plan.split and known.mounting and not case.within:
+        naive = tally(case, 0.0, min(campaigns, 1000), by_shots=True)
+        rate, of = naive.wrong / naive.campaigns, naive.campaigns
+        rows.append(
+            Row(
+                TITLE,
+                f'{case.name}: as if by shots, false "different"',
+                rate,
+                "",
+                f"of {of}: why clubs are judged by their mountings",
+                at_least=0.1 - slack * sqrt(0.09 / of),
+            )
+        )
     if not (plan.ball_handling.samples == 1 and known.ball):  # else no two balls are equal
         promise = (0.04, 0.06) if fixed and not case.looks else (0.0, 0.06)
         what = 'false "different"' + (", any pair" if several else "")
@@ -237,8 +298,8 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
         rows.append(row("interval of the scattered pair covers", null.watched, null.campaigns, (0.94, 0.96)))
     if plan.ball_handling.samples == 1:
         rows.append(row("said of the models", null.models, null.campaigns, (0.0, 0.0)))
-    elif fixed and not known.scale and not known.missing and not case.looks:
-        ahead = foreseen(plan, known.deviation, known.ball)
+    elif fixed and not known.scale and not known.missing and not case.looks and not case.within:
+        ahead = foreseen(plan, known.deviation, known.mounting if plan.split else known.ball)
         if ahead is None:
             raise RuntimeError("nothing is foreseen")
         difference = ahead.resolution(0.8)

@@ -64,11 +64,12 @@ def test_every_shipped_campaign_holds_and_its_swings_fit(name: str, configuratio
     require_swings(plan, configuration)
 
 
-def test_the_six_examples_are_there() -> None:
+def test_the_seven_examples_are_there() -> None:
     assert set(campaign_names()) == {
         "two-balls",
         "ten-balls",
         "clubs",
+        "clubs-split-plot",
         "distance",
         "symmetry",
         "repeatability",

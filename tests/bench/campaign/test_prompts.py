@@ -383,7 +383,7 @@ def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
     shots = [Shot(n, 1, n, "driver", "tour", ShotStatus.VALID, time_utc=NOW) for n in (1, 2)]
     balls = prompt(2, 2, {"balls": [["tour", 2], ["range", 1], ["tour", 3]]})
     prompts = [prompt(1, 2, {"club": "iron"}), balls, prompt(3, 3, {"club": "wood"}, done=False)]
-    assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)))
+    assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)), 1)
     failed = replace(shots[1], status=ShotStatus.FAILED, reason="jam")
     assert fitting_after("driver", [shots[0], failed], prompts).feeder == ()
     step = Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())

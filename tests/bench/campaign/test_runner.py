@@ -33,6 +33,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
+from bench.campaign.sequence import Arm, PlannedShot, Role
 from bench.campaign.simulated import Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
@@ -399,8 +400,9 @@ def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
 
     plan = make(ball_handling={"samples": 3, "first_sample": 5, "hits": 2}).plan
     hits = Counter({Hit("ball", "pole", 5): 1, Hit("ball", "pole", 7): 2})
-    assert sample_for(plan, "pole", hits) == 6
-    assert sample_for(plan, "pole", Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
+    trial = PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "pole"))
+    assert sample_for(plan, trial, hits) == 6
+    assert sample_for(plan, trial, Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
 
 
 def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(

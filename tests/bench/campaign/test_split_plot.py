@@ -1,0 +1,294 @@
+"""Clubs that stay mounted: laid out, asked for, judged by their mountings; balls within clubs by shots."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import StringIO
+from itertools import combinations, groupby, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy import stats
+
+from bench.campaign.analysis import SectionAnalysis, analyse
+from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_report import render_campaign_report
+from bench.campaign.course import Step
+from bench.campaign.findings import findings, findings_record
+from bench.campaign.fitting import Fitting, PromptKind, missing, sample_for
+from bench.campaign.gate import Centre
+from bench.campaign.mixed_model import mixed_model
+from bench.campaign.operate import new_entry
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.preview import outlook, outlook_words, show_preview
+from bench.campaign.progress import CampaignProgress
+from bench.campaign.sequence import PlannedShot, all_trials, sections
+from bench.campaign.split_plot import as_split_plot, fully_randomised
+from bench.campaign.suitability import needs, needs_words
+from bench.config import load_configuration
+from bench.shot.shot import Shot, ShotStatus
+from bench.store.campaigns import CampaignState, Standing
+
+SHIPPED = load_configuration(Path("shipped"))
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+BALLS = {"tour": 0.0, "range": 7.0}
+CLUBS = {"driver": 0.0, "driver-9": 2.0, "driver-12": 5.0}
+
+
+def _plan(blocks: int = 5, hits: int = 4, balls: tuple[str, ...] = ("tour", "range")) -> CampaignPlan:
+    plan = load_plan(Path("clubs-split-plot"), SHIPPED)
+    return replace(plan, design=replace(plan.design, blocks=blocks, hits_per_mounting=hits, balls=balls))
+
+
+def _shots(plan: CampaignPlan, mounting: float, deviation: float, seed: int = 1) -> list[Shot]:
+    random = np.random.default_rng(seed)
+    mounted = mounting * random.normal(size=(len(plan.design.clubs), plan.design.blocks + 1))
+    shots = []
+    for number, trial in enumerate(all_trials(plan), 1):
+        club, ball = trial.arm.club, trial.arm.ball
+        carry = 180 + CLUBS[club] + BALLS[ball] + mounted[plan.design.clubs.index(club), trial.block]
+        carry += 3 * trial.block + deviation * random.normal()
+        shots.append(
+            Shot(
+                number,
+                trial.block,
+                trial.position,
+                club,
+                ball,
+                ShotStatus.VALID,
+                carry_m=float(carry),
+                carry_side_m=float(random.normal()),
+                club_speed_mps=43.0,
+                swing=trial.arm.swing,
+                sample=sample_for(plan, trial, Counter()) or 0,
+                attempt=1,
+                time_utc=NOW,
+            )
+        )
+    return shots
+
+
+def _analysis(plan: CampaignPlan, shots: list[Shot]) -> SectionAnalysis:
+    return analyse(plan, shots, 1, "")
+
+
+def test_a_club_stays_mounted_for_all_its_hits_of_a_block() -> None:
+    plan = _plan()
+    (section,) = sections(plan)
+    assert len(section.arms) == 6
+    trials = all_trials(plan)
+    for _, block in groupby(trials, key=lambda t: t.block):
+        mountings = [list(group) for _, group in groupby(block, key=lambda t: t.arm.club)]
+        assert sorted(group[0].arm.club for group in mountings) == sorted(plan.design.clubs)
+        for group in mountings:
+            for turn in range(4):
+                assert {t.arm.ball for t in group[2 * turn : 2 * turn + 2]} == {"tour", "range"}
+    assert needs(plan).club_changes == 14
+    assert needs(fully_randomised(plan)).club_changes > 60
+    assert len(all_trials(fully_randomised(plan))) == len(trials)
+    assert "Fully randomised it would be" in needs_words(plan, 10**12)[-1]
+
+
+def test_all_clubs_of_a_block_hit_the_same_balls() -> None:
+    plan = _plan()
+    hit: dict[tuple[int, str], list[tuple[str, int | None]]] = {}
+    for trial in all_trials(plan):
+        ball = (trial.arm.ball, sample_for(plan, trial, Counter()))
+        hit.setdefault((trial.block, trial.arm.club), []).append(ball)
+    for block in range(1, 6):
+        same = [Counter(hit[block, club]) for club in plan.design.clubs]
+        assert same[0] == same[1] == same[2]
+        assert set(same[0].values()) == {1}
+    assert len({number for balls in hit.values() for _, number in balls}) == 12
+
+
+def test_a_club_that_begins_the_next_block_is_mounted_again() -> None:
+    plan = _plan(blocks=40)
+    one, two = next(
+        (a, b) for a, b in pairwise(all_trials(plan)) if a.block < b.block and a.arm.club == b.arm.club
+    )
+
+    def asked(fitting: Fitting, trial: PlannedShot) -> str:
+        wanted = missing(plan, fitting, Step(trial, 1, Centre()), 1, {})
+        assert wanted is None or wanted.kind is PromptKind.CLUB
+        return "" if wanted is None else wanted.text
+
+    club = one.arm.club
+    shot = Shot(1, one.block, one.position, club, "tour", ShotStatus.VALID, time_utc=NOW)
+    used = Fitting(club).after(shot)
+    assert not asked(Fitting(club), one)
+    assert not asked(used, one)
+    assert asked(used, two) == f"Take club {club} off and mount it again: each mounting counts for itself."
+    assert not asked(used._replace(used_in=0), two)
+    assert needs(plan).club_changes == 40 * 3 - 1
+
+
+@pytest.mark.parametrize("balls", [("tour",), ("tour", "range")])
+def test_clubs_are_judged_by_the_means_of_their_mountings(balls: tuple[str, ...]) -> None:
+    plan = _plan(blocks=4, balls=balls)
+    shots = _shots(plan, 2.0, 1.0)
+    comparison = _analysis(plan, shots).confirmatory
+    assert comparison is not None
+    means = np.array(
+        [
+            [np.mean([s.carry_m for s in shots if s.club == c and s.block == b]) for c in plan.design.clubs]
+            for b in range(1, 5)
+        ]
+    )
+    rest = means - means.mean(axis=0) - means.mean(axis=1, keepdims=True) + means.mean()
+    error = np.sqrt((rest**2).sum() / 6 * 2 / 4)  # the classical whole-plot error
+    for pair, (one, two) in zip(comparison.pairs, combinations(range(3), 2), strict=True):
+        assert pair.difference == pytest.approx(means[:, one].mean() - means[:, two].mean())
+        assert pair.error == pytest.approx(error)
+        assert pair.freedom == pytest.approx(6)
+        assert pair.balls == 4
+        assert not pair.models
+    known = stats.studentized_range.isf(0.05, 3, 6) / np.sqrt(2)
+    widest = (comparison.pairs[0].high_together - comparison.pairs[0].low_together) / 2 / error
+    assert widest == pytest.approx(known, rel=0.02)
+    assert comparison.ball_deviation == pytest.approx(2.0, rel=0.6)
+    beside = mixed_model(plan, shots)
+    assert beside is not None
+    assert beside.freedom == 6
+    assert beside.pairs[0].difference == pytest.approx(comparison.pairs[0].difference)
+    half = (beside.pairs[0].high - beside.pairs[0].low) / 2
+    assert half == pytest.approx(stats.t.isf(0.025, 6) * error, rel=1e-3)
+
+
+def test_balls_are_judged_within_the_mountings_of_each_club() -> None:
+    plan = _plan()
+    quiet = _analysis(plan, _shots(plan, 0.0, 1.0)).within
+    loud = _analysis(plan, _shots(plan, 50.0, 1.0)).within
+    assert [inner.name for inner in loud] == list(plan.design.clubs)
+    for one, two in zip(quiet, loud, strict=True):
+        assert one.confirmatory is not None
+        assert two.confirmatory is not None
+        (pair,), (same,) = one.confirmatory.pairs, two.confirmatory.pairs
+        assert pair.models
+        assert pair.balls == 12
+        assert pair.difference == pytest.approx(-7.0, abs=1.5)
+        assert same.difference == pytest.approx(pair.difference)  # what a mounting does falls out
+        assert same.error == pytest.approx(pair.error)
+        assert pair.verdict == "different"
+
+
+def test_missing_shots_of_one_ball_do_not_move_the_clubs() -> None:
+    plan = _plan()
+    shots = [
+        replace(shot, status=ShotStatus.FAILED, reason="no ball on the tee")
+        if shot.club == "driver" and shot.ball == "tour" and shot.position % 3
+        else shot
+        for shot in _shots(plan, 0.0, 0.0)
+    ]
+    comparison = _analysis(plan, shots).confirmatory
+    assert comparison is not None
+    found = {(p.first, p.second): p.difference for p in comparison.pairs}
+    assert found["driver", "driver-9"] == pytest.approx(-2.0)
+    assert found["driver", "driver-12"] == pytest.approx(-5.0)
+
+
+def test_one_mounting_of_each_says_nothing_of_clubs() -> None:
+    plan = _plan()
+    shots = [shot for shot in _shots(plan, 2.0, 1.0) if shot.block == 1]
+    result = _analysis(plan, shots)
+    assert result.confirmatory is None
+    assert result.within[0].confirmatory is not None
+    (first, *_) = findings(plan, shots).verdicts[0]
+    assert "at least two mountings" in first.detail
+
+
+def test_many_mountings_have_a_scatter_of_their_own() -> None:
+    plan = _plan(blocks=12, hits=1, balls=("tour",))
+    shots = _shots(plan, 0.0, 1.0)
+    wild = [
+        replace(s, carry_m=s.carry_m + 20 * (-1) ** s.block) if s.club == "driver" and s.carry_m else s
+        for s in shots
+    ]
+    comparison = _analysis(plan, wild).confirmatory
+    assert comparison is not None
+    errors = {(p.first, p.second): p.error for p in comparison.pairs}
+    assert errors["driver-9", "driver-12"] < 0.2 * errors["driver", "driver-9"]
+
+
+def test_what_it_resolves_is_foretold_with_the_mountings_scatter() -> None:
+    plan = _plan()
+    found, without = (
+        outlook(plan),
+        outlook(replace(plan, analysis=replace(plan.analysis, mounting_deviation=0.0))),
+    )
+    assert found.freedom == pytest.approx(8)
+    assert found.resolution is not None
+    assert without.resolution is not None
+    assert found.resolution > 1.3 * without.resolution
+    words = " ".join(outlook_words(plan))
+    assert "2 m a shot and 1 m between mountings" in words
+    assert "clubs are judged by their mountings, 5 of each, with 8 shots" in words
+    assert "Balls within driver:" in words
+    console = Console(record=True, width=120, file=StringIO())
+    show_preview(plan, {}, console)
+    assert "driver-12: " in console.export_text()
+
+
+def test_check_names_the_split_plot_of_a_plan_whose_clubs_change_from_shot_to_shot() -> None:
+    plan = load_plan(Path("clubs"), SHIPPED)
+    layout = as_split_plot(plan)
+    assert layout is not None
+    assert (layout.design.blocks, layout.design.hits_per_mounting) == (3, 4)
+    words = needs_words(plan, 10**12)[-1]
+    assert "(design.blocks = 3, hits_per_mounting = 4) it would be 8 club changes, about 24 min" in words
+    assert as_split_plot(load_plan(Path("two-balls"), SHIPPED)) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (('compare = "club"', 'compare = "ball"'), "design.hits_per_mounting"),
+        (("blocks = 5", "blocks = 1"), "design.blocks"),
+        (("[gate]", '[control]\nball = "tour"\n[gate]'), "control.ball"),
+    ],
+)
+def test_a_split_plot_that_cannot_answer_is_refused(
+    change: tuple[str, str], place: str, tmp_path: Path
+) -> None:
+    text = (Path("bench") / "campaigns" / "clubs-split-plot.toml").read_text()
+    file = tmp_path / "plan.toml"
+    file.write_text(text.replace(*change))
+    with pytest.raises(ExceptionGroup) as caught:
+        load_plan(file, SHIPPED)
+    assert [place in str(fault) for fault in caught.value.exceptions] == [True]
+
+
+def test_progress_counts_mountings() -> None:
+    plan = _plan()
+    entry = replace(new_entry(plan, SHIPPED, NOW, simulated=False), real_time={"club": "driver"})
+    progress = CampaignProgress(entry, plan)
+    seconds = 120 * plan.design.seconds_per_shot + 14 * plan.hand_work.club_change
+    assert progress.message["seconds_left"] == pytest.approx(seconds)
+
+
+def test_the_report_names_mountings_and_balls_within_clubs() -> None:
+    plan = _plan()
+    shots = _shots(plan, 1.0, 1.0)
+    found = findings(plan, shots)
+    assert "5 mountings, by which clubs are judged" in found.verdicts[0][0].detail
+    assert [v.headline.split(":")[0] for v in found.verdicts[0][1:]] == [f"With {c}" for c in CLUBS]
+    record = CampaignRecord(
+        new_entry(plan, SHIPPED, NOW, simulated=True),
+        Standing(CampaignState.FINISHED, "", ""),
+        plan,
+        shots,
+        [],
+        Counter(),
+    )
+    page = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", render_campaign_report(record, found)))
+    for wanted in ("Balls within driver-12", "between mountings of one club", "mountings of a club random"):
+        assert wanted in page, wanted
+    assert "within" in findings_record(found)["sections"][0]
+    plain = load_plan(Path("clubs"), SHIPPED)
+    assert "within" not in findings_record(findings(plain, []))["sections"][0]
