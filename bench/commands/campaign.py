@@ -504,7 +504,7 @@ def watch(
             typer.echo(json.dumps(message, indent=2))
             return
         screen, event, stood, last = ProgressScreen(bar), None, None, message
-        typer.echo(f"campaign {message['campaign']}", err=True)
+        bar.console.print(f"campaign {message['campaign']}", highlight=False, markup=False, soft_wrap=True)
         with ExitStack() as stack:
             if store := _local_store(stack, configuration, message["campaign"]):
                 store_mark = _marker(store, message["campaign"])

@@ -10,8 +10,8 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
@@ -20,9 +20,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from bench.campaign.operate import new_entry
+from bench.campaign.plan_file import load_plan
+from bench.commands.campaign import _local_store, _marker
 from bench.commands.campaign_keys import HINT, LONGEST, MarkLine, mark_keys
 from bench.commands.campaign_screen import CampaignBar
-from bench.config import database_url
+from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.store.campaigns import CampaignState, CampaignStore, ShotNote
 from bench.store.database import open_database
@@ -151,6 +154,22 @@ def test_no_key_is_read_where_progress_is_plain_lines(desk: Desk, monkeypatch: p
         monkeypatch.setattr("sys.stdin", nothing)
         with keys_of(desk) as keys:
             assert keys is None
+
+
+def test_watching_marks_only_where_the_campaigns_database_is(tmp_path: Path) -> None:
+    shipped = load_configuration(Path("shipped"))
+    configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path / "data"))
+    with ExitStack() as stack:
+        assert _local_store(stack, configuration, "two-1") is None
+        assert not (tmp_path / "data").exists(), "a machine that only watches gets no database"
+        entry = new_entry(load_plan(Path("two-balls"), shipped), shipped, NOW, simulated=True)
+        with open_database(database_url("", tmp_path / "data")) as engine:
+            CampaignStore(engine).begin(entry)
+        assert _local_store(stack, configuration, "two-1") is None
+        store = _local_store(stack, configuration, entry.id)
+        assert store is not None
+        with pytest.raises(Refused, match="a shot, once there is one"):
+            _marker(store, entry.id)(note(1, "too early"))
 
 
 PLAN = """
