@@ -17,6 +17,7 @@ import typer
 from bench.commands.calibrate import app as calibration_app
 from bench.commands.campaign import app as campaign_app
 from bench.commands.certificates import certificates
+from bench.commands.cluster import cluster
 from bench.commands.compare import compare
 from bench.commands.export import export
 from bench.commands.faults import app as faults_app
@@ -67,6 +68,7 @@ app.command()(tune)
 app.command()(view)
 app.command()(export)
 app.command()(certificates)
+app.command()(cluster)
 swing_app.command()(compare)
 app.add_typer(swing_app, name="swing")
 app.add_typer(control_app)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.commands.session import Session
+from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
-    from bench.config import Configuration
     from bench.faults.catalogue import Breakage
-    from bench.faults.matrix import MatrixPlan
+    from bench.faults.matrix import FaultStudy, MatrixPlan
     from bench.faults.verdict import CaseOutcome
-    from bench.swing.profile import Profile
+    from bench.simulation.sweep import Engine
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -53,7 +53,6 @@ Families = Annotated[
 ]
 Every = Annotated[int, typer.Option(metavar="N", min=1, help="A sample: one case of N.")]
 Quick = Annotated[bool, typer.Option("--quick", help="One instant per phase only.")]
-Processes = Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
@@ -70,6 +69,7 @@ def run(
     compare: Compare = False,
     quick: Quick = False,
     processes: Processes = 0,
+    cluster: ClusterAddress = "",
     json_: Json = False,
 ) -> None:
     """Run the fault matrix; results of earlier runs with the same sources are reused.
@@ -81,7 +81,7 @@ def run(
     from bench.commands.faults_page import matrix_table, reasons_table
     from bench.errors import ExitCode
     from bench.faults.catalogue import FAMILIES
-    from bench.faults.matrix import plan_matrix
+    from bench.faults.matrix import FaultStudy, plan_matrix
     from bench.faults.summary import PHASES, summary_text
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
@@ -104,7 +104,9 @@ def run(
         one_instant=quick,
         every=every,
     )
-    summary = _matrix(configuration, swing, folder, plan, model_check, compare, processes)
+    study = FaultStudy(configuration, swing, model_check)
+    with sweep_engine(configuration, processes, cluster, len(plan.cases)) as engine:
+        summary = _matrix(study, folder, plan, compare, engine)
     _write(folder, summary)
     unsafe = summary["verdicts"]["unsafe"]
     if json_:
@@ -138,13 +140,7 @@ def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
 
 
 def _matrix(
-    configuration: Configuration,
-    profile: Profile,
-    folder: Path,
-    plan: MatrixPlan,
-    model_check: bool,
-    compare: bool,
-    processes: int,
+    study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
 ) -> dict[str, Any]:
     from datetime import UTC, datetime
 
@@ -152,22 +148,20 @@ def _matrix(
     from bench.faults.summary import compare as compared
     from bench.faults.summary import summarise
 
-    store = folder / "cases.jsonl"
-    outcomes, seconds = _outcomes(configuration, profile, plan, store, model_check, processes)
+    outcomes, seconds = _outcomes(study, plan, folder / "cases.jsonl", engine)
     summary = summarise(
         outcomes,
         plan.skipped,
-        model_check=model_check,
-        profile=profile.name,
+        model_check=study.model_check,
+        profile=study.profile.name,
         seconds=seconds,
-        origin=origin_of(configuration, profile, datetime.now(UTC)) | {"every": plan.every},
+        origin=origin_of(study.configuration, study.profile, datetime.now(UTC)) | {"every": plan.every},
     )
     if compare:
-        rest = tuple(case for case in plan.cases if _is_compared(case[0]))
-        without, _ = _outcomes(
-            configuration, profile, type(plan)(rest, ()), folder / "without.jsonl", not model_check, processes
-        )
-        pair = (outcomes, without) if model_check else (without, outcomes)
+        rest = type(plan)(tuple(case for case in plan.cases if _is_compared(case[0])), ())
+        other = replace(study, model_check=not study.model_check)
+        without, _ = _outcomes(other, rest, folder / "without.jsonl", engine)
+        pair = (outcomes, without) if study.model_check else (without, outcomes)
         summary["comparison"] = compared(*pair)
     return summary
 
@@ -184,36 +178,22 @@ def _is_compared(breakage: Breakage) -> bool:
 
 
 def _outcomes(
-    configuration: Configuration,
-    profile: Profile,
-    plan: MatrixPlan,
-    path: Path,
-    model_check: bool,
-    processes: int,
+    study: FaultStudy, plan: MatrixPlan, path: Path, engine: Engine
 ) -> tuple[list[CaseOutcome], float]:
     """Return the outcomes, and the seconds that they took over all runs."""
-    from time import monotonic
-
     from bench.commands.progress import progress_bar
-    from bench.faults.matrix import CaseStore, digest_of, run_matrix
+    from bench.faults.matrix import matrix_store, run_matrix
     from bench.interrupt import deferred_interrupt
 
-    store = CaseStore(path, digest_of(configuration, profile, model_check))
+    store = matrix_store(path, study)
     with deferred_interrupt() as asked, progress_bar() as bar:
-        text = f"breaking {profile.name}" + ("" if model_check else ", no model check")
+        text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
         task = bar.add_task(text, total=len(plan.cases))
-        begun = monotonic()
-        outcomes = run_matrix(
-            plan,
-            configuration,
-            profile,
-            store,
-            model_check=model_check,
-            processes=processes,
-            progress=lambda done: bar.update(task, completed=done),
-            stop=asked.is_made,
-        )
-        store.took(monotonic() - begun)
+
+        def show(done: int) -> None:
+            bar.update(task, completed=done)
+
+        outcomes = run_matrix(plan, study, store, engine, progress=show, stop=asked.is_made)
     return outcomes, store.seconds
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.commands.session import Session
+from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -465,6 +466,8 @@ def limits(
         ),
     ] = None,
     draws: Annotated[int, typer.Option(min=30, help="Robots drawn; half as many more to learn on.")] = 300,
+    processes: Processes = 0,
+    cluster: ClusterAddress = "",
 ) -> None:
     """Make the limits of the model-based check for a profile on the configured plant.
 
@@ -485,10 +488,10 @@ def limits(
     swing = load_profile(path)
     beside, stored = c.limits_files(path)
     file = output or (stored if path.parent == PROFILES else beside)
-    with progress_bar() as bar:
+    with sweep_engine(c, processes, cluster, draws) as engine, progress_bar() as bar:
         task = bar.add_task(f"swinging {swing.name}", total=1.0)
         bench = Bench(c.plant, swing, c.control, c.envelope, c.estimator)
-        made = make_limits(bench, draws, lambda part: bar.update(task, completed=part))
+        made = make_limits(bench, draws, lambda part: bar.update(task, completed=part), engine)
     file.parent.mkdir(parents=True, exist_ok=True)
     save_limits(file, made)
     Console().print(f"{file}: limits from {draws} known robots", highlight=False)

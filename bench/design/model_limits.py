@@ -8,6 +8,7 @@ Gumbel's; and a floor, below which real sensors and encoders deviate by themselv
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import log, pi, sqrt
 
 import numpy as np
@@ -20,7 +21,9 @@ from bench.control.settings import MODEL_ROWS, Triple, build_controller, with_ta
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.deviations import HealthyRun, healthy_run
+from bench.simulation.local_engine import InProcess
 from bench.simulation.series import Bench
+from bench.simulation.sweep import Engine, Study, sweep
 from bench.simulation.variation import healthy_plant, unknown_plant
 from bench.swing.correction import basis_of
 
@@ -63,22 +66,17 @@ def make_limits(
     bench: Bench,
     draws: int = DRAWS,
     progress: Callable[[float], None] = lambda part: None,
+    engine: Engine | None = None,
 ) -> ModelLimits:
     """Return the limits of `bench` from `draws` known robots around its model, half as many to learn on.
+
+    They swing on `engine`, by default in this process.
 
     Raises:
         Refused: robots without a fault are stopped by the envelope.
     """
-    parameters = _unlimited(bench)
-
-    def known_robot(seed: int) -> HealthyRun | None:
-        return healthy_run(healthy_plant(bench.model, seed), parameters, bench.profile, seed)
-
-    def robot_to_learn_on(seed: int) -> HealthyRun | None:
-        corrected = _with_drawn_correction(bench, parameters, seed)
-        return healthy_run(unknown_plant(bench.model, seed), corrected, bench.profile, seed)
-
-    runs = _drawn(known_robot, draws, lambda part: progress(part / 1.5))
+    engine = engine or InProcess()
+    runs = _drawn(KnownRobots(bench), draws, engine, lambda part: progress(part / 1.5))
     causes = [run.cause for run in runs if run.cause]
     if len(runs) < draws or len(causes) > MAX_STOPPED * draws:
         why = CAUSE_TEXT[causes[0]] if causes else "they do not reach their address"
@@ -89,7 +87,9 @@ def make_limits(
             "Choose the configuration that the profile was designed for, such as `--config steady`.",
         )
     known = [run.largest for run in runs]
-    learning_runs = _drawn(robot_to_learn_on, draws // 2, lambda part: progress((2.0 + part) / 3.0))
+    learning_runs = _drawn(
+        RobotsToLearnOn(bench), draws // 2, engine, lambda part: progress((2.0 + part) / 3.0)
+    )
     unknown = [run.largest for run in learning_runs]
     tables = _tables(np.array(known), "")
     learning = _tables(np.array(unknown), "learning_")
@@ -101,15 +101,49 @@ def make_limits(
     )
 
 
+@dataclass(frozen=True)
+class KnownRobots:
+    """Swings of robots within their tolerances around the model, by seed."""
+
+    bench: Bench
+
+    def prepared(self) -> Callable[[int], HealthyRun | None]:
+        """Return the function of a seed; None for a robot that does not reach its address."""
+        bench, parameters = self.bench, _unlimited(self.bench)
+        return lambda seed: healthy_run(healthy_plant(bench.model, seed), parameters, bench.profile, seed)
+
+
+@dataclass(frozen=True)
+class RobotsToLearnOn:
+    """Swings of robots that the bench does not know, each with a correction of its own, by seed."""
+
+    bench: Bench
+
+    def prepared(self) -> Callable[[int], HealthyRun | None]:
+        """Return the function of a seed; None for a robot that does not reach its address."""
+        bench, parameters = self.bench, _unlimited(self.bench)
+
+        def run(seed: int) -> HealthyRun | None:
+            corrected = _with_drawn_correction(bench, parameters, seed)
+            return healthy_run(unknown_plant(bench.model, seed), corrected, bench.profile, seed)
+
+        return run
+
+
 def _drawn(
-    robot: Callable[[int], HealthyRun | None], draws: int, progress: Callable[[float], None]
+    study: Study[int, HealthyRun | None], draws: int, engine: Engine, progress: Callable[[float], None]
 ) -> list[HealthyRun]:
     """Return the runs of `draws` robots that reach their address, of a third more drawn at most."""
     runs = list[HealthyRun]()
-    for seed in range(FIRST_SEED, FIRST_SEED + draws + draws // 3):
-        if len(runs) < draws and (run := robot(seed)) is not None:
-            runs.append(run)
-            progress(len(runs) / draws)
+    seed, last = FIRST_SEED, FIRST_SEED + draws + draws // 3
+    while len(runs) < draws and seed < last:
+        seeds = range(seed, min(seed + draws - len(runs), last))
+        seed, had = seeds.stop, len(runs)
+
+        def report(done: int, had: int = had) -> None:
+            progress((had + done) / draws)
+
+        runs += [run for run in sweep(study, seeds, engine, progress=report) if run is not None]
     return runs
 
 

@@ -1,16 +1,11 @@
-"""The whole matrix: the plan of its cases, and their run in parallel processes that may be interrupted."""
+"""The whole matrix: the plan of its cases, and their run as a sweep that may be interrupted."""
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import json
-import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -29,13 +24,14 @@ from bench.faults.instants import (
     stopped_instants,
 )
 from bench.faults.verdict import CaseOutcome
+from bench.simulation.code_version import code_digest
+from bench.simulation.sweep import Engine, sweep
+from bench.simulation.sweep_store import SweepStore
 from bench.swing.profile import Profile
-from drivers.base.machine_code import source_digest
 from sim.faults import sort_of
 
-_PR_SET_PDEATHSIG = 1
-_AT_ONCE = 12
-"""Cases of one instant that a process runs before it reports."""
+MatrixCase = tuple[Breakage, Instant]
+OutcomeStore = SweepStore[CaseOutcome]
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class Skipped:
 class MatrixPlan:
     """Cases to run, and pairs left out."""
 
-    cases: tuple[tuple[Breakage, Instant], ...]
+    cases: tuple[MatrixCase, ...]
     skipped: tuple[Skipped, ...]
     every: int = 1
     """One case of so many was drawn."""
@@ -91,7 +87,7 @@ def plan_matrix(
     They are narrowed by `signals` (parts of names), `phases`, `families`, `one_instant` of each phase, and to
     one case of `every`, at least one of each breakage.
     """
-    cases: list[tuple[Breakage, Instant]] = []
+    cases: list[MatrixCase] = []
     skipped = []
     for breakage in CATALOGUE:
         if signals and not any(part in breakage.name for part in signals):
@@ -139,55 +135,8 @@ def digest_of(configuration: Configuration, profile: Profile, model_check: bool)
         name: effective[name]
         for name in ("plant", "control", "lifecycle", "homing", "envelope", "estimator", "driver")
     }
-    text = json.dumps([source_digest(), parts, model_check], sort_keys=True)
+    text = json.dumps([code_digest(__name__), parts, model_check], sort_keys=True)
     return hashlib.sha256(text.encode() + profile.angle.tobytes() + profile.valve.tobytes()).hexdigest()[:16]
-
-
-class CaseStore:
-    """Outcomes of one matrix in a file of JSON lines; stored cases are not run again."""
-
-    def __init__(self, path: Path, digest: str) -> None:
-        """Read the stored outcomes; a file of another matrix is replaced, a torn last line dropped."""
-        self.path = path
-        self.outcomes: dict[tuple[str, str], CaseOutcome] = {}
-        self.seconds = 0.0
-        """Time that the cases took over all runs, s."""
-        lines = path.read_text().splitlines() if path.exists() else []
-        if not lines or _parsed(lines[0]).get("digest") != digest:
-            lines = [json.dumps({"schema": 1, "digest": digest})]
-        kept = lines[:1]
-        for line in lines[1:]:
-            record = _parsed(line)
-            if "seconds" in record:
-                self.seconds += float(record["seconds"])
-                kept.append(line)
-            elif record:
-                outcome = outcome_of(record)
-                self.outcomes[outcome.breakage, outcome.instant] = outcome
-                kept.append(line)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("\n".join(kept) + "\n")
-
-    def add(self, outcomes: Sequence[CaseOutcome]) -> None:
-        """Store `outcomes`."""
-        with self.path.open("a") as file:
-            for outcome in outcomes:
-                self.outcomes[outcome.breakage, outcome.instant] = outcome
-                file.write(json.dumps(outcome.as_json()) + "\n")
-
-    def took(self, seconds: float) -> None:
-        """Store the duration of a run."""
-        self.seconds += seconds
-        with self.path.open("a") as file:
-            file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
-
-
-def _parsed(line: str) -> dict[str, Any]:
-    try:
-        record = json.loads(line)
-    except ValueError:
-        return {}
-    return record if isinstance(record, dict) else {}
 
 
 def outcome_of(record: dict[str, Any]) -> CaseOutcome:
@@ -195,78 +144,47 @@ def outcome_of(record: dict[str, Any]) -> CaseOutcome:
     return CaseOutcome(**{**record, "reasons": tuple(record["reasons"])})
 
 
+@dataclass(frozen=True)
+class FaultStudy:
+    """What is done with each case of a matrix (a `bench.simulation.sweep.Study`)."""
+
+    configuration: Configuration
+    profile: Profile
+    model_check: bool
+
+    def prepared(self) -> Callable[[MatrixCase], CaseOutcome]:
+        """Return the function that runs a case on a workbench of this process."""
+        bench = Workbench(self.configuration, self.profile, model_check=self.model_check)
+        return lambda case: bench.run(*case)
+
+
+def matrix_store(path: Path, study: FaultStudy) -> OutcomeStore:
+    """Return the store of a matrix in the file `path`."""
+    digest = digest_of(study.configuration, study.profile, study.model_check)
+    return SweepStore(path, digest, CaseOutcome.as_json, outcome_of)
+
+
 def run_matrix(
     plan: MatrixPlan,
-    configuration: Configuration,
-    profile: Profile,
-    store: CaseStore,
+    study: FaultStudy,
+    store: OutcomeStore,
+    engine: Engine,
     *,
-    model_check: bool,
-    processes: int = 0,
     progress: Callable[[int], None] = lambda done: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[CaseOutcome]:
     """Run the cases that `store` lacks, and return the outcomes of all of `plan` in its order.
 
-    In this process with `processes` 1, else in as many, by default one a core. `progress` is called with the
-    number of cases done. On `stop` the outcomes so far are returned; the rest is run the next time.
+    `progress` is called with the number of cases done. On `stop` the outcomes so far are returned; the rest
+    is run the next time.
     """
-    left = [(b, i) for b, i in plan.cases if (b.name, i.name) not in store.outcomes]
-    progress(len(plan.cases) - len(left))
-    done = len(plan.cases) - len(left)
-    tasks = list(_tasks(left))
-    if processes == 1 or len(tasks) <= 1:
-        bench = Workbench(configuration, profile, model_check=model_check)
-        for instant, breakages in tasks:
-            if stop():
-                break
-            store.add([bench.run(breakage, instant) for breakage in breakages])
-            done += len(breakages)
-            progress(done)
-    else:
-        count = min(processes or os.cpu_count() or 1, len(tasks))
-        with ProcessPoolExecutor(
-            count, get_context("spawn"), _begin, (os.getpid(), configuration, profile, model_check)
-        ) as pool:
-            waiting: set[Future[list[CaseOutcome]]] = set()
-            queue = iter(tasks)
-            while True:
-                while len(waiting) < 2 * count and not stop() and (task := next(queue, None)) is not None:
-                    waiting.add(pool.submit(_run, *task))
-                if not waiting:
-                    break
-                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    outcomes = future.result()
-                    store.add(outcomes)
-                    done += len(outcomes)
-                    progress(done)
-    keys = [(breakage.name, instant.name) for breakage, instant in plan.cases]
-    return [store.outcomes[key] for key in keys if key in store.outcomes]
-
-
-def _tasks(cases: Sequence[tuple[Breakage, Instant]]) -> Iterator[tuple[Instant, list[Breakage]]]:
-    """Yield the cases by instant, a few at a time: a process keeps the undisturbed bench of each."""
-    for instant in dict.fromkeys(instant for _, instant in cases):
-        breakages = [breakage for breakage, at in cases if at == instant]
-        for begin in range(0, len(breakages), _AT_ONCE):
-            yield instant, breakages[begin : begin + _AT_ONCE]
-
-
-_bench: Workbench | None = None
-"""Bench of a worker process."""
-
-
-def _begin(parent: int, configuration: Configuration, profile: Profile, model_check: bool) -> None:
-    # Without it a pool's workers wait for ever after a signal has ended their parent.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() != parent:
-        os._exit(1)
-    global _bench  # noqa: PLW0603 - the only place where a pool's worker can keep its bench
-    _bench = Workbench(configuration, profile, model_check=model_check)
-
-
-def _run(instant: Instant, breakages: list[Breakage]) -> list[CaseOutcome]:
-    if _bench is None:
-        raise RuntimeError("worker not initialised")
-    return [_bench.run(breakage, instant) for breakage in breakages]
+    return sweep(
+        study,
+        plan.cases,
+        engine,
+        store=store,
+        key=lambda case: f"{case[0].name}, {case[1].name}",
+        group=lambda case: case[1],  # a worker keeps the undisturbed bench of an instant
+        progress=progress,
+        stop=stop,
+    )

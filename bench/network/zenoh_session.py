@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
 
+from bench.config.identity_files import identity_files
 from bench.errors import BenchError, ExitCode
 from bench.network.access_control import access_control
 
@@ -139,29 +139,13 @@ def _tls(identity: str) -> dict[str, Any]:
     Raises:
         BenchError: a file is missing, no PEM, or of another certificate.
     """
-    import ssl
-
-    authority = Path(identity).with_name("authority.pem")
-    certificate, key = Path(f"{identity}.pem"), Path(f"{identity}.key")
-    # zenoh would say no more than that it cannot connect.
-    context, file = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), authority
-    try:
-        context.load_verify_locations(authority)
-        file = certificate
-        context.load_cert_chain(certificate, key, password=lambda: b"")
-    except (OSError, ValueError) as error:
-        raise BenchError(
-            f"network.identity {identity}",
-            f"{file}: {error.strerror if isinstance(error, OSError) else error}",
-            f"{certificate.name}, {key.name} that fits it, and {authority.name}, PEM, in one folder",
-            "Correct the path, or make them: golfbench certificates.",
-        ) from None
+    files = identity_files(identity)
     return {
-        "root_ca_certificate": str(authority),
-        "listen_certificate": str(certificate),
-        "listen_private_key": str(key),
-        "connect_certificate": str(certificate),
-        "connect_private_key": str(key),
+        "root_ca_certificate": str(files.authority),
+        "listen_certificate": str(files.certificate),
+        "listen_private_key": str(files.key),
+        "connect_certificate": str(files.certificate),
+        "connect_private_key": str(files.key),
         "enable_mtls": True,
         "close_link_on_expiration": True,
     }

@@ -33,6 +33,19 @@ def compiled_sources(top: Path) -> dict[str, bytes]:
     These are the modules with compiled functions and all modules they import, at module level or in
     functions. Imports are found in the text; one that stands only in a comment is followed, too.
     """
+    paths, sources = _all_sources(top)
+    begin = {module for module, source in sources.items() if _uses_compiled(source)}
+    return {paths[module]: sources[module] for module in _reached(begin, sources)}
+
+
+def imported_sources(top: Path, modules: Iterable[str]) -> dict[str, bytes]:
+    """Return the sources of `modules` below `top` and of all they import, as `compiled_sources` does."""
+    paths, sources = _all_sources(top)
+    return {paths[module]: sources[module] for module in _reached(set(modules) & sources.keys(), sources)}
+
+
+def _all_sources(top: Path) -> tuple[dict[str, str], dict[str, bytes]]:
+    """Return the path relative to `top` and the source of every module."""
     paths, sources = {}, {}
     for package in _PACKAGES:
         for folder, _, names in os.walk(top / package):
@@ -43,13 +56,17 @@ def compiled_sources(top: Path) -> dict[str, bytes]:
                     path = f"{folder}/{name}"[len(str(top)) + 1 :]
                     module = path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
                     paths[module], sources[module] = path, source
+    return paths, sources
+
+
+def _reached(waiting: set[str], sources: dict[str, bytes]) -> list[str]:
+    """Return the modules in `waiting` and all they import, sorted."""
     reached = set[str]()
-    waiting = {module for module, source in sources.items() if _uses_compiled(source)}
     while waiting:
         reached |= waiting
         waiting = {name for module in waiting for name in _imported_names(module, sources[module].decode())}
         waiting = (waiting & sources.keys()) - reached
-    return {paths[module]: sources[module] for module in sorted(reached)}
+    return sorted(reached)
 
 
 def _uses_compiled(source: bytes) -> bool:

@@ -17,15 +17,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import build_controller
@@ -44,6 +43,7 @@ from sim.driver import hanging_pose
 from sim.faults import Fault, own_records
 from sim.plant import build_plant
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 STOPS = {
     "operator stop": Cause.OPERATOR_STOP,
@@ -161,30 +161,51 @@ def dense_instants(profile: Profile, every: int, shift: int) -> list[Instant]:
     return [Instant(names[tick], tick, f"at {tick} ms") for tick in range(first, last, every)]
 
 
-def cases(
-    workbench: Workbench, instants: Sequence[Instant], stops: Sequence[str], delays: Sequence[int], only: str
-) -> Iterator[StopCase]:
-    """Yield the cases whose fault has `only` in its name."""
-    wanted = [b for b in breaks() if only in b.fault.name]
-    total = len(instants) * len(stops) * len(wanted) * len(delays)
-    plan = ((i, s, b, d) for i in instants for s in stops for b in wanted for d in delays)
-    for instant, stop, broken, delay in track(
-        plan, "stopping", total=total, console=Console(stderr=True), transient=True
-    ):
-        fault = replace(broken.fault, time=1e-3 * delay)
-        bench = stopped(workbench, instant, stop, fault)
-        loads, why = bench.loads(), tuple(unsafe(bench))
-        yield StopCase(
-            instant.name,
-            stop,
-            delay,
-            broken.kind,
-            broken.fault.name,
-            round(loads.stop_share, 3),
-            loads.stop,
-            why,
-            reactions(bench),
-        )
+StopDraw = tuple[Instant, str, Break, int]
+"""Instant, stop, what breaks, and ms from the stop to that."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Stops in which something breaks."""
+
+    configuration: Configuration
+    profile: Profile
+    model_check: bool
+
+    def prepared(self) -> Callable[[StopDraw], StopCase]:
+        """Return the function of a case."""
+        workbench = Workbench(self.configuration, self.profile, model_check=self.model_check)
+
+        def ended(draw: StopDraw) -> StopCase:
+            instant, stop, broken, delay = draw
+            bench = stopped(workbench, instant, stop, replace(broken.fault, time=1e-3 * delay))
+            loads, why = bench.loads(), tuple(unsafe(bench))
+            return StopCase(
+                instant.name,
+                stop,
+                delay,
+                broken.kind,
+                broken.fault.name,
+                round(loads.stop_share, 3),
+                loads.stop,
+                why,
+                reactions(bench),
+            )
+
+        return ended
+
+
+@dataclass(frozen=True)
+class HealthyStops:
+    """How stops of robots around the configured one are escalated, by seed."""
+
+    configuration: Configuration
+    profile: Profile
+
+    def prepared(self) -> Callable[[int], str]:
+        """Return the function of a seed."""
+        return lambda seed: healthy_stop(self.configuration, self.profile, seed)
 
 
 def with_cushions(c: Configuration, energy: Sequence[float] | None) -> Configuration:
@@ -236,17 +257,21 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--healthy", type=int, default=0, metavar="N", help="Stop N healthy robots.")
     parser.add_argument("--first", type=int, default=0, help="Seed of the first.")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
     c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
     c = with_cushions(c, options.energy)
     profile = load_profile(find_profile(options.profile or c.swing.profile))
     if options.healthy:
-        return [_escalated(c, profile, range(options.first, options.first + options.healthy))]
-    workbench = Workbench(c, profile, model_check=options.check == "always")
+        seeds = range(options.first, options.first + options.healthy)
+        return [_escalated(swept(options, HealthyStops(c, profile), seeds, "stopping", c), profile, seeds)]
     instants = named_instants(profile, options.shift)
     if options.every:
         instants = dense_instants(profile, options.every, options.shift)
-    found = list(cases(workbench, instants, options.stops, options.delays, options.faults))
+    wanted = [broken for broken in breaks() if options.faults in broken.fault.name]
+    draws = list(product(instants, options.stops, wanted, options.delays))
+    study = Stops(c, profile, options.check == "always")
+    found = swept(options, study, draws, "stopping", c, group=lambda draw: draw[0])
     if options.json:
         options.json.write_text(json.dumps([case._asdict() for case in found]))
     return [
@@ -263,11 +288,7 @@ def _summary(kind: str, of_kind: Sequence[StopCase]) -> Row:
     return Row("during_stops", f"unsafe after a stop with {kind}", len(bad), "stops", note)
 
 
-def _escalated(c: Configuration, profile: Profile, seeds: range) -> Row:
-    ends = [
-        healthy_stop(c, profile, seed)
-        for seed in track(seeds, "stopping", console=Console(stderr=True), transient=True)
-    ]
+def _escalated(ends: Sequence[str], profile: Profile, seeds: range) -> Row:
     begun = [end for end in ends if end != "did not begin"]
     escalated = [end for end in begun if end]
     note = f"of {len(begun)} of {profile.name!r} from seed {seeds[0]}; {len(ends) - len(begun)} did not begin"

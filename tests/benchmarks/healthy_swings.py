@@ -15,21 +15,19 @@ and `--profile` take another machine and swing.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
 
 from bench.config import load_configuration, shipped_configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Request, State
-from bench.simulation.deviations import healthy_run
+from bench.simulation.deviations import HealthyRun, healthy_run
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.variation import healthy_plant
@@ -38,6 +36,7 @@ from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 NAME = "healthy_swings"
 INDEX_FROM_HANGING = (0.6, 0.4, 0.4)
@@ -110,6 +109,50 @@ def let_in(plant: PlantParameters, parameters: ControlParameters) -> Cause:
     return bench.cause if bench.cause or state is State.READY else Cause.NOT_VENTED
 
 
+@dataclass(frozen=True)
+class HealthyRobots:
+    """What stops robots around `plant` without a fault, by seed."""
+
+    plant: PlantParameters
+    parameters: ControlParameters
+    profile: Profile
+    spread: float
+    kind: str
+    """swing, homing or access."""
+
+    def prepared(self) -> Callable[[int], Cause]:
+        """Return the function of a seed."""
+
+        def stopped_by(seed: int) -> Cause:
+            plant = healthy_plant(self.plant, seed, self.spread)
+            if self.kind == "homing":
+                return search(plant, self.parameters)
+            if self.kind == "access":
+                return let_in(plant, self.parameters)
+            return swing(plant, self.parameters, self.profile, ball=seed % 4 != 3)
+
+        return stopped_by
+
+
+@dataclass(frozen=True)
+class StoppedRobots:
+    """Two swings of robots around `plant`, and stops of copies, by seed."""
+
+    plant: PlantParameters
+    parameters: ControlParameters
+    profile: Profile
+    spread: float
+
+    def prepared(self) -> Callable[[int], HealthyRun | None]:
+        """Return the function of a seed."""
+
+        def run(seed: int) -> HealthyRun | None:
+            plant = healthy_plant(self.plant, seed, self.spread)
+            return healthy_run(plant, self.parameters, self.profile, seed)
+
+        return run
+
+
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return how many swings were stopped, and by what."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks healthy_swings")
@@ -123,6 +166,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
     parser.add_argument("--configuration", default="", help="Name or path; else the shipped one.")
     parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
+    add_engine_options(parser)
     parser.add_argument("--spread", type=float, default=1.0, help="Times the tolerances.")
     options = parser.parse_args(arguments)
     c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
@@ -139,37 +183,23 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     promised = 0 if options.spread <= 1.0 else None
     seeds = range(options.first, options.first + options.swings // (2 if options.stops else 1))
     if options.stops:
-        return _with_stops(c.plant, parameters, profile, seeds, options.spread, note, promised)
-    stopped: list[str] = []
-    for seed in track(seeds, "swinging", console=Console(stderr=True), transient=True):
-        plant = healthy_plant(c.plant, seed, options.spread)
-        if options.homing:
-            encoders = replace(plant.encoders, incremental=True, zero_count=nominal.encoders.zero_count)
-            cause = search(replace(plant, encoders=encoders), parameters)
-        elif options.access:
-            cause = let_in(plant, parameters)
-        else:
-            cause = swing(plant, parameters, profile, ball=seed % 4 != 3)
-        if cause:
-            stopped.append(f"{cause.name} (seed {seed})")
+        study = StoppedRobots(c.plant, parameters, profile, options.spread)
+        return _with_stops(swept(options, study, seeds, "stopping", c), seeds, note, promised)
+    kind = "homing" if options.homing else "access" if options.access else "swing"
+    robots = HealthyRobots(nominal, parameters, profile, options.spread, kind)
+    causes = swept(options, robots, seeds, "swinging", c)
+    stopped = [f"{cause.name} (seed {seed})" for cause, seed in zip(causes, seeds, strict=True) if cause]
     note += f": {', '.join(stopped[:4])}" if stopped else ""
     name = f"stopped without a fault, of {len(seeds)}"
     return [Row(NAME, name, len(stopped), "", note, at_most=promised)]
 
 
 def _with_stops(
-    plant: PlantParameters,
-    parameters: ControlParameters,
-    profile: Profile,
-    seeds: range,
-    spread: float,
-    note: str,
-    promised: int | None,
+    runs: Sequence[HealthyRun | None], seeds: range, note: str, promised: int | None
 ) -> list[Row]:
     """Return how many of two swings of each robot were stopped, and how many stops of it escalated."""
     stopped, escalated, rearmed, stops = list[str](), list[str](), list[str](), 0
-    for seed in track(seeds, "stopping", console=Console(stderr=True), transient=True):
-        made = healthy_run(healthy_plant(plant, seed, spread), parameters, profile, seed)
+    for made, seed in zip(runs, seeds, strict=True):
         if made is None or made.cause:
             cause = Cause.ADDRESS_TIMEOUT if made is None else made.cause
             stopped.append(f"{cause.name} (seed {seed})")

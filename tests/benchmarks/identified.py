@@ -10,6 +10,8 @@ from there when it is there already.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -32,6 +34,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from sim.plant import PlantParameters
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 NAME = "identified"
 RECORDED, CHECKED = 3, 5
@@ -52,11 +55,25 @@ class Outcome(NamedTuple):
     """Of the mean of five further swings, as the plant knows it."""
 
 
+@dataclass(frozen=True)
+class IdentifiedRobots:
+    """How robots learn in all ways, by name and variation."""
+
+    problem: LearningProblem
+    configuration: Configuration
+    folder: Path
+
+    def prepared(self) -> Callable[[tuple[str, Variation]], list[tuple[str, Outcome]]]:
+        """Return the function of a robot."""
+        return lambda robot: _in_all_ways(*robot, self.problem, self.configuration, self.folder)
+
+
 def run(arguments: list[str]) -> list[Row]:
     """Let all robots learn in all ways; tell of each on the way."""
     parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {NAME}", description=__doc__)
     parser.add_argument("--draws", type=int, default=8, help="robots drawn (default: %(default)s)")
     parser.add_argument("--folder", type=Path, default=None, help="where robots and swings are kept")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
     configuration = load_configuration(Path("steady"))
     profile = load_profile(find_profile(configuration.swing.profile))
@@ -66,8 +83,10 @@ def run(arguments: list[str]) -> list[Row]:
     outcomes: dict[str, dict[str, Outcome]] = {way: {} for way in _WAYS}
     with TemporaryDirectory() as passing:
         folder = options.folder or Path(passing)
-        for name, variation in robots.items():
-            for way, outcome in _in_all_ways(name, variation, problem, configuration, folder):
+        study = IdentifiedRobots(problem, configuration, folder)
+        found = swept(options, study, list(robots.items()), "identifying", configuration)
+        for name, ways in zip(robots, found, strict=True):
+            for way, outcome in ways:
                 outcomes[way][name] = outcome
                 print(
                     f"{name}, {way}: first swing {outcome.first:.1f}, second {outcome.settled:.1f}, "

@@ -11,7 +11,8 @@ estimator is told of, and in the supply.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 NAME = "learning"
 CHECKED = 5
@@ -57,6 +59,13 @@ class Outcome(NamedTuple):
         return bool(np.all(np.abs(self.after) <= 1.0))
 
     @property
+    def text(self) -> str:
+        """A line about this robot."""
+        before, after = (np.array2string(v, precision=2) for v in (self.before, self.after))
+        told = "learned" if self.learned else f"NOT learned: {self.why}"
+        return f"{self.robot}: {before} -> {after} in {self.used} swings, {told}"
+
+    @property
     def why(self) -> str:
         """What to say of a robot that did not learn."""
         names = ("strike", "speed", "lean", "attack")
@@ -68,21 +77,41 @@ class Outcome(NamedTuple):
         )
 
 
+@dataclass(frozen=True)
+class LearningDraws:
+    """What becomes of drawn robots, by seed; a line for one that comes back from no stop."""
+
+    problem: LearningProblem
+
+    def prepared(self) -> Callable[[int], Outcome | str]:
+        """Return the function of a seed."""
+
+        def taught(seed: int) -> Outcome | str:
+            variation = drawn(seed, self.problem.bench.model)
+            try:
+                return _taught(self.problem, f"seed {seed}", variation)[0]
+            except Refused as refusal:  # after a stop it did not come back: this robot learned nothing
+                return f"seed {seed}: NOT learned: {refusal}"
+
+        return taught
+
+
 def run(arguments: list[str]) -> list[Row]:
     """Let all robots learn; tell of each on the way."""
     parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {NAME}", description=__doc__)
     parser.add_argument("--draws", type=int, default=50, help="robots drawn (default: %(default)s)")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
     configuration = load_configuration(Path("steady"))
     plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
     problem = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
     worn, result, series = _taught(problem, "worn", WORN)
-    outcomes = []
-    for n in range(1, options.draws + 1):
-        try:
-            outcomes.append(_taught(problem, f"seed {n}", drawn(n, plant))[0])
-        except Refused as refusal:  # after a stop it did not come back: this robot learned nothing
-            print(f"seed {n}: NOT learned: {refusal}", flush=True)
+    print(worn.text, flush=True)
+    seeds = range(1, options.draws + 1)
+    learned = swept(options, LearningDraws(problem), seeds, "learning", configuration)
+    for line in learned:
+        print(line if isinstance(line, str) else line.text, flush=True)
+    outcomes = [outcome for outcome in learned if isinstance(outcome, Outcome)]
     good = sum(outcome.learned for outcome in outcomes)
     rows = [
         Row(NAME, f"worn robot: {name} off before", float(value), f"x {unit}")
@@ -123,9 +152,6 @@ def _taught(
         result.attempts[result.chosen].saturated,
         variation.supply,
     )
-    before, after = (np.array2string(v, precision=2) for v in (outcome.before, outcome.after))
-    told = "learned" if outcome.learned else f"NOT learned: {outcome.why}"
-    print(f"{robot}: {before} -> {after} in {outcome.used} swings, {told}", flush=True)
     return outcome, result, series
 
 

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import track
 
 from bench.config import Configuration, load_configuration
 from bench.faults.case import Workbench
@@ -29,6 +28,7 @@ from drivers.base import JOINTS
 from sim.faults import Fault
 from sim.plant import PlantParameters
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 BEFORE = {"wrist": (40.0, 0.12), "right_arm": (30.0, 0.012)}
 """J, and rad or m of travel."""
@@ -94,6 +94,36 @@ def instants(profile: Profile, grid: int) -> list[Instant]:
     return found
 
 
+@dataclass(frozen=True)
+class StuckValves:
+    """Every valve that sticks in each way at an instant, on three machines."""
+
+    before: Configuration
+    after: Configuration
+    profile: Profile
+
+    def prepared(self) -> Callable[[Instant], dict[str, list[CaseOutcome]]]:
+        """Return the function of an instant."""
+        old = Workbench(self.before, self.profile, model_check=True)
+        new = Workbench(self.after, self.profile, model_check=True)
+
+        def broken(instant: Instant) -> dict[str, list[CaseOutcome]]:
+            found: dict[str, list[CaseOutcome]] = {"before": [], "before, in series": [], "after": []}
+            for joint in JOINTS:
+                for way in WAYS:
+                    case = Breakage(stuck(joint, way))
+                    ended = old.run(case, instant)
+                    cut = ended
+                    if way != "shut" and ended.detection_ticks >= 0:
+                        cut = in_series(old, joint, way, instant, ended.detection_ticks)
+                    found["before"].append(ended)
+                    found["before, in series"].append(cut)
+                    found["after"].append(new.run(case, instant))
+            return found
+
+        return broken
+
+
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return the worst cushions before, with a valve in series, and after."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks stuck_valves")
@@ -101,25 +131,15 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--profile", default="")
     parser.add_argument("--configuration", type=Path)
     parser.add_argument("--show", action="store_true", help="print every unsafe case")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
     after: Configuration = load_configuration(options.configuration)
     profile = load_profile(find_profile(options.profile or after.swing.profile))
     before = replace(after, plant=with_cushions(after.plant, BEFORE))
-    old = Workbench(before, profile, model_check=True)
-    new = Workbench(after, profile, model_check=True)
-    found: dict[str, list[CaseOutcome]] = {"before": [], "before, in series": [], "after": []}
+    study = StuckValves(before, after, profile)
+    runs = swept(options, study, instants(profile, options.grid), "instants", after)
+    found = {title: [outcome for at_instant in runs for outcome in at_instant[title]] for title in runs[0]}
     console = Console(stderr=True)
-    for instant in track(instants(profile, options.grid), "instants", console=console, transient=True):
-        for joint in JOINTS:
-            for way in WAYS:
-                case = Breakage(stuck(joint, way))
-                ended = old.run(case, instant)
-                cut = ended
-                if way != "shut" and ended.detection_ticks >= 0:
-                    cut = in_series(old, joint, way, instant, ended.detection_ticks)
-                found["before"].append(ended)
-                found["before, in series"].append(cut)
-                found["after"].append(new.run(case, instant))
     if options.show:
         for title, outcomes in found.items():
             for outcome in outcomes:

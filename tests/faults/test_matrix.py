@@ -26,9 +26,10 @@ from bench.faults.catalogue import Breakage, irrelevant
 from bench.faults.combined import CATALOGUE
 from bench.faults.hazards import hazard_table
 from bench.faults.instants import ACCESS, START, Instant, instants_of
-from bench.faults.matrix import CaseStore, MatrixPlan, digest_of, instants_for, plan_matrix, run_matrix
+from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise, summary_text
 from bench.faults.verdict import CaseOutcome
+from bench.simulation.local_engine import InProcess
 from bench.swing.profile import Profile
 from sim.faults import KINDS, SIGNALS, sort_of
 
@@ -209,11 +210,12 @@ def test_what_stands_in_the_store_is_not_run_again(
 ) -> None:
     plan, outcomes = few
     configuration = load_configuration(shipped_configuration())
-    digest = digest_of(configuration, profile, True)
+    study = FaultStudy(configuration, profile, True)
     path = tmp_path / "cases.jsonl"
-    CaseStore(path, digest).add(outcomes[:-1])
+    names = [f"{o.breakage}, {o.instant}" for o in outcomes]
+    matrix_store(path, study).add(dict(zip(names[:-1], outcomes[:-1], strict=True)))
     with path.open("a") as file:
-        file.write('{"breakage": "torn')
+        file.write('{"case": "torn')
     ran = []
 
     class Recorded:
@@ -226,15 +228,13 @@ def test_what_stands_in_the_store_is_not_run_again(
 
     monkeypatch.setattr(bench.faults.matrix, "Workbench", Recorded)
     told: list[int] = []
-    store = CaseStore(path, digest)
-    found = run_matrix(
-        plan, configuration, profile, store, model_check=True, processes=1, progress=told.append
-    )
+    store = matrix_store(path, study)
+    found = run_matrix(plan, study, store, InProcess(), progress=told.append)
     assert ran == [(outcomes[-1].breakage, outcomes[-1].instant)]
     assert [o.breakage for o in found] == [o.breakage for o in outcomes]
     assert told == [9, 10]
-    assert len(CaseStore(path, digest).outcomes) == 10
-    assert not CaseStore(path, "another").outcomes
+    assert len(matrix_store(path, study).results) == 10
+    assert not matrix_store(path, replace(study, model_check=False)).results
 
 
 def test_the_command_ends_with_1_when_a_case_ends_unsafe(
@@ -244,7 +244,8 @@ def test_the_command_ends_with_1_when_a_case_ends_unsafe(
     configuration: Configuration,
 ) -> None:
     _plan, outcomes = few
-    CaseStore(tmp_path / "cases.jsonl", digest_of(configuration, profile, True)).add(outcomes)
+    store = matrix_store(tmp_path / "cases.jsonl", FaultStudy(configuration, profile, True))
+    store.add({f"{o.breakage}, {o.instant}": o for o in outcomes})
     arguments = ["run", "--output", str(tmp_path), "--phase", "top", "--phase", "hold", "--signal", "launch"]
     arguments += ["--signal", "guard closed", "--processes", "1"]
     session = Session(config=shipped_configuration())

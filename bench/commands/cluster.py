@@ -1,0 +1,109 @@
+"""`golfbench cluster`: a scheduler and workers of dask on this machine, or workers for another one's."""
+
+from __future__ import annotations
+
+import os
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from bench.config.identity_files import IdentityFiles
+
+_ALLOWED_DEATHS = 10
+"""Workers that may die under one batch before dask gives it up: most die of something else."""
+
+
+def cluster(
+    context: typer.Context,
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="IP address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the scheduler; 0: any.")] = 8786,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Number of workers.", show_default="one per core")
+    ] = None,
+    join: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Scheduler that the workers join, in place of one here.")
+    ] = "",
+) -> None:
+    """Start a scheduler and workers for `--cluster`, until Ctrl-C.
+
+    Beyond this machine only with certificates (`network.identity`): who reaches a worker can run anything
+    on it.
+    """
+    import asyncio
+
+    from bench.config.identity_files import identity_files
+    from bench.errors import BenchError
+    from bench.simulation.cluster_engine import load_distributed
+
+    load_distributed()
+    identity = context.ensure_object(Session).configuration().network.identity
+    files = identity_files(identity) if identity else None
+    beyond = [place for place in (host, _host_of(join)) if place and not _is_loopback(place)]
+    if files is None and beyond:
+        raise BenchError(
+            "golfbench cluster",
+            f"{beyond[0]} without a certificate",
+            "127.0.0.1, or a certificate of this machine",
+            "Make one with `golfbench certificates` and name it in network.identity.",
+        )
+    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    asyncio.run(_serve(host, port, count, join, files))
+
+
+async def _serve(host: str, port: int, workers: int, join: str, files: IdentityFiles | None) -> None:
+    import asyncio
+    import logging
+    import signal
+    from contextlib import AsyncExitStack
+
+    import dask
+    from distributed import Nanny, Scheduler
+
+    from bench.simulation.cluster_engine import security_of
+
+    # Pages over HTTP would be open to everybody: none is served, the port is a free one of the loopback.
+    settings: dict[str, Any] = {
+        "protocol": "tls" if files else "tcp",
+        "dashboard": False,
+        "dashboard_address": "127.0.0.1:0",
+    }
+    if files:
+        settings["security"] = security_of(files)
+    dask.config.set(
+        {
+            "distributed.scheduler.allowed-failures": _ALLOWED_DEATHS,
+            "distributed.scheduler.http.routes": [],
+            "distributed.worker.http.routes": [],
+            "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},
+        }
+    )
+    logging.getLogger("distributed").setLevel(logging.WARNING)
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with AsyncExitStack() as stack:
+        address = join
+        if not join:
+            scheduler = Scheduler(host=host, port=port, **settings)
+            address = (await stack.enter_async_context(scheduler)).address
+            typer.echo(f"scheduler at {address}")
+        for _ in range(workers):
+            worker = Nanny(address, nthreads=1, host=host, **settings)
+            await stack.enter_async_context(worker)
+        typer.echo(f"{workers} workers; Ctrl-C ends. Use it: golfbench faults run --cluster {address}")
+        await stop.wait()
+
+
+def _host_of(address: str) -> str:
+    return address.partition("://")[2].rpartition(":")[0].strip("[]")
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,52 @@
+"""Options of every command that sweeps, and the engine they choose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from bench.simulation.sweep import Engine
+
+Processes = Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")]
+ClusterAddress = Annotated[
+    str,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Scheduler of a cluster that runs it instead, tcp://HOST:PORT or tls://HOST:PORT.",
+    ),
+]
+
+
+@contextmanager
+def sweep_engine(configuration: Configuration, processes: int, cluster: str, cases: int) -> Iterator[Engine]:
+    """Yield the engine for so many `cases`.
+
+    Raises:
+        BenchError: the cluster is not there, or a certificate for it.
+    """
+    from bench.config.identity_files import identity_files
+    from bench.errors import BenchError
+    from bench.simulation.local_engine import local_engine
+
+    if not cluster:
+        yield local_engine(processes, cases)
+        return
+    scheme, separator, rest = cluster.partition("://")
+    if scheme not in ("tcp", "tls") or not separator or not rest:
+        raise BenchError(
+            "--cluster",
+            repr(cluster),
+            "tcp://HOST:PORT or tls://HOST:PORT",
+            "Copy what golfbench cluster says.",
+        )
+    from bench.simulation.cluster_engine import connected
+
+    files = identity_files(configuration.network.identity) if scheme == "tls" else None
+    with connected(cluster, files) as engine:
+        yield engine

@@ -1,0 +1,148 @@
+"""Sweeps: order, batches, the store, and the same results on every engine, whatever dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.errors import BenchError, Refused
+from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
+from bench.simulation.sweep import BATCH_TIME, Batch, Done, Study, sweep
+from bench.simulation.sweep_store import SweepStore
+
+
+@dataclass(frozen=True)
+class Draws:
+    """A study of random walks: each case's seed is the case."""
+
+    steps: int = 1000
+    deadly: Path | None = None
+    """File that the worker of case 7 takes away before it dies."""
+    refused: int = -1
+
+    def prepared(self) -> Callable[[int], float]:
+        def walk(seed: int) -> float:
+            if seed == self.refused:
+                raise Refused("case", str(seed), "another", "Choose it.")
+            if seed == 7 and self.deadly is not None and self.deadly.exists():
+                self.deadly.unlink()
+                os.kill(os.getpid(), signal.SIGKILL)
+            return float(np.random.default_rng(seed).standard_normal(self.steps).cumsum().max())
+
+        return walk
+
+
+@dataclass(frozen=True)
+class Deadly:
+    """A study that no process survives."""
+
+    def prepared(self) -> Callable[[int], float]:
+        def die(seed: int) -> float:
+            os.kill(os.getpid(), signal.SIGKILL)
+            return 0.0
+
+        return die
+
+
+class Timed:
+    """An engine that runs nothing: a case takes `cost` s; remembers the batches."""
+
+    def __init__(self, cost: float, slots: int = 2) -> None:
+        self.cost, self.number, self.batches = cost, slots, list[Batch]()
+
+    def slots(self) -> int:
+        return self.number
+
+    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+        for batch in batches:
+            self.batches.append(batch)
+            yield Done(batch.number, list(batch.cases), self.cost * len(batch.cases))
+
+
+def as_dict(value: float) -> dict[str, Any]:
+    return {"value": value}
+
+
+def as_float(record: dict[str, Any]) -> float:
+    return float(record["value"])
+
+
+def test_results_come_in_the_order_of_the_cases_with_any_number_of_processes() -> None:
+    cases = [5, 3, 9, 1, 12, 4]
+    alone = sweep(Draws(), cases, InProcess())
+    walk = Draws().prepared()
+    assert alone == [walk(case) for case in cases]
+    assert sweep(Draws(), cases, LocalProcesses(2)) == alone
+
+
+def test_batches_take_the_time_they_should_and_get_smaller_at_the_end() -> None:
+    engine = Timed(0.1)
+    assert sweep(Draws(), range(1000), engine) == list(range(1000))
+    sizes = [len(batch.cases) for batch in engine.batches]
+    assert sizes[0] == 1
+    assert sizes[1] == round(BATCH_TIME / 0.1)
+    assert sizes[-1] == 1
+    assert sizes[1:] == sorted(sizes[1:], reverse=True)
+
+
+def test_a_batch_has_cases_of_one_group() -> None:
+    engine = Timed(0.001)
+    assert sweep(Draws(), range(40), engine, group=lambda case: case % 3) == list(range(40))
+    assert all(len({case % 3 for case in batch.cases}) == 1 for batch in engine.batches)
+
+
+def test_a_sweep_that_was_ended_goes_on_and_runs_nothing_twice(tmp_path: Path) -> None:
+    path, engine, done = tmp_path / "results.jsonl", Timed(10.0), list[int]()
+    store = SweepStore(path, "d", as_dict, as_float)
+    sweep(Draws(), range(10), engine, store=store, progress=done.append, stop=lambda: len(done) > 4)
+    assert done == [0, 1, 2, 3, 4]
+    with path.open("a") as file:
+        file.write('{"case": "9", "resu')
+    engine = Timed(10.0)
+    store = SweepStore(path, "d", as_dict, as_float)
+    found = sweep(Draws(), range(10), engine, store=store, progress=done.append)
+    assert found == list(range(10))
+    assert [batch.cases for batch in engine.batches] == [(i,) for i in range(4, 10)]
+    assert done[5:] == [4, 5, 6, 7, 8, 9, 10]
+
+
+def test_a_store_of_other_inputs_is_not_used(tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    SweepStore(path, "one", as_dict, as_float).add({"1": 1.0})
+    assert SweepStore(path, "one", as_dict, as_float).results == {"1": 1.0}
+    assert not SweepStore(path, "another", as_dict, as_float).results
+
+
+def test_cases_of_a_process_that_dies_are_run_again_once(tmp_path: Path) -> None:
+    deadly = tmp_path / "deadly"
+    deadly.touch()
+    store = SweepStore(tmp_path / "results.jsonl", "d", as_dict, as_float)
+    found = sweep(Draws(deadly=deadly), range(20), LocalProcesses(2), store=store)
+    assert not deadly.exists()
+    assert found == sweep(Draws(), range(20), InProcess())
+    lines = (tmp_path / "results.jsonl").read_text().splitlines()
+    assert len(lines) == 1 + 20 + 1
+
+
+def test_processes_that_die_again_and_again_end_the_sweep() -> None:
+    with pytest.raises(BenchError, match="died 3 times in a row"):
+        sweep(Deadly(), range(4), LocalProcesses(2))
+
+
+@pytest.mark.parametrize("engine", [InProcess(), LocalProcesses(2)], ids=["in process", "processes"])
+def test_what_a_case_raises_ends_the_sweep(engine: InProcess | LocalProcesses) -> None:
+    with pytest.raises(Refused, match="found 3"):
+        sweep(Draws(refused=3), range(6), engine)
+
+
+def test_one_case_or_one_process_needs_no_other_process() -> None:
+    assert isinstance(local_engine(4, cases=1), InProcess)
+    assert isinstance(local_engine(1, cases=9), InProcess)
+    assert isinstance(local_engine(2, cases=9), LocalProcesses)

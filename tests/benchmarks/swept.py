@@ -1,0 +1,40 @@
+"""Sweeps of the benchmarks: on several processes or a cluster, with a bar of progress."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Hashable, Sequence
+from typing import TypeVar
+
+from bench.commands.progress import progress_bar
+from bench.commands.sweep_engine import sweep_engine
+from bench.config import Configuration, load_configuration
+from bench.simulation.sweep import Study, sweep
+
+Case = TypeVar("Case")
+Result = TypeVar("Result")
+
+
+def add_engine_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose the engine."""
+    parser.add_argument("--processes", type=int, default=0, help="Number; 0: one per core.")
+    parser.add_argument("--cluster", default="", metavar="ADDRESS", help="Scheduler that runs it instead.")
+
+
+def swept(
+    options: argparse.Namespace,
+    study: Study[Case, Result],
+    cases: Sequence[Case],
+    what: str,
+    configuration: Configuration | None = None,
+    group: Callable[[Case], Hashable] = lambda case: None,
+) -> list[Result]:
+    """Return what `study` makes of `cases`, on the engine of `options`."""
+    c = configuration or load_configuration()
+    with sweep_engine(c, options.processes, options.cluster, len(cases)) as engine, progress_bar() as bar:
+        task = bar.add_task(what, total=len(cases))
+
+        def show(done: int) -> None:
+            bar.update(task, completed=done)
+
+        return sweep(study, cases, engine, group=group, progress=show)
