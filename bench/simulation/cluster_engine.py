@@ -8,6 +8,7 @@ next time.
 
 from __future__ import annotations
 
+import asyncio
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -157,13 +158,22 @@ def connected(address: str, files: IdentityFiles | None = None) -> Iterator[Clus
         BenchError: dask.distributed is not installed, or no scheduler answers.
     """
     distributed = load_distributed()
-    security = None if files is None else security_of(files)
+    security = distributed.Security() if files is None else security_of(files)
     try:
+        asyncio.run(_look(address, security))
         client = distributed.Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False, security=security)
-    except (OSError, TimeoutError, ValueError, TypeError) as error:
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         raise _lost(address, str(error) or type(error).__name__) from None
     with client:
         yield ClusterEngine(client, address)
+
+
+async def _look(address: str, security: Any) -> None:
+    """Connect to the scheduler and leave: a client that cannot connect would leave its thread behind."""
+    from distributed.comm.core import connect
+
+    comm = await connect(address, timeout=CONNECT_TIMEOUT, **security.get_connection_args("client"))
+    await comm.close()
 
 
 def security_of(files: IdentityFiles) -> Any:

@@ -9,34 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bench.errors import BenchError, Refused
 from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
 from bench.simulation.sweep import BATCH_TIME, Batch, Done, Study, sweep
 from bench.simulation.sweep_store import SweepStore
-
-
-@dataclass(frozen=True)
-class Draws:
-    """A study of random walks: each case's seed is the case."""
-
-    steps: int = 1000
-    deadly: Path | None = None
-    """File that the worker of case 7 takes away before it dies."""
-    refused: int = -1
-
-    def prepared(self) -> Callable[[int], float]:
-        def walk(seed: int) -> float:
-            if seed == self.refused:
-                raise Refused("case", str(seed), "another", "Choose it.")
-            if seed == 7 and self.deadly is not None and self.deadly.exists():
-                self.deadly.unlink()
-                os.kill(os.getpid(), signal.SIGKILL)
-            return float(np.random.default_rng(seed).standard_normal(self.steps).cumsum().max())
-
-        return walk
+from tests.bench.simulation.studies import Draws, as_dict, as_float
 
 
 @dataclass(frozen=True)
@@ -64,14 +43,6 @@ class Timed:
         for batch in batches:
             self.batches.append(batch)
             yield Done(batch.number, list(batch.cases), self.cost * len(batch.cases))
-
-
-def as_dict(value: float) -> dict[str, Any]:
-    return {"value": value}
-
-
-def as_float(record: dict[str, Any]) -> float:
-    return float(record["value"])
 
 
 def test_results_come_in_the_order_of_the_cases_with_any_number_of_processes() -> None:

@@ -1,0 +1,190 @@
+"""Sweeps on a cluster: the same results, whatever dies; other code, no worker and no scheduler are told."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from bench.commands.sweep_engine import sweep_engine
+from bench.config import load_configuration
+from bench.config.identity_files import identity_files
+from bench.errors import BenchError, ExitCode, Refused
+from bench.network.certificates import make_authority, make_certificate, write_identity
+from bench.simulation import cluster_engine
+from bench.simulation.cluster_engine import SharedStudy, connected, security_of
+from bench.simulation.local_engine import InProcess
+from bench.simulation.sweep import sweep
+from bench.simulation.sweep_store import SweepStore
+from tests.bench.simulation.studies import Draws, Slow, as_dict, as_float
+
+CASES = range(60)
+
+
+@contextmanager
+def running_cluster(*options: str, config: Path | None = None) -> Iterator[tuple[str, psutil.Process]]:
+    """Yield the address of a cluster and its process."""
+    command = [sys.executable, "-m", "bench", *(["--config", str(config)] if config else [])]
+    command += ["cluster", "--port", "0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line.startswith("scheduler at "), line + process.stdout.read()
+            address = line.split()[-1]
+            assert "workers; Ctrl-C ends" in process.stdout.readline()
+            yield address, psutil.Process(process.pid)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(20.0)
+
+
+def workers_of(cluster: psutil.Process) -> list[psutil.Process]:
+    """Return the processes that work."""
+    return [child for child in cluster.children(recursive=True) if "spawn_main" in " ".join(child.cmdline())]
+
+
+@pytest.mark.live
+def test_a_cluster_gives_the_results_of_one_process() -> None:
+    alone = sweep(Draws(), CASES, InProcess())
+    with running_cluster("--workers", "2") as (address, _), connected(address) as engine:
+        assert engine.slots() == 2
+        assert sweep(Draws(), CASES, engine) == alone
+        with pytest.raises(Refused, match="found 3"):
+            sweep(Draws(refused=3), CASES, engine)
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) -> None:
+    alone, killed = sweep(Draws(), CASES, InProcess()), list[int]()
+    store = SweepStore(tmp_path / "results.jsonl", "d", as_dict, as_float)
+    with running_cluster("--workers", "2") as (address, cluster), connected(address) as engine:
+        stop = threading.Event()
+
+        def kill() -> None:
+            while not stop.wait(1.0) and len(killed) < 10:
+                if workers := workers_of(cluster):
+                    killed.append(workers[0].pid)
+                    workers[0].kill()
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        try:
+            found = sweep(Slow(0.4), CASES, engine, store=store)
+        finally:
+            stop.set()
+            killer.join()
+    assert len(killed) >= 4
+    assert found == alone
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 1 + len(CASES) + 1
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    store = SweepStore(path, "d", as_dict, as_float)
+    with running_cluster("--workers", "1") as (address, cluster), connected(address) as engine:
+
+        def end(done: int) -> None:
+            if 5 <= done < len(CASES):
+                cluster.kill()
+
+        with pytest.raises(BenchError, match="what is stored is not run again") as caught:
+            sweep(Slow(0.2), CASES, engine, store=store, progress=end)
+    assert caught.value.exit_code is ExitCode.NO_ANSWER
+    store, done = SweepStore(path, "d", as_dict, as_float), list[int]()
+    kept = len(store.results)
+    assert 5 <= kept < len(CASES)
+    with running_cluster("--workers", "1") as (address, _), connected(address) as engine:
+        found = sweep(Draws(), CASES, engine, store=store, progress=done.append)
+    assert done[0] == kept
+    assert found == sweep(Draws(), CASES, InProcess())
+
+
+@pytest.mark.live
+def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    authority = make_authority(now)
+    write_identity(tmp_path, "authority", authority)
+    for name in ("sweeper", "stranger"):
+        folder = tmp_path / name
+        folder.mkdir()
+        own = authority if name == "sweeper" else make_authority(now)
+        write_identity(folder, "authority", own)
+        write_identity(folder, name, make_certificate(own, name, ["127.0.0.1"], now, 1.0))
+    file = tmp_path / "config.toml"
+    file.write_text(f'base = "shipped"\n[network]\nidentity = "{tmp_path}/sweeper/sweeper"\n')
+    with running_cluster("--workers", "1", config=file) as (address, _):
+        assert address.startswith("tls://")
+        with sweep_engine(load_configuration(file), 0, address, 9) as engine:
+            assert sweep(Draws(), range(9), engine) == sweep(Draws(), range(9), InProcess())
+        for files in (None, identity_files(f"{tmp_path}/stranger/stranger")):
+            with pytest.raises(BenchError, match="scheduler that answers"), connected(address, files):
+                pass
+
+
+@pytest.mark.live
+def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 2.0)
+    with running_cluster("--workers", "0") as (address, _), connected(address) as engine:
+        with pytest.raises(BenchError, match="found no workers"):
+            sweep(Draws(), CASES, engine)
+
+
+def test_a_worker_refuses_other_code() -> None:
+    with pytest.raises(Refused, match=r"found code .*, expected code 0123"):
+        _ = SharedStudy("bench.simulation.sweep", "0123", b"never read").function
+    with pytest.raises(Refused, match="expected code 0123"):
+        _ = SharedStudy("not.there", "0123", b"never read").function
+
+
+def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 0.5)
+    with pytest.raises(BenchError, match="scheduler that answers"), connected("tcp://127.0.0.1:9"):
+        pass
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:1", "tcp://"])
+def test_an_address_of_another_kind_is_told(address: str) -> None:
+    configuration = load_configuration()
+    with pytest.raises(BenchError, match="expected tcp://HOST:PORT"):
+        with sweep_engine(configuration, 0, address, 9):
+            pass
+
+
+def test_beyond_this_machine_a_cluster_needs_a_certificate() -> None:
+    command = [sys.executable, "-m", "bench", "cluster", "--host", "192.0.2.1"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == ExitCode.BAD_INPUT
+    assert "without a certificate" in run.stderr
+
+
+def test_both_sides_are_encrypted(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    authority = make_authority(now)
+    write_identity(tmp_path, "authority", authority)
+    write_identity(tmp_path, "lab", make_certificate(authority, "lab", ["127.0.0.1"], now, 1.0))
+    security: Any = security_of(identity_files(f"{tmp_path}/lab"))
+    assert security.require_encryption
+    for role in ("client", "scheduler", "worker"):
+        assert security.get_tls_config_for_role(role)["cert"] == f"{tmp_path}/lab.pem"
+
+
+def test_a_job_script_for_slurm_starts_workers_of_this_installation() -> None:
+    jobqueue = pytest.importorskip("dask_jobqueue")
+    script = jobqueue.slurm.SLURMJob(
+        "tcp://10.0.0.1:8786", cores=1, memory="2 GB", walltime="02:00:00", name="golfbench"
+    ).job_script()
+    assert f"{sys.executable} -m distributed.cli.dask_worker tcp://10.0.0.1:8786" in script
+    assert "--nthreads 1" in script
