@@ -13,12 +13,16 @@ from bench.commands.session import Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
+    from bench.config import Configuration
     from bench.faults.catalogue import Breakage
     from bench.faults.matrix import FaultStudy, MatrixPlan
     from bench.faults.verdict import CaseOutcome
     from bench.simulation.sweep import Engine
 
 app = typer.Typer(no_args_is_help=True)
+
+_PIPED_WIDTH = 150
+"""Columns of tables in a file or pipe."""
 
 
 @app.callback()
@@ -81,22 +85,16 @@ def run(
     from bench.commands.faults_page import matrix_table, reasons_table
     from bench.errors import ExitCode
     from bench.faults.catalogue import FAMILIES
-    from bench.faults.matrix import FaultStudy, plan_matrix
+    from bench.faults.matrix import plan_matrix
     from bench.faults.summary import PHASES, summary_text
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
 
     _must_be_known("--phase", phase or (), PHASES)
     _must_be_known("--family", family or (), FAMILIES)
-    configuration = context.ensure_object(Session).configuration()
-    path = find_profile(profile)
-    swing = load_profile(path)
-    envelope = configuration.envelope.with_model_check("always")
-    configuration = replace(configuration, envelope=envelope).for_profile(swing, path)
-    folder = output or configuration.bench.data_dir / "faults"
+    study = _study(context.ensure_object(Session).configuration(), profile, model_check)
+    folder = output or study.configuration.bench.data_dir / "faults"
     folder.mkdir(parents=True, exist_ok=True)
     plan = plan_matrix(
-        swing,
+        study.profile,
         model_check=model_check,
         signals=signal or (),
         phases=phase or (),
@@ -104,8 +102,7 @@ def run(
         one_instant=quick,
         every=every,
     )
-    study = FaultStudy(configuration, swing, model_check)
-    with sweep_engine(configuration, processes, cluster, len(plan.cases)) as engine:
+    with sweep_engine(study.configuration, processes, cluster, len(plan.cases)) as engine:
         summary = _matrix(study, folder, plan, compare, engine)
     _write(folder, summary)
     unsafe = summary["verdicts"]["unsafe"]
@@ -113,12 +110,25 @@ def run(
         typer.echo(summary_text(summary), nl=False)
     else:
         console = Console()
+        if not console.is_terminal:
+            console = Console(width=_PIPED_WIDTH)
         console.print(matrix_table(summary))
         if unsafe:
             console.print(reasons_table(summary))
         console.print(f"{folder / 'matrix.html'}", highlight=False)
     if unsafe:
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _study(configuration: Configuration, profile: str, model_check: bool) -> FaultStudy:
+    from bench.faults.matrix import FaultStudy
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    path = find_profile(profile)
+    swing = load_profile(path)
+    envelope = configuration.envelope.with_model_check("always")
+    return FaultStudy(replace(configuration, envelope=envelope).for_profile(swing, path), swing, model_check)
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:

@@ -146,7 +146,7 @@ def outcome_of(record: dict[str, Any]) -> CaseOutcome:
 
 @dataclass(frozen=True)
 class FaultStudy:
-    """What is done with each case of a matrix (a `bench.simulation.sweep.Study`)."""
+    """The work on each case of a matrix (a `bench.simulation.sweep.Study`)."""
 
     configuration: Configuration
     profile: Profile

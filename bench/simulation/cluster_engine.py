@@ -22,7 +22,7 @@ from uuid import uuid4
 from bench.config.identity_files import IdentityFiles
 from bench.errors import BenchError, ExitCode, Refused
 from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import IN_FLIGHT, Batch, Done, Study, run_batch
+from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, run_batch
 
 CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
@@ -87,7 +87,7 @@ class ClusterEngine:
             self._slots, self._looked = sum(self._client.nthreads().values()), monotonic()
         return self._slots
 
-    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         """Yield batches as they are done.
 
         Raises:
@@ -102,7 +102,7 @@ class ClusterEngine:
         except (OSError, TimeoutError, CommClosedError, distributed.client.FutureCancelledError) as error:
             raise _lost(self._address, str(error) or type(error).__name__) from error
 
-    def _completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def _completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         import distributed
         from distributed.scheduler import KilledWorker
 
@@ -111,10 +111,10 @@ class ClusterEngine:
         arguments = (module, digest_of(module), pickle.dumps(study))
         # A task, not scattered data: the scheduler can make it again when its workers have died.
         shared = self._client.submit(SharedStudy, *arguments, key=f"study-{name}", pure=False)
-        waiting: dict[Any, tuple[Batch, int]] = {}
+        waiting: dict[Any, tuple[CaseBatch, int]] = {}
         results: Any = distributed.as_completed([], loop=self._client.loop)
 
-        def hand_out(batch: Batch, tried: int) -> None:
+        def hand_out(batch: CaseBatch, tried: int) -> None:
             key = f"batch-{name}-{batch.number}-{tried}"
             future = self._client.submit(_run, shared, batch, key=key, pure=False)
             waiting[future] = batch, tried
@@ -205,7 +205,7 @@ def load_distributed() -> Any:
     return distributed
 
 
-def _run(shared: SharedStudy, batch: Batch) -> Done:
+def _run(shared: SharedStudy, batch: CaseBatch) -> BatchDone:
     with _ONE_AT_A_TIME:
         return run_batch(shared.function, batch)
 
@@ -215,18 +215,18 @@ def _lost(address: str, why: str) -> BenchError:
         f"cluster {address}",
         why.strip().splitlines()[0],
         "a scheduler that answers",
-        "Start it (golfbench cluster) and the same command again: what is stored is not run again.",
+        "Start it (golfbench cluster) and the same command again: stored cases are not run again.",
     )
     fault.exit_code = ExitCode.NO_ANSWER
     return fault
 
 
-def _killing(address: str, batch: Batch) -> BenchError:
+def _killing(address: str, batch: CaseBatch) -> BenchError:
     fault = BenchError(
         f"cluster {address}",
         f"a batch whose workers died {_TRIES} times: {batch.cases[0]}",
         "workers that run their cases",
-        "Look for lack of memory in the workers' logs. What is stored is kept.",
+        "Look for lack of memory in the workers' logs. Stored cases are kept.",
     )
     fault.exit_code = ExitCode.DEVICE
     return fault

@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
-from bench.simulation.sweep import IN_FLIGHT, Batch, Done, Engine, Study, run_batch
+from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, run_batch
 
 _PR_SET_PDEATHSIG = 1
 _LOST_IN_A_ROW = 3
@@ -27,7 +27,7 @@ class InProcess:
         """Return 1."""
         return 1
 
-    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         """Yield the batches in their order."""
         function: Callable[[Any], Any] | None = None
         for batch in batches:
@@ -45,16 +45,16 @@ class LocalProcesses:
         """Return the number of processes."""
         return self._count
 
-    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         """Yield batches as they are done.
 
         Raises:
             BenchError: processes die again and again.
         """
-        again: deque[Batch] = deque()
+        again: deque[CaseBatch] = deque()
         lost = 0
         while lost < _LOST_IN_A_ROW:
-            waiting: dict[Future[Done], Batch] = {}
+            waiting: dict[Future[BatchDone], CaseBatch] = {}
             with ProcessPoolExecutor(self._count, get_context("spawn"), _begin, (os.getpid(), study)) as pool:
                 try:
                     for done in _results(pool, waiting, again, batches, IN_FLIGHT * self._count):
@@ -68,7 +68,7 @@ class LocalProcesses:
             f"sweep with {self._count} processes",
             f"processes that died {lost} times in a row",
             "processes that run their cases",
-            "Look for lack of memory in the system's log; try --processes 1. What is stored is kept.",
+            "Look for lack of memory in the system's log; try --processes 1. Stored cases are kept.",
         )
         fault.exit_code = ExitCode.DEVICE
         raise fault
@@ -82,11 +82,11 @@ def local_engine(processes: int = 0, cases: int = 2) -> Engine:
 
 def _results(
     pool: ProcessPoolExecutor,
-    waiting: dict[Future[Done], Batch],
-    again: deque[Batch],
-    batches: Iterator[Batch],
+    waiting: dict[Future[BatchDone], CaseBatch],
+    again: deque[CaseBatch],
+    batches: Iterator[CaseBatch],
     in_flight: int,
-) -> Iterator[Done]:
+) -> Iterator[BatchDone]:
     """Yield the results of `again` and `batches`; `waiting` holds what was handed out and is not yielded."""
     while True:
         while len(waiting) < in_flight:
@@ -119,7 +119,7 @@ def _begin(parent: int, study: Study[Any, Any]) -> None:
     _function = study.prepared()
 
 
-def _run(batch: Batch) -> Done:
+def _run(batch: CaseBatch) -> BatchDone:
     if _function is None:
         raise RuntimeError("worker not initialised")
     return run_batch(_function, batch)

@@ -1,6 +1,6 @@
 """Sweeps: one pure function of many cases, on any engine, with results in the order of the cases.
 
-A study is what is done with each case. An engine runs batches of cases: this process
+A study is the work on each case. An engine runs batches of cases: this process
 (`bench.simulation.local_engine.InProcess`), processes of this machine (`LocalProcesses`), or a cluster
 (`bench.simulation.cluster_engine`). Results are the same bit for bit on all of them, as seeds come from the
 case and nothing of one case reaches another. With a store a sweep that was ended goes on where it was.
@@ -26,7 +26,7 @@ IN_FLIGHT = 2
 
 
 class Study(Protocol[Case_contra, Result_co]):
-    """What is done with each case: a value with all that the cases share, to be pickled.
+    """The work on each case: a value with all that the cases share, to be pickled.
 
     Raises of the function end the sweep.
     """
@@ -36,14 +36,14 @@ class Study(Protocol[Case_contra, Result_co]):
         ...
 
 
-class Batch(NamedTuple):
+class CaseBatch(NamedTuple):
     """Cases for one worker at a time."""
 
     number: int
     cases: tuple[Any, ...]
 
 
-class Done(NamedTuple):
+class BatchDone(NamedTuple):
     """A batch that was run."""
 
     number: int
@@ -59,16 +59,16 @@ class Engine(Protocol):
         """Return how many batches run at a time."""
         ...
 
-    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         """Yield each of `batches` when it is done, in any order; takes the next when a worker is free."""
         ...
 
 
-def run_batch(function: Callable[[Any], Any], batch: Batch) -> Done:
+def run_batch(function: Callable[[Any], Any], batch: CaseBatch) -> BatchDone:
     """Return what `function` makes of the cases of `batch`."""
     begin = perf_counter()
     results = [function(case) for case in batch.cases]
-    return Done(batch.number, results, perf_counter() - begin)
+    return BatchDone(batch.number, results, perf_counter() - begin)
 
 
 def sweep(
@@ -85,7 +85,7 @@ def sweep(
     """Return the results of `cases` in their order; those so far if `stop` asked for an end.
 
     Args:
-        study: what is done with a case.
+        study: the work on a case.
         cases: the cases.
         engine: where they run.
         store: holds the results of earlier runs by `key`; new ones are added as they come.
@@ -133,10 +133,10 @@ class _Batches(Generic[Case]):
         self._number = self._known = 0
         self._duration = 0.0
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[CaseBatch]:
         return self
 
-    def __next__(self) -> Batch:
+    def __next__(self) -> CaseBatch:
         if not self._groups or self._stop():
             raise StopIteration
         group, size = self._groups[-1], self._size()
@@ -146,7 +146,7 @@ class _Batches(Generic[Case]):
         self._left -= len(indices)
         self._number += 1
         self._out[self._number] = indices
-        return Batch(self._number, tuple(self._cases[i] for i in indices))
+        return CaseBatch(self._number, tuple(self._cases[i] for i in indices))
 
     def _size(self) -> int:
         """Return how many cases take BATCH_TIME, fewer towards the end so that all workers end together."""
@@ -155,7 +155,7 @@ class _Batches(Generic[Case]):
         wanted = BATCH_TIME * self._known / max(self._duration, 1e-9)
         return max(1, int(min(wanted, self._left / (IN_FLIGHT * max(self._slots(), 1)))))
 
-    def took(self, done: Done) -> list[int]:
+    def took(self, done: BatchDone) -> list[int]:
         """Note what the cases of `done` cost; return their places among the cases."""
         self._known += len(done.results)
         self._duration += done.duration

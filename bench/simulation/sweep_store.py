@@ -1,4 +1,4 @@
-"""The results of a sweep in a file of JSON lines: what stands there is not run again."""
+"""The results of a sweep in a file of JSON lines: they are not run again."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path)
             if 5 <= done < len(CASES):
                 cluster.kill()
 
-        with pytest.raises(BenchError, match="what is stored is not run again") as caught:
+        with pytest.raises(BenchError, match="stored cases are not run again") as caught:
             sweep(Slow(0.2), CASES, engine, store=store, progress=end)
     assert caught.value.exit_code is ExitCode.NO_ANSWER
     store, done = SweepStore(path, "d", as_dict, as_float), list[int]()

@@ -13,7 +13,7 @@ import pytest
 
 from bench.errors import BenchError, Refused
 from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
-from bench.simulation.sweep import BATCH_TIME, Batch, Done, Study, sweep
+from bench.simulation.sweep import BATCH_TIME, BatchDone, CaseBatch, Study, sweep
 from bench.simulation.sweep_store import SweepStore
 from tests.bench.simulation.studies import Draws, as_dict, as_float
 
@@ -34,15 +34,15 @@ class Timed:
     """An engine that runs nothing: a case takes `cost` s; remembers the batches."""
 
     def __init__(self, cost: float, slots: int = 2) -> None:
-        self.cost, self.number, self.batches = cost, slots, list[Batch]()
+        self.cost, self.number, self.batches = cost, slots, list[CaseBatch]()
 
     def slots(self) -> int:
         return self.number
 
-    def completed(self, study: Study[Any, Any], batches: Iterator[Batch]) -> Iterator[Done]:
+    def completed(self, study: Study[Any, Any], batches: Iterator[CaseBatch]) -> Iterator[BatchDone]:
         for batch in batches:
             self.batches.append(batch)
-            yield Done(batch.number, list(batch.cases), self.cost * len(batch.cases))
+            yield BatchDone(batch.number, list(batch.cases), self.cost * len(batch.cases))
 
 
 def test_results_come_in_the_order_of_the_cases_with_any_number_of_processes() -> None:
