@@ -86,6 +86,7 @@ class Refusal(IntEnum):
     SENSOR = 17
     VENT = 18
     LOCK = 19
+    AIR = 20
 
 
 REFUSAL_TEXT = {
@@ -96,6 +97,7 @@ REFUSAL_TEXT = {
     Refusal.GUARD: "the guard is open or not locked: close it, after an access also secure it",
     Refusal.READINGS: "an encoder gives no valid readings: check cables and supply",
     Refusal.NOT_AT_ADDRESS: "the robot does not rest at its address yet: wait, then ask again",
+    Refusal.AIR: "the chambers are not at their planned pressures yet: wait, then ask again",
     Refusal.NO_LEASE: "the lease is not held: take it",
     Refusal.SUPPORT: "the recorder or the publisher is not running: nothing is armed without a record",
     Refusal.NOT_VENTED: "the chambers are not proven empty yet: wait, then ask again",
@@ -225,6 +227,12 @@ class Cause(IntEnum):
     SHOULDER_INDEX = 68
     ARM_INDEX = 69
     WRIST_INDEX = 70
+    SHOULDER_A_AIR = 71
+    SHOULDER_B_AIR = 72
+    ARM_A_AIR = 73
+    ARM_B_AIR = 74
+    WRIST_A_AIR = 75
+    WRIST_B_AIR = 76
 
 
 CAUSE_TEXT = {
@@ -299,6 +307,12 @@ CAUSE_TEXT = {
     Cause.SHOULDER_INDEX: "shoulder encoder R1 had lost counts at its index: check its cable, home again",
     Cause.ARM_INDEX: "arm encoder R2 had lost counts at its index: check its cable, home again",
     Cause.WRIST_INDEX: "wrist encoder R3 had lost counts at its index: check its cable, home again",
+    Cause.SHOULDER_A_AIR: "shoulder chamber A is not at its planned pressure in time: check supply and leaks",
+    Cause.SHOULDER_B_AIR: "shoulder chamber B is not at its planned pressure in time: check supply and leaks",
+    Cause.ARM_A_AIR: "arm chamber A is not at its planned pressure in time: check supply and leaks",
+    Cause.ARM_B_AIR: "arm chamber B is not at its planned pressure in time: check supply and leaks",
+    Cause.WRIST_A_AIR: "wrist chamber A is not at its planned pressure in time: check supply and leaks",
+    Cause.WRIST_B_AIR: "wrist chamber B is not at its planned pressure in time: check supply and leaks",
 }
 """Text for the operator, with the cure where one is known."""
 

@@ -332,7 +332,7 @@ class LiveShots:
                     if status["time"] - held_since >= REST:
                         if self._short_of_air(step, status):
                             raise ShotPostponed(*events)
-                        if self._must_practise and not status["ball_present"]:
+                        if self._must_practise(step) and not status["ball_present"]:
                             self._practise(events)
                             deadline, held_since = time.monotonic() + _READY, np.inf
                             continue
@@ -375,9 +375,11 @@ class LiveShots:
     def _learner(self, problem: LearningProblem) -> LiveSwinger:
         return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
 
-    @property
-    def _must_practise(self) -> bool:
-        return self._plan.warm_up.practice and self._freshly_armed and self._stays_armed
+    def _must_practise(self, step: Step) -> bool:
+        """Return whether arming left other air for `step` than a swing would: without planned air."""
+        if not (self._plan.warm_up.practice and self._freshly_armed and self._stays_armed):
+            return False
+        return not self._swings.designed((step.trial.arm.swing, step.trial.arm.club)).air
 
     def _practise(self, events: list[tuple[str, str]]) -> None:
         """Swing without a ball; not repeated on a bench that does not stay armed after it."""

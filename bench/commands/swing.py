@@ -498,6 +498,34 @@ def limits(
 
 
 @app.command()
+def address(
+    context: typer.Context,
+    profile: Name,
+    output: Annotated[Path, typer.Option(metavar="FILE", help="Profile to write; its table goes beside it.")],
+) -> None:
+    """Plan the chamber pressures at the address of a profile, for the configured plant.
+
+    The bench brings the chambers to them before it permits a swing, so that a swing does not depend on how
+    the robot came to its address.
+    """
+    from bench.control.planned_air import with_planned_air
+    from bench.errors import BenchError
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile, save_profile
+
+    plant = context.ensure_object(Session).configuration().plant
+    path = find_profile(profile)
+    try:
+        planned = with_planned_air(load_profile(path), plant)
+    except ValueError as error:
+        cure = "Check the plant, or design another address."
+        raise BenchError(str(path), str(error), "an address that the plant can hold", cure) from None
+    save_profile(output, planned)
+    pressures = ", ".join(f"{pressure / 1e5:.2f}" for pressure in planned.air)
+    typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")
+
+
+@app.command()
 def golfers(
     context: typer.Context,
     profile: Annotated[

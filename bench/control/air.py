@@ -70,6 +70,17 @@ def actuator_force(p: Any, pressure: Any, i: int) -> float:
 
 
 @compiled
+def load_force(robot: Any, p: Any, angle: Any, i: int) -> float:
+    """Return the force (N, shoulder N m) with which actuator `i` alone holds the robot at rest at `angle`."""
+    _, _, _, _, _, _, h1, h2, h3, lever = kane_terms(robot[0], angle[0], angle[1], angle[2], 0.0, 0.0, 0.0)
+    if i == 0:
+        return float(h1)
+    if i == 1:
+        return float(h2 / lever)
+    return float(h3 / (p.wrist_lever * cos(angle[2])))
+
+
+@compiled
 def observe_air(
     a: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, step: float, free: bool
 ) -> None:

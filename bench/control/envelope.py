@@ -94,10 +94,12 @@ def motion_cause(
     phase: int,
     measured_step: float,
     charging: bool,
+    low: float = 0.0,
 ) -> int:
     """Return the first limit of motion that is broken in `phase`, or 0; readings are trusted here.
 
-    While `charging` the supply may still be rising. A supply pressure that is ABSENT breaks nothing.
+    While `charging` the supply may still be rising. A supply pressure that is ABSENT breaks nothing. The head
+    may be nearer to the ground by `low` (m).
     """
     p, e = parameters[0], estimator[0]
     angle, velocity = e.angle, e.velocity
@@ -121,12 +123,19 @@ def motion_cause(
         # The jump of the impact is in no reference.
         if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
             return Cause.SHOULDER_FOLLOWING + i
-    return _clearance_cause(p, robot, angle)
+    return _clearance_cause(p, robot, angle, low)
 
 
 @compiled
-def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
-    """Return the cause if the club is too near to ground, frame, or the wrist's dead point, or 0."""
+def clearance_needed(p: Any, head_x: float) -> float:
+    """Return the least height (m) of the sole over the ground where the face is at `head_x` (m)."""
+    needed: float = p.ball_clearance if abs(head_x - p.ball_x) <= p.ball_window else p.clearance
+    return needed
+
+
+@compiled
+def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
+    """Return the cause if the club is too near to ground (`low` m more), frame, or the wrist's dead point."""
     r = robot[0]
     a1 = angle[0]
     a12 = a1 + angle[1]
@@ -134,8 +143,7 @@ def _clearance_cause(p: Any, robot: Any, angle: Any) -> int:
     wrist_x, wrist_y = r.l12 * cos(a1) + r.l23 * cos(a12), r.l12 * sin(a1) + r.l23 * sin(a12)
     along_x, along_y = cos(theta), sin(theta)
     head_x, head_y = wrist_x + r.l3t * along_x, wrist_y + r.l3t * along_y
-    needed = p.ball_clearance if abs(head_x - p.ball_x) <= p.ball_window else p.clearance
-    if not head_y - p.sole_depth - p.ground >= needed:
+    if not head_y - p.sole_depth - p.ground >= clearance_needed(p, head_x) - low:
         return Cause.GROUND
     # Nearest point of the club to the shoulder axis.
     nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.control.address_air import bring_air, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings
 from bench.control.feed_forward import KANE, NONE
 from bench.control.homing import search
@@ -44,7 +45,8 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
             away = parameters.angle[0, i] - e.angle[i]
-            s.reference[i] = parameters.angle[0, i] if abs(away) > p.rest_band[i] else e.angle[i]
+            moved = abs(away) > p.rest_band[i] and s.air_held[i] == 0
+            s.reference[i] = parameters.angle[0, i] if moved else e.angle[i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == Phase.FOLLOW_THROUGH:
         brake_openings(s, p, e)
@@ -86,7 +88,8 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
     terms = (s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward)
     control(state.pid, parameters.pid, *terms, measured_step)
     push = side = 0.0
-    if charging(s, time):
+    planned = parameters.profile[0].air_planned and s.phase != Phase.HOMING
+    if charging(s, time) and not planned:
         # A closed-centre spool fills one chamber while it empties the other. Swung around the centre it
         # passes as much in as out of both, which ends at about three quarters of the supply in each.
         push = p.precharge_opening * square_wave((time - s.move_start) / p.precharge_period)
@@ -94,3 +97,19 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
         side = square_wave((time - s.swing_start) / p.dither_period)
     for i in range(3):
         s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]
+    if planned:
+        _serve_air(state, parameters, time)
+
+
+@compiled
+def _serve_air(state: Any, parameters: Any, time: float) -> None:
+    """Change the desired openings (3,) where the air comes to its planned pressures."""
+    s = state.control[0]
+    if s.phase == Phase.HOLD and not s.swinging:
+        bring_air(state, parameters, time)
+        return
+    leave_address_air(s, time)
+    if charging(s, time):
+        charge(state, parameters, time)
+    elif s.moving:
+        loosen(s, parameters.profile[0], time)

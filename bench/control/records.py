@@ -56,6 +56,8 @@ CONTROL_PARAMETERS = np.dtype(
         ("lowest_pressure", "f8"),
         ("highest_pressure", "f8"),
         ("rest_pressure", "f8"),
+        ("air_tolerance", "f8"),
+        ("air_timeout", "f8"),
         ("local_reset", "?"),
         ("local_reset_time", "f8"),
         ("series", "?"),
@@ -181,6 +183,13 @@ CONTROL_STATE = np.dtype(
         ("lock_agreed", "f8"),
         ("lock_wrong", "?"),
         ("index_wrong", "i4"),
+        ("air_held", "u1", (3,)),
+        ("air_swung", "u1", (3,)),
+        ("air_trim", "f8", (3,)),
+        ("air_good", "f8"),
+        ("air_since", "f8"),
+        ("air_ready", "?"),
+        ("low_head", "f8"),
     ],
     align=True,
 )
@@ -204,6 +213,10 @@ empties too slowly, whether its sensor has to prove itself at the next venting, 
 notice of that. `lock_agreed` is when the guard's lock last agreed with its command (s), `lock_wrong` that it
 did not and has not been seen to since. `index_wrong` is the cause that names an encoder whose count was wrong
 when its index passed, or 0.
+`air_…` are those of `bench.control.address_air`: whether a joint is in its band, so that its valve serves its
+air, whether its spool is being swung, the opening that keeps its difference, when the air was last not as
+planned and since when it is waited for (s), whether a swing may begin. `low_head` is by how much less than
+the clearance is enough (m), of a head that rested low.
 `lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
 did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
 ESTOP; `air` that the supply is on."""
@@ -214,9 +227,15 @@ PROFILE = np.dtype(
         ("period", "f8"),
         ("blind_spacing", "i8"),
         ("blind_rows", "i8"),
+        ("air_planned", "?"),
+        ("air", "f8", (6,)),
+        ("air_supply", "f8"),
+        ("air_width", "f8", (3,)),
     ],
     align=True,
 )
+"""`air_planned`: whether the chambers have planned pressures at the address: `air` (Pa) where the supply has
+`air_supply` (Pa). `air_width` are the openings to either side with which the spools are swung there."""
 
 
 class ControlState(NamedTuple):
@@ -229,7 +248,7 @@ class ControlState(NamedTuple):
     model: Any
     """Of the model-based check."""
     air: Any
-    """Of the chamber-pressure observer; moved on only where the feed-forward takes it."""
+    """Of the chamber-pressure observer; moved on only where feed-forward or address take it."""
 
 
 class ControlParameters(NamedTuple):

@@ -112,6 +112,16 @@ def _settling(p: Any, s: Any, request: int, time: float) -> int:
 
 
 @compiled
+def _not_at_address(s: Any, parameters: Any, estimator: Any) -> int:
+    """Return the refusal of a swing while robot or air are not at the address as planned, or 0."""
+    if s.phase != Phase.HOLD or s.swinging:
+        return Refusal.NOT_AT_ADDRESS.value
+    if parameters.profile[0].air_planned and not s.air_ready:
+        return Refusal.AIR.value  # meanwhile a joint may move a little
+    return 0 if near_address(parameters, estimator) else Refusal.NOT_AT_ADDRESS.value
+
+
+@compiled
 def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
@@ -160,8 +170,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         if not s.support_ready:
             return Refusal.SUPPORT
     if request == Request.SWING:
-        if s.phase != Phase.HOLD or s.swinging or not near_address(parameters, state.estimator):
-            return Refusal.NOT_AT_ADDRESS
+        waiting = _not_at_address(s, parameters, state.estimator)
+        if waiting != 0:
+            return waiting
     if not s.vented:
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:

@@ -16,6 +16,7 @@ from bench.control.estimator import design_estimator
 from bench.control.feed_forward import CODES, FeedForward, kane_gains
 from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
+from bench.control.planned_air import swing_widths
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
     EMERGENCIES,
@@ -142,6 +143,10 @@ class LifecycleSettings:
     """For which the robot must rest with empty chambers until they count as vented, s."""
     vented_blind: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
+    air_tolerance: Positive = 1.0e4
+    """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
+    air_timeout: Positive = 20.0
+    """Longest time for which the address is held until the chambers are as planned, s."""
     local_reset: bool = False
     """Reset and secure also take the button beside the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
@@ -425,7 +430,7 @@ def build_controller(
         model=_model_record(envelope.model, learning=profile.corrected),
         robot=robot.record,
         plant=machine,
-        profile=_profile_record(profile),
+        profile=_profile_record(profile, plant, machine),
         angle=profile.angle,
         velocity=profile.velocity,
         valve=profile.valve,
@@ -575,8 +580,12 @@ def _model_record(settings: ModelSettings, *, learning: bool) -> np.ndarray:
     return record
 
 
-def _profile_record(profile: Profile) -> np.ndarray:
+def _profile_record(profile: Profile, plant: PlantParameters, machine: np.ndarray) -> np.ndarray:
     record = new_record(PROFILE)
     record["samples"], record["period"] = len(profile.angle), profile.period
     record["blind_spacing"], record["blind_rows"] = profile.blind_spacing, len(profile.blind_brake)
+    if profile.air:
+        record["air_planned"] = True
+        record["air"], record["air_supply"] = profile.air, profile.air_supply
+        record["air_width"] = swing_widths(plant, machine, profile.angle[0])
     return record

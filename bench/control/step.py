@@ -83,7 +83,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             s.reaction == Reaction.BRAKE,
             elapsed,
         )
-    if parameters.control[0].feed_forward == PNEUMATIC:
+    if parameters.control[0].feed_forward == PNEUMATIC or parameters.profile[0].air_planned:
         observe_air(
             state.air[0],
             parameters.robot,

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.control.address_air import address_air_cause
 from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
 from bench.control.homing import search_cause
+from bench.control.low_head import watch_low_head
 from bench.control.model import BRAKING, model_cause, row_of
 from bench.control.references import charging
 from bench.control.states import disarm, react
@@ -131,6 +133,8 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
 def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> None:
     """Stop a swing, a move or a hold that leaves the envelope, or does not fit the model."""
     s = state.control[0]
+    # With planned air the joints stay where they are while it comes in.
+    low = watch_low_head(s, parameters.envelope, time) if parameters.profile[0].air_planned else 0.0
     broken = motion_cause(
         parameters.envelope,
         parameters.robot,
@@ -140,6 +144,7 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
         s.phase,
         s.measured_step,
         charging(s, time),
+        low,
     )
     if broken == Cause.SUPPLY_PRESSURE and s.sensor_doubt[0] > 0.0:
         broken = Cause.SUPPLY_SENSOR.value
@@ -149,6 +154,8 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
     longest = s.move_time + parameters.control[0].move_timeout
     if broken == 0 and s.moving and time - s.move_start > longest:
         broken = Cause.ADDRESS_TIMEOUT.value
+    if broken == 0:
+        broken = address_air_cause(state, parameters, time)
     if broken != 0:
         react(state, parameters, broken, table_column(broken), time)
 

@@ -112,6 +112,7 @@ class SwingCheck:
         stepper = Lockstep(self.plant, self.parameters, self.profile.angle[0])
         bench = LockstepEngine(stepper, name=self.profile.name)
         bench.arm()
+        bench.await_air()
         bench.control["tee"] = ball
         for tick in range(0, len(self.profile.angle), spacing):
             yield tick, bench

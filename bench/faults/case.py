@@ -111,6 +111,7 @@ class Workbench:
                 bench.arm()
                 bench.control["tee"] = True
                 bench.advance(400)
+                bench.await_air()
                 if instant.phase == "access":
                     if instant.label == "inside":
                         _enter(bench)

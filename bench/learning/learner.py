@@ -10,9 +10,9 @@ as predicted, within bounds on the weights and a trust radius around the best sw
 linear: the model's response is the prior mean, every swing is an observation of it, with the scatter between
 swings as noise and less weight the farther its weights are from the best one's (Bayesian linear regression).
 So the response becomes the robot's own, and one lucky swing is not taken for a good one. A stopped swing
-counts as failed: its record up to the stop still counts for the path, and the radius is halved. The first
-swing after arming begins with other air than those that follow: it counts with more noise for the next step,
-and confirms nothing.
+counts as failed: its record up to the stop still counts for the path, and the radius is halved. Without
+planned air at the address the first swing after arming begins with other air than those that follow: it
+counts with more noise for the next step, and confirms nothing.
 
 For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
 a better response.
@@ -89,7 +89,7 @@ class LearnerTrial(NamedTuple):
     path: Array
     """(r, 3) rad at the response's rows; NaN from a stop on."""
     settled: bool = True
-    """Whether it began with the air that a swing had left, not with that of arming."""
+    """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
 class Beginning(NamedTuple):

@@ -71,7 +71,8 @@ class LiveSwinger:
         self._client, self._lecture, self._source = client, problem, source
         self._say, self._ask_mark, self._with_ball = say, ask_mark, with_ball
         self._stack, self._lease = ExitStack(), ExitStack()
-        self._held = self._settled = False
+        self._held, self._planned_air = False, bool(problem.bench.profile.air)
+        self._settled = self._planned_air
         self._digest = digest_of(problem.bench.profile)
         status = client.status()
         self.simulated = status["driver"] == "sim"
@@ -96,7 +97,7 @@ class LiveSwinger:
         for _ in range(_AGAIN):
             record = self._swing(weights)
             swung, whole = self._seen(record)
-            settled, self._settled = self._settled, not swung.cause
+            settled, self._settled = self._settled, self._planned_air or not swung.cause
             if whole:
                 return swung._replace(settled=settled)
             self._say("the record has gaps before the ball: the swing is repeated")
@@ -208,7 +209,7 @@ class LiveSwinger:
             return
         match status["state"]:
             case "READY":
-                self._settled = False
+                self._settled = self._planned_air
                 self._client.arm()
             case "ESTOP" | "FAULT":
                 self._client.reset()

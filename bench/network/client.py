@@ -51,10 +51,16 @@ LONGEST_SWAY = 10.0
 As long as a raised arm may take to sink, and as chambers may take to vent as shipped (`lifecycle.vent_time`).
 """
 
+LONGEST_AIR = 60.0
+"""s for which a swing waits for its air; a bench that cannot bring it ends the waiting by itself."""
+
 _SETTLING = frozenset({REFUSAL_TEXT[Refusal.MOVING]})
 """Reasons of a refused home, arm or reset that pass by themselves."""
 _VENTING = frozenset({REFUSAL_TEXT[Refusal.NOT_VENTED]})
 """Reasons of a refused arm that pass by themselves, too: READY begins while chambers still empty."""
+_FILLING = frozenset({REFUSAL_TEXT[Refusal.AIR]})
+"""Reasons of a refused swing that pass by themselves."""
+
 _LOOK_FOR_REST = 0.1
 """s between two requests while it sways."""
 
@@ -364,8 +370,8 @@ class BenchClient:
         return self._ask_keyed(Verb.SECURE)
 
     def swing(self) -> CommandAnswer:
-        """Swing from the address."""
-        return self._ask_keyed(Verb.SWING)
+        """Swing from the address, once its air is as the profile plans it."""
+        return self._ask_while(Verb.SWING, _FILLING, LONGEST_AIR)
 
     def tee(self) -> CommandAnswer:
         """Raise the next ball."""
@@ -411,13 +417,17 @@ class BenchClient:
 
     def _ask_at_rest(self, verb: Verb) -> CommandAnswer:
         """Ask again while a joint still moves or a chamber vents, at most for LONGEST_SWAY."""
-        longest = time.monotonic() + LONGEST_SWAY
+        passing = _SETTLING | _VENTING if verb is Verb.ARM else _SETTLING
+        return self._ask_while(verb, passing, LONGEST_SWAY)
+
+    def _ask_while(self, verb: Verb, passing: frozenset[str], longest: float) -> CommandAnswer:
+        """Ask again while the bench refuses for a reason that is `passing`, at most for `longest` (s)."""
+        end = time.monotonic() + longest
         while True:
             try:
                 return self._ask_keyed(verb)
             except CommandRefused as refused:
-                passing = _SETTLING | _VENTING if verb is Verb.ARM else _SETTLING
-                if refused.answer.reason not in passing or time.monotonic() > longest:
+                if refused.answer.reason not in passing or time.monotonic() > end:
                     raise
             time.sleep(_LOOK_FOR_REST)
 

@@ -97,6 +97,7 @@ def healthy_run(
     for swing in range(2):
         bench.tee_up(ball=swing == 1 or seed % 4 != 3)
         stepper.advance(_HOLD)
+        bench.await_air()
         instants = [] if swing else _instants(profile, random)
         if instants:
             trial.stop(stepper)

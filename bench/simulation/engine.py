@@ -16,7 +16,7 @@ from bench.control.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
 from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Request
+from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.loop import Cycles, bring_to_rest
 from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.simulation.lockstep import Lockstep
@@ -212,18 +212,31 @@ class SwingEngine(Generic[AnyStepper]):
         self.plant_state["ball_present"] = self.plant_state["struck"] = False
         self.control["tee"] = ball
 
+    def await_air(self) -> bool:
+        """Hold the address until the chambers are as planned; return whether they are.
+
+        At once where no pressures are planned. A bench that cannot bring them stops by itself.
+        """
+        parameters = self.stepper.parameters
+        if not parameters.profile["air_planned"][0]:
+            return True
+        longest = float(parameters.control["air_timeout"][0]) + 1.0
+        return self.run_until(lambda: bool(self.control["air_ready"][0]), longest)
+
     def start_swing(self, attempts: int, wait: int) -> bool:
         """Request the swing up to `attempts` times, `wait` ticks apart; return whether it began.
 
-        A swing is refused until the robot is at rest. False also if the robot leaves its hold, or on a stop.
+        A swing is refused until the robot is at rest. While it waits for its air no attempt counts: the bench
+        ends that by itself. False also if the robot leaves its hold, or on a stop.
         """
-        for attempt in range(attempts):
-            if attempt:
-                self.advance(wait)
+        while attempts > 0:
             if self.stop() or not self.holding():
                 return False
             if self.request(Request.SWING):
                 return True
+            attempts -= self.control["refusal"][0] != Refusal.AIR
+            if attempts > 0:
+                self.advance(wait)
         return False
 
     def rest(self) -> None:

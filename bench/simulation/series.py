@@ -49,7 +49,7 @@ class SeriesSwing(NamedTuple):
     air_used: float
     """Air taken from the supply from address to the profile's end, kg."""
     settled: bool
-    """Whether it began with the air that a swing had left, not with that of arming."""
+    """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
 class Bench(NamedTuple):
@@ -86,7 +86,7 @@ class Series:
         self._arm()
 
     def _arm(self) -> None:
-        self._settled = False
+        self._settled = bool(self.bench.profile.air)
         self._engine.arm()
 
     def vary(self, plant: PlantParameters) -> None:
@@ -186,7 +186,7 @@ class Series:
 def settled(bench: Bench, plant: PlantParameters, swings: int = 2) -> tuple[Series, Mark]:
     """Return a series on `plant` and the instant at its address after some swings.
 
-    The first swing after arming begins with other pressures than those that follow.
+    Without planned air the first swing after arming begins with other pressures than those that follow.
     """
     series = Series(bench, plant)
     for _ in range(swings):

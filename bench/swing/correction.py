@@ -57,7 +57,9 @@ class Correction:
 
 def digest_of(profile: Profile) -> str:
     """Return a digest of the tables that a correction of `profile` is added to."""
-    tables = (profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float))
+    tables = [profile.angle, profile.velocity, profile.valve, np.array(profile.begins, dtype=float)]
+    if profile.air:
+        tables.append(np.array([*profile.air, profile.air_supply]))
     return sha256(b"".join(np.ascontiguousarray(table).tobytes() for table in tables)).hexdigest()[:16]
 
 

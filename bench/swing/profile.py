@@ -70,6 +70,11 @@ class Profile:
     """Planned head_speed_mps, attack_angle_deg, shaft_lean_deg, ball_position; for people and checks."""
     limits: dict[str, float] = field(default_factory=dict)
     """Limits of the design: supply_pressure_pa, greatest_opening, ..."""
+    air: tuple[float, ...] = ()
+    """Planned pressures of the six chambers at the address, shoulder A and B first (Pa absolute); empty: the
+    air there is as it comes."""
+    air_supply: float = 0.0
+    """Supply pressure to which `air` belongs (Pa absolute)."""
     corrected: bool = False
     """Whether a learned correction is in its tables."""
 
@@ -115,9 +120,14 @@ _TABLES = {
     "blind_brake": "blind_brake",
 }
 """Key of a table in a file, and its field."""
+_ADDRESS = {"supply_pressure_pa": 1, "chamber_pressures_pa": 6}
+"""Keys of the table `address`, which a profile may have, and how many pressures each holds."""
+_PRESSURES = (1.0e5, 2.0e6)
+"""Pa absolute, of a planned pressure."""
 _BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
 _GROUPS = ("delivery", "limits")
 _CURE = "Correct the profile, or design it again with `golfbench swing design`."
+_CURE_ADDRESS = "Plan them with `golfbench swing address`, or leave the table `address` out."
 _CURE_TABLE = (
     "Copy both files from the same place, or design the profile again with `golfbench swing design`. "
     "To edit a profile, start from `golfbench swing show PROFILE --table`."
@@ -147,6 +157,7 @@ def load_profile(path: Path) -> Profile:
     _check_shapes(path, raw["blind_spacing"], tables)
     _check_ranges(path, raw, tables)
     begins = _check_begins(path, raw["begins"], tables)
+    air, air_supply = _address_air(path, raw.get("address"))
     return Profile(
         name=raw["name"],
         text=raw["text"],
@@ -163,6 +174,8 @@ def load_profile(path: Path) -> Profile:
         impact_time=raw["impact_time_s"],
         delivery={k: float(v) for k, v in raw["delivery"].items()},
         limits={k: float(v) for k, v in raw["limits"].items()},
+        air=air,
+        air_supply=air_supply,
     )
 
 
@@ -171,9 +184,10 @@ def _check_keys(
 ) -> None:
     scalars = _SCALARS | beside
     known = {*scalars, *_LISTS, *tables, *_GROUPS}
-    for key in sorted(set(raw) - known):
-        cure = did_you_mean(key, known, _CURE)
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", cure)
+    allowed = known | {"address"}
+    for key in sorted(set(raw) - allowed):
+        cure = did_you_mean(key, allowed, _CURE)
+        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", cure)
     for key in sorted(known - set(raw)):
         raise BenchError(f"{path}: {key}", "nothing", "this key", _CURE)
     for key, (kind, text) in scalars.items():
@@ -190,6 +204,30 @@ def _check_keys(
             type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
         ):
             raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _CURE)
+
+
+def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
+    """Return the planned pressures of the chambers and their supply's (Pa); empty and 0 without a `table`."""
+    if table is None:
+        return (), 0.0
+    if not isinstance(table, dict) or table.keys() != _ADDRESS.keys():
+        expected = f"a table of {' and '.join(_ADDRESS)}"
+        raise BenchError(f"{path}: address", format_value(table), expected, _CURE_ADDRESS)
+    low, high = _PRESSURES
+    for key, number in _ADDRESS.items():
+        values = table[key] if isinstance(table[key], list) else [table[key]]
+        good = (
+            len(values) == number and _only_numbers(values) and isinstance(table[key], list) == (number > 1)
+        )
+        if not good or not all(low <= value <= high for value in values):
+            expected = f"{number} pressure{'s' * (number > 1)} from {low:g} to {high:g} Pa absolute"
+            raise BenchError(f"{path}: address.{key}", format_value(table[key]), expected, _CURE_ADDRESS)
+    supply = float(table["supply_pressure_pa"])
+    air = tuple(map(float, table["chamber_pressures_pa"]))
+    if max(air) >= supply:
+        expected = f"less than the supply's {supply:g} Pa: no swung spool leads to more"
+        raise BenchError(f"{path}: address.chamber_pressures_pa", f"{max(air):g}", expected, _CURE_ADDRESS)
+    return air, supply
 
 
 def _array(path: Path, key: str, value: Any, dimensions: int) -> Array:
@@ -333,6 +371,12 @@ def _tail(profile: Profile) -> Iterator[str]:
     for name, values in (("delivery", profile.delivery), ("limits", profile.limits)):
         yield f"\n[{name}]"
         yield from (f"{key} = {value!r}" for key, value in values.items())
+    if profile.air:
+        yield "\n# Pressures to which the chambers are brought before a swing, Pa absolute, with that supply:"
+        yield "# shoulder A and B, right arm A and B, wrist A and B."
+        yield "[address]"
+        yield f"supply_pressure_pa = {profile.air_supply!r}"
+        yield f"chamber_pressures_pa = {list(profile.air)!r}"
 
 
 def _rows(array: Array, digits: int) -> Iterator[str]:

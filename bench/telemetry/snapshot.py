@@ -71,6 +71,13 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "lock_agreed",
             "lock_wrong",
             "index_wrong",
+            "air_held",
+            "air_swung",
+            "air_trim",
+            "air_good",
+            "air_since",
+            "air_ready",
+            "low_head",
         }
     )
 }

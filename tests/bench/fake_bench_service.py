@@ -54,6 +54,8 @@ class FakeDesk:
         """Requests that are still refused because a joint moves."""
         self.vents = 0
         """Requests to arm or home that are still refused because a chamber shows pressure."""
+        self.fills = 0
+        """Requests to swing that are still refused because the chambers are not as planned."""
         self.armed_phase = "HOLD"
         """"RETURN" while the robot is on its way to the address."""
         self._began = time.monotonic()
@@ -71,6 +73,9 @@ class FakeDesk:
         if self.vents and request in (Request.HOME, Request.ARM):
             self.vents -= 1
             return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.NOT_VENTED])
+        if self.fills and request is Request.SWING:
+            self.fills -= 1
+            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.AIR])
         self.state = NEXT[request]
         return Reply(True, self.state.name, "")
 

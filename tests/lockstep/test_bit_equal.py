@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.control.feed_forward import FeedForward
+from bench.control.planned_air import with_planned_air
 from bench.control.settings import ControlSettings
-from bench.lifecycle import Cause, Phase, Reaction, Request
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request
 from bench.swing.profile import Profile
 from sim.plant import Encoders, PlantParameters
 
@@ -86,6 +87,24 @@ def test_feed_forward_by_the_model(
     armed(pair)
     swung(pair, default_profile.impact_time + 0.05)
     finished(pair)
+
+
+@compiled_only
+@pytest.mark.parametrize("sensors", [True, False], ids=["sensors", "observer"])
+def test_planned_air_at_the_address(make_pair: MakePair, default_profile: Profile, sensors: bool) -> None:
+    plant = PlantParameters(encoders=NOISY, pressure_sensors=sensors)
+    pair = make_pair(plant, with_planned_air(default_profile, plant))
+    armed(pair)
+    control = pair.python.state.control
+    assert pair.advance(1, Request.SWING)["refusal"][0] == Refusal.AIR
+    for _ in range(2000):
+        if control["air_ready"][0] and pair.advance(1, Request.SWING)["answer"][0] == Answer.ACCEPTED:
+            break
+        pair.advance(10)
+    assert control["swinging"][0]
+    pair.advance(round(1000 * default_profile.impact_time) + 50)
+    finished(pair)
+    assert control["cause"][0] == Cause.NONE
 
 
 @compiled_only

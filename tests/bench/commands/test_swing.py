@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from bench.cli import main
@@ -16,7 +17,7 @@ from bench.design.designer import DesignFailed
 from bench.errors import BenchError, ExitCode
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
-from bench.swing.profile import Profile, load_profile, save_profile
+from bench.swing.profile import Profile, as_written, load_profile, save_profile
 
 
 class Answer(NamedTuple):
@@ -229,3 +230,24 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
     answer = run("--config", "mine.toml", "swing", "design", "--highest")
     assert answer.code == ExitCode.BAD_INPUT
     assert "no way" in answer.err
+
+
+def test_planned_pressures_are_written_with_the_profile(
+    run: Run, tmp_path: Path, slow_swing: Profile
+) -> None:
+    answer = run("swing", "address", "slow", "--output", "planned.toml")
+    assert answer.code == 0
+    assert "chambers at" in answer.out
+    planned = load_profile(tmp_path / "planned.toml")
+    assert planned.air_supply == 8e5
+    assert np.all((np.array(planned.air) > 4e5) & (np.array(planned.air) < 7.5e5))
+    assert planned.angle.tobytes() == as_written(slow_swing).angle.tobytes()
+
+
+def test_an_address_that_no_air_holds_is_refused(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "heavy.toml").write_text(
+        'base = "shipped"\n[clubs.driver]\nlike = "driver"\nhead_mass = 300.0\n'
+    )
+    answer = run("--config", "heavy.toml", "swing", "address", "slow", "--output", "planned.toml")
+    assert answer.code != 0
+    assert not (tmp_path / "planned.toml").exists()

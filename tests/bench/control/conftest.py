@@ -22,7 +22,8 @@ def _plain(function: Callable[..., Any]) -> Callable[..., Any]:
         for name, value in source.__globals__.items()
         if name in source.__code__.co_names and hasattr(value, "py_func")
     }
-    return types.FunctionType(source.__code__, source.__globals__ | callees, source.__name__)
+    names = source.__globals__ | callees
+    return types.FunctionType(source.__code__, names, source.__name__, source.__defaults__)
 
 
 @pytest.fixture(scope="session")

@@ -90,6 +90,25 @@ def test_arming_waits_for_chambers_that_vent(running: RunningPlane, bench: Bench
     assert len(running.desk.requests) == 6
 
 
+def test_a_swing_waits_for_its_air(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state, running.desk.fills = State.ARMED, 3
+    assert bench.swing().accepted
+    assert running.desk.requests == [Request.SWING] * 4
+
+
+def test_air_that_never_comes_is_refused_in_words(
+    running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.network.client.LONGEST_AIR", 0.2)
+    bench.take_lease("Ann")
+    running.desk.state, running.desk.fills = State.ARMED, 1000
+    with pytest.raises(CommandRefused) as caught:
+        bench.swing()
+    assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
+    assert caught.value.cure == "Wait, then ask again."
+
+
 def test_homing_does_not_wait_for_chambers(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.desk.state, running.desk.vents = State.SAFE, 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from hashlib import sha256
 from io import BytesIO
@@ -17,6 +18,7 @@ from pyarrow import parquet as pq
 
 from bench.errors import BenchError
 from bench.lifecycle import Phase
+from bench.swing.correction import digest_of
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, profile_text, save_profile
 from bench.swing.profile_table import decode_table, encode_table
@@ -185,6 +187,65 @@ def test_phases_begin_where_they_say(short: Profile) -> None:
         Phase.FOLLOW_THROUGH,
     ]
     assert list(short.phases) == [short.phase_of(k) for k in range(len(short.angle))]
+
+
+AIR = (6.1e5, 5.9e5, 5.6e5, 6.4e5, 5.5e5, 6.5e5)
+
+
+@pytest.mark.parametrize("save", [save_profile, lambda path, profile: path.write_text(profile_text(profile))])
+def test_planned_pressures_come_back(
+    save: Callable[[Path, Profile], object], short: Profile, tmp_path: Path
+) -> None:
+    planned = replace(short, air=AIR, air_supply=8e5)
+    save(tmp_path / "air.toml", planned)
+    found = load_profile(tmp_path / "air.toml")
+    assert (found.air, found.air_supply) == (AIR, 8e5)
+    assert digest_of(found) == digest_of(as_written(planned)) != digest_of(as_written(short))
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_a_profile_without_planned_pressures_has_none(name: str) -> None:
+    assert load_profile(find_profile(name)).air == ()
+
+
+GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR)}"}
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "expected"),
+    [
+        ({"supply_pressure_pa": None}, "address", "chamber_pressures_pa"),
+        ({"other": "1.0"}, "address", "chamber_pressures_pa"),
+        ({"supply_pressure_pa": '"8 bar"'}, "address.supply_pressure_pa", "1 pressure from"),
+        ({"supply_pressure_pa": "nan"}, "address.supply_pressure_pa", "1 pressure from"),
+        ({"supply_pressure_pa": "[8e5]"}, "address.supply_pressure_pa", "1 pressure from"),
+        ({"supply_pressure_pa": "8.0"}, "address.supply_pressure_pa", "1 pressure from"),
+        ({"supply_pressure_pa": "6e5"}, "address.chamber_pressures_pa", "less than the supply's"),
+        ({"chamber_pressures_pa": "5.9e5"}, "address.chamber_pressures_pa", "6 pressures from"),
+        ({"chamber_pressures_pa": "[5.9e5]"}, "address.chamber_pressures_pa", "6 pressures from"),
+        (
+            {"chamber_pressures_pa": "[1e5, 2e5, 3e5, 4e5, 5e5, inf]"},
+            "address.chamber_pressures_pa",
+            "6 pressures",
+        ),
+        (
+            {"chamber_pressures_pa": "[1e5, 2e5, 3e5, 4e5, 5e5, true]"},
+            "address.chamber_pressures_pa",
+            "6 pressures",
+        ),
+    ],
+)
+def test_bad_planned_pressures_are_refused(
+    change: dict[str, str | None], place: str, expected: str, one_file: Path
+) -> None:
+    table = "\n".join(
+        f"{key} = {value}" for key, value in (GOOD_ADDRESS | change).items() if value is not None
+    )
+    one_file.write_text(f"{one_file.read_text()}\n[address]\n{table}\n")
+    with pytest.raises(BenchError) as raised:
+        load_profile(one_file)
+    assert raised.value.place == f"{one_file}: {place}"
+    assert expected in raised.value.expected
 
 
 ROW = r"angle_rad = \[\n  \[[^\]]*\]"

@@ -1,0 +1,188 @@
+"""The air at the address: brought to the pressures that the profile plans, before a swing may begin.
+
+With its spool centred a chamber keeps what came into it, and dry friction holds the joint wherever its air
+leaves it: neither sum nor difference of an actuator's pressures follows from its pose. A closed-centre spool
+moves air in both chambers, with two handles:
+
+sum         swung around its centre, the spool lets as much air into each chamber as out of it, and both go to
+            where inflow and outflow are equal: about three quarters of the supply. The longer it is swung,
+            the less is left of what was there. That is why the planned pressures lie on this balance
+            (`bench.control.planned_air`); leakage past the centred spool leads nearly there, too.
+difference  an offset of the swing fills one chamber and empties the other.
+
+A joint is first brought into its band around the address by its PID, the spool swung, so that neither dead
+band nor friction keeps it away. From then on its valve serves the air: friction holds the joint as long as
+the planned force is near its load. Once both chambers are as planned the spool rests at its centre.
+
+The pressures are those of `bench.control.air`: sensors, or the observer where none are fitted. Planned
+pressures are in proportion to the supply.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.control.air import actuator_force, actuator_motion, load_force
+from bench.control.feed_forward import force_rates
+from bench.control.references import square_wave
+from bench.lifecycle import Cause, Phase
+from drivers.base.compiled import compiled
+
+_PERIOD = 0.012
+"""s between two changes of side that lead the same way."""
+_BAND = 2.0
+"""Times the band around the address that a joint may leave it while its valve serves the air."""
+_NEARER = 0.5
+"""Share of the tolerance within which a swung spool comes to rest."""
+_RATE = 6.0
+"""Rate at which a missing difference is made up for, 1/s."""
+_CHARGING_RATE = 30.0
+"""The same while charging, 1/s."""
+_TRIM_RATE = 1.0
+"""Rate at which the offset that keeps the difference is learned, 1/s."""
+_MAX_TRIM = 0.1
+"""Opening; a spool farther off its centre is out of order."""
+_SETTLING = 0.1
+"""s for which pressures must be as planned with all spools at rest."""
+_OFFSET = 0.8
+"""Share of the swing to either side that an offset may take: the rest goes on moving the sum."""
+
+
+@compiled
+def leave_address_air(s: Any, time: float) -> None:
+    """Forget what was brought about at the address; the next hold begins from what it finds."""
+    for i in range(3):
+        s.air_held[i] = s.air_swung[i] = 0
+    s.air_ready, s.air_good, s.air_since = False, time, time
+
+
+@compiled
+def planned_pressure(profile: Any, air: Any, chamber: int) -> float:
+    """Return the planned pressure (Pa) of `chamber` (0 to 5) at the supply's present pressure."""
+    pressure: float = profile.air[chamber] * air.pressure[12] / profile.air_supply
+    return pressure
+
+
+@compiled
+def worst_chamber(profile: Any, air: Any) -> tuple[int, float]:
+    """Return the chamber (0 to 5) whose pressure is farthest from the planned one, and by how much (Pa)."""
+    worst, most = 0, 0.0
+    for k in range(6):
+        away = abs(air.pressure[6 + k] - planned_pressure(profile, air, k))
+        if not away <= most:  # NaN, too
+            worst, most = k, away
+    return worst, most
+
+
+@compiled
+def _missing(profile: Any, air: Any, i: int) -> float:
+    """Return the larger deviation (Pa) of the two chambers of actuator `i`."""
+    a = abs(air.pressure[6 + 2 * i] - planned_pressure(profile, air, 2 * i))
+    b = abs(air.pressure[7 + 2 * i] - planned_pressure(profile, air, 2 * i + 1))
+    return float(max(a, b))
+
+
+@compiled
+def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
+    """Return the force (N, shoulder N m) of actuator `i` at the planned pressures."""
+    in_a = planned_pressure(profile, air, 2 * i) - plant.atmosphere
+    in_b = planned_pressure(profile, air, 2 * i + 1) - plant.atmosphere
+    force: float = in_a * plant.area_a[i] - in_b * plant.area_b[i]
+    return force
+
+
+@compiled
+def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float) -> float:
+    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s."""
+    e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
+    position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
+    _, up, down = force_rates(plant, i, air.pressure, position, 0.0)
+    slope = 0.5 * (up - down)
+    offset = rate * missing / slope if slope > 0.0 else 0.0
+    return float(offset) if np.isfinite(offset) else 0.0
+
+
+@compiled
+def bring_air(state: Any, parameters: Any, time: float) -> None:
+    """Set the desired openings (3,) of the hold: the PID's to the address, then those for the air.
+
+    `desired` holds the PID's openings.
+    """
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
+    side, settled = square_wave((time - s.air_since) / _PERIOD), True
+    for i in range(3):
+        away = abs(parameters.angle[0, i] - e.angle[i])
+        if s.air_held[i] == 0 and away <= p.rest_band[i] and abs(e.velocity[i]) <= p.still_speed[i]:
+            s.air_held[i] = 1
+        elif not away <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
+            s.air_held[i] = 0
+        missing = _missing(profile, air, i)
+        if not missing <= p.air_tolerance or s.air_held[i] == 0:
+            s.air_swung[i] = 1
+        elif missing <= _NEARER * p.air_tolerance:
+            s.air_swung[i] = 0
+        settled = settled and s.air_held[i] != 0 and s.air_swung[i] == 0
+        if s.air_held[i] == 0:
+            s.desired[i] += side * profile.air_width[i]
+            continue
+        # The swing begins as if nothing had been before it.
+        state.pid[0].integral[i] = 0.0
+        s.desired[i] = s.air_trim[i]
+        if s.air_swung[i] != 0:
+            force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
+            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
+            offset = _offset_for(state, parameters, i, force, _RATE)
+            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
+            trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * min(max(offset, -most), most)
+            s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
+    if not settled:
+        s.air_good = time
+    s.air_ready = time - s.air_good >= _SETTLING
+    if s.air_ready:
+        s.air_since = time
+
+
+@compiled
+def charge(state: Any, parameters: Any, time: float) -> None:
+    """Add the openings (3,) that charge the chambers, and bring the joints' forces to their loads meanwhile.
+
+    The chambers of an actuator are unequal: filled alike, the smaller one would push the joint away until the
+    other has as much. And a vented robot rests by friction alone: near the ground it would slide onto it.
+    """
+    s, air, plant, profile = state.control[0], state.air[0], parameters.plant[0], parameters.profile[0]
+    side = square_wave((time - s.move_start) / _PERIOD)
+    for i in range(3):
+        s.air_trim[i] = 0.0
+        if time >= s.air_from:
+            load = load_force(parameters.robot, plant, state.estimator[0].angle, i)
+            missing = load - actuator_force(plant, air.pressure, i)
+            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
+            offset = _offset_for(state, parameters, i, missing, _CHARGING_RATE)
+            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
+
+
+@compiled
+def loosen(s: Any, profile: Any, time: float) -> None:
+    """Swing the spools of a slow move, so that dead band and friction hold no joint behind the others.
+
+    Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
+    """
+    side = square_wave((time - s.move_start) / _PERIOD)
+    for i in range(3):
+        s.desired[i] += side * profile.air_width[i]
+
+
+@compiled
+def address_air_cause(state: Any, parameters: Any, time: float) -> int:
+    """Return the cause that names the chamber whose air is not as planned in time, or 0."""
+    s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
+    holding = s.phase == Phase.HOLD and not s.swinging
+    if not (profile.air_planned and holding and time - s.air_since > p.air_timeout):
+        return 0
+    chamber, away = worst_chamber(profile, state.air[0])
+    if away <= p.air_tolerance:
+        return Cause.ADDRESS_TIMEOUT.value  # a joint never came into its band
+    return int(Cause.SHOULDER_A_AIR + chamber)

@@ -1,0 +1,32 @@
+"""A head that rests nearer to the ground than the robot may move: it may be lifted, but not come nearer.
+
+A vented robot sinks until friction, or the ground, holds it. Otherwise it could not be armed from there.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bench.control.envelope import clearance_needed
+from bench.lifecycle import Phase, State
+from drivers.base.compiled import compiled
+
+_SLACK = 0.001
+"""m by which it may sink while the air comes in."""
+
+
+@compiled
+def watch_low_head(s: Any, envelope: Any, time: float) -> float:
+    """Return by how much (m) less than the clearance is enough in this tick, from where the head rested.
+
+    Only on the way to the address after arming, and never again what the head has risen by since the air.
+    """
+    p = envelope[0]
+    if not (s.state == State.ARMED and s.phase == Phase.RETURN):
+        s.low_head = 0.0
+        return 0.0
+    height = s.head[1] - p.sole_depth - p.ground
+    missing = max(clearance_needed(p, s.head[0]) - height + _SLACK, 0.0)
+    if time <= s.air_from or missing < s.low_head:
+        s.low_head = missing
+    return float(s.low_head)

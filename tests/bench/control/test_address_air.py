@@ -1,0 +1,269 @@
+"""Air at the address: planned where a swung spool leads, brought there, waited for, named when it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.air import load_force
+from bench.control.demand import actuator_forces
+from bench.control.planned_air import planned_air, swing_widths, with_planned_air
+from bench.control.settings import SIMULATED, build_controller
+from bench.lifecycle import Cause, Phase, Refusal, Request, State
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.variation import WORN
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.driver import hanging_pose
+from sim.plant import PlantParameters, build_plant
+from sim.pneumatics import flow
+from tests.bench.control.puppet import STILL, Puppet
+
+Array = np.ndarray[Any, Any]
+
+PLANT = PlantParameters()
+TOLERANCE = SIMULATED.air_tolerance
+LOOKED_AT = 1.02 * TOLERANCE
+"""Pa, where the engine looks every ten ticks only: chambers leak."""
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="seconds of holding take minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return with_planned_air(load_profile(find_profile("default")), PLANT)
+
+
+def bench_on(profile: Profile, plant: PlantParameters = PLANT, angle: Array | None = None) -> LockstepEngine:
+    """Return a bench that believes in PLANT and stands vented at `angle`, by default hanging."""
+    start = hanging_pose(plant) if angle is None else angle
+    bench = LockstepEngine(Lockstep(build_plant(plant), build_controller(PLANT, profile), start))
+    bench.advance(200)
+    return bench
+
+
+def deviation(bench: LockstepEngine, profile: Profile) -> Array:
+    """Return what the true chambers (6,) deviate from the planned ones, Pa."""
+    state = bench.plant_state[0]
+    return np.asarray(
+        state["pressure"] - np.array(profile.air) * state["supply_pressure"] / profile.air_supply
+    )
+
+
+# What is planned --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.0, 1.1])
+def test_planned_pressures_hold_the_load_and_stay(factor: float, profile: Profile) -> None:
+    plant = replace(PLANT, supply=replace(PLANT.supply, pressure=factor * PLANT.supply.pressure))
+    planned, rest = planned_air(plant, profile.angle[0]), np.zeros((1, 3))
+    load = actuator_forces(plant, profile.angle[:1], rest, rest)[0]
+    for i, actuator in enumerate(plant.actuators):
+        a, b = planned[2 * i : 2 * i + 2]
+        atmosphere = plant.supply.atmosphere
+        force = (a - atmosphere) * actuator.area_a - (b - atmosphere) * actuator.area_b
+        assert force == pytest.approx(load[i], abs=0.1)
+        # Filled for the same shares of the time, neither chamber changes.
+        valve, supply = actuator.valve, plant.supply.pressure
+
+        def share(pressure: float, valve: Any = valve, supply: float = supply) -> float:
+            into = flow(valve.conductance, supply, pressure, valve.critical_ratio)
+            out = flow(valve.conductance, pressure, PLANT.supply.atmosphere, valve.critical_ratio)
+            return out / (into + out)
+
+        assert share(a) + share(b) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_load_in_the_tick_is_that_of_the_plan(profile: Profile) -> None:
+    rest = np.zeros((1, 3))
+    load = actuator_forces(PLANT, profile.angle[:1], rest, rest)[0]
+    machine = build_plant(PLANT).plant
+    for i in range(3):
+        assert load_force(PLANT.robot.record, machine[0], profile.angle[0], i) == pytest.approx(load[i])
+
+
+def test_a_load_that_no_air_holds_is_refused(profile: Profile) -> None:
+    heavy = replace(PLANT, robot=replace(PLANT.robot, club=replace(PLANT.robot.club, head_mass=300.0)))
+    with pytest.raises(ValueError, match="cannot hold"):
+        planned_air(heavy, profile.angle[0])
+
+
+def test_spools_are_swung_beyond_their_dead_band(profile: Profile) -> None:
+    widths = swing_widths(PLANT, build_plant(PLANT).plant, profile.angle[0])
+    assert np.all(widths > [actuator.valve.dead_band for actuator in PLANT.actuators])
+    assert np.all(widths <= 0.4)
+    assert widths[0] > 2.0 * widths[2]  # the vane's chambers are the largest
+
+
+# How it is brought ------------------------------------------------------------------------------------
+
+
+@compiled_only
+@pytest.mark.parametrize(
+    "plant",
+    [PLANT, replace(PLANT, pressure_sensors=False), WORN.applied_to(PLANT)],
+    ids=["sensors", "observer", "worn"],
+)
+def test_armed_the_chambers_come_to_the_plan_and_a_swing_waits_for_them(
+    plant: PlantParameters, profile: Profile
+) -> None:
+    bench = bench_on(profile, plant)
+    bench.arm()
+    assert not bench.request(Request.SWING)
+    assert bench.control["refusal"][0] == Refusal.AIR
+    assert bench.await_air()
+    slack = 1.0 if plant.pressure_sensors else 2.0
+    assert np.abs(deviation(bench, profile)).max() < slack * LOOKED_AT
+    assert np.all(bench.stepper.state.pid["integral"][0] == 0.0)
+    assert np.abs(bench.control["desired"][0]).max() < 0.02  # all spools rest
+    assert np.all(np.abs(bench.plant_state["speed"][0]) < 1e-3)
+    assert bench.request(Request.SWING)
+    bench.advance(1)
+    assert bench.control["state"][0] == State.SWINGING
+    assert not bench.control["air_ready"][0]
+
+
+@compiled_only
+@pytest.mark.parametrize("chamber", range(6))
+@pytest.mark.parametrize("change", [-0.5e5, 0.5e5])
+def test_whatever_was_there_is_brought_to_the_plan(profile: Profile, chamber: int, change: float) -> None:
+    bench = bench_on(profile)
+    bench.arm()
+    bench.advance(1000)
+    bench.plant_state["pressure"][0, chamber] += change
+    bench.advance(20)
+    assert bench.await_air()
+    assert np.abs(deviation(bench, profile)).max() < LOOKED_AT
+
+
+@compiled_only
+def test_a_minute_at_the_address_changes_nothing(profile: Profile) -> None:
+    bench = bench_on(profile)
+    bench.arm()
+    assert bench.await_air()
+    worst = 0.0
+    for _ in range(600):
+        bench.advance(100)
+        worst = max(worst, float(np.abs(deviation(bench, profile)).max()))
+    assert bench.cause is Cause.NONE
+    assert bench.phase is Phase.HOLD
+    assert worst < 3.0 * TOLERANCE
+    assert bench.await_air()
+    assert np.abs(deviation(bench, profile)).max() < LOOKED_AT
+
+
+@compiled_only
+def test_a_swing_begins_after_waiting_without_being_asked_more_often(profile: Profile) -> None:
+    bench = bench_on(profile)
+    bench.arm()
+    assert bench.start_swing(1, 10)
+
+
+@compiled_only
+def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) -> None:
+    low = np.array([-0.012, 4.404, 6.271])
+    bench = bench_on(profile, angle=low)
+    height = float(bench.control["head"][0, 1])
+    bench.request(Request.ARM)
+    lowest = height
+    while bench.control["time"][0] < bench.control["move_start"][0]:
+        bench.advance(20)
+        lowest = min(lowest, float(bench.control["head"][0, 1]))
+    assert height - lowest < 0.002
+    assert bench.run_until(bench.holding, 10.0)
+
+
+@compiled_only
+@pytest.mark.parametrize("shoulder", [0.107, 0.208])
+def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> None:
+    low = np.array([shoulder, 4.404, 6.275])
+    bench = bench_on(profile, angle=low)
+    bench.begin_tally()
+    bench.advance(1)
+    clearance = bench.loads().lowest_clearance
+    bench.arm()
+    assert bench.cause is Cause.NONE
+    assert bench.control["low_head"][0] == 0.0
+    assert bench.loads().lowest_clearance > clearance - 0.001
+
+
+@compiled_only
+def test_a_head_that_lies_low_may_not_come_nearer_to_the_ground(profile: Profile) -> None:
+    bench = bench_on(profile, angle=np.array([0.107, 4.404, 6.275]))
+    bench.request(Request.ARM)
+    bench.advance(1000)
+    assert not bench.control["cause"][0]
+    for _ in range(15):  # as if something pushed it down
+        bench.plant_state["angle"][0, 0] += 2e-3
+        bench.advance(1)
+    assert bench.cause is Cause.GROUND
+
+
+# What comes of it when it fails -----------------------------------------------------------------------
+
+
+@compiled_only
+@pytest.mark.parametrize("chamber", range(6))
+def test_a_time_out_names_the_chamber(profile: Profile, chamber: int) -> None:
+    air = list(profile.air)
+    air[chamber] -= 1.0e5  # no spool that swings leads there
+    bench = bench_on(replace(profile, air=tuple(air)))
+    bench.stepper.parameters.control["air_timeout"] = 2.0
+    bench.arm()
+    assert not bench.await_air()
+    assert bench.cause in (
+        Cause.SHOULDER_A_AIR + 2 * (chamber // 2),
+        Cause.SHOULDER_B_AIR + 2 * (chamber // 2),
+    )
+    assert bench.phase is not Phase.HOLD
+
+
+def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
+    puppet = Puppet(replace(STILL, air=(1.0132e5,) * 6, air_supply=8e5))
+    puppet.hold()
+    puppet.parameters.control["air_timeout"] = 0.05
+    puppet.parameters.control["air_tolerance"] = 1e6
+    puppet.parameters.control["rest_band"] = 0.0
+    puppet.parameters.control["address_tolerance"] = 1.0
+    puppet.follows = False
+    puppet.give(air_held=0)
+    puppet.offset[:] = 1e-3
+    puppet.run(100)
+    assert puppet.cause is Cause.ADDRESS_TIMEOUT
+
+
+def test_without_planned_air_nothing_of_it_happens() -> None:
+    puppet = Puppet().hold()
+    for name in ("air_held", "air_swung", "air_trim", "air_good", "air_since", "air_ready"):
+        assert not np.any(puppet.control[name]), name
+    assert not puppet.state.air["started"][0]
+    puppet.tick(Request.SWING)
+    assert puppet.bench is State.SWINGING
+
+
+Spoil = Callable[[Puppet], None]
+
+
+def spoil_pressures(puppet: Puppet) -> None:
+    puppet.state.air["pressure"] = np.nan
+
+
+def spoil_supply(puppet: Puppet) -> None:
+    puppet.give(supply_pressure=np.nan)
+
+
+@pytest.mark.parametrize("spoil", [spoil_pressures, spoil_supply])
+def test_values_that_are_no_numbers_move_no_valve_beyond_its_swing(spoil: Spoil) -> None:
+    puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
+    spoil(puppet)
+    openings = puppet.run(50)
+    assert np.all(np.isfinite(openings))
+    assert np.abs(openings).max() < 0.5
+    assert puppet.tick(Request.SWING) != 1 or spoil is spoil_supply
