@@ -43,6 +43,7 @@ LONG = (
     "healthy_swings",
     "during_stops",
     "homing_offsets",
+    "air_at_address",
     "stuck_valves",
     "canopen_reactions",
     "canopen_bus",

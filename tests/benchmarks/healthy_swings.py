@@ -52,9 +52,11 @@ def swing(plant: PlantParameters, parameters: ControlParameters, profile: Profil
     control = bench.state.control
     bench.advance(200)
     with suppress(Refused):
-        LockstepEngine(bench).arm()
+        engine = LockstepEngine(bench)
+        engine.arm()
         control["tee"] = ball
         bench.advance(400)
+        engine.await_air()
         bench.advance(len(profile.angle), Request.SWING)
         for _ in range(_LONGEST_RETURN // _CHUNK):
             if control["cause"][0] or control["phase"][0] == Phase.HOLD:
