@@ -86,6 +86,8 @@ class UnitErrors(NamedTuple):
     """(units, units): covariance of the sums of residuals of all units; of many units empty."""
     level: Codes
     """Level of each unit."""
+    pooled: bool
+    """Whether all levels have one variance."""
 
     @property
     def covariance(self) -> Array:
@@ -243,6 +245,7 @@ class UnitLayout:
             self._spread_of(sums),
             sums if few else np.zeros((0, 0)),
             self._units.level,
+            self._pooled,
         )
 
     def _sums(self, ratio: float, variances: Array) -> Array:
@@ -341,7 +344,8 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
         squares = _squares(errors, unit, drawn[:, width:])
     first, second = np.array(pairs).T
     weights = np.array([errors.weights(one, two) for one, two in pairs])
-    least = (_LEAST / unit * (weights @ errors.assumed)).astype(np.float32)
+    share = 0.0 if errors.pooled else _LEAST  # a pooled variance is what it assumes: it has no bound
+    least = (share / unit * (weights @ errors.assumed)).astype(np.float32)
     variances = np.maximum(squares @ (weights @ errors.inverse).T.astype(np.float32), least)
     freedom = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])
     differences = (means[:, first] - means[:, second]) * np.float32(sqrt(unit))
