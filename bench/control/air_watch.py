@@ -57,6 +57,10 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
         if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
             s.sensor_seen[k], s.sensor_shown[k] = 1, pressure
             s.sensor_doubt[k] = max(s.sensor_doubt[k] - RECOVERY * passed, 0.0)
+            if s.phase != Phase.STANDING:
+                s.sensor_emptied[k] = pressure > p.vented_pressure
+            elif pressure > p.vented_pressure:
+                s.sensor_emptied[k] = 1
         elif s.sensor_seen[k] != 0 or not np.isnan(pressure):
             s.sensor_doubt[k] = min(s.sensor_doubt[k] + passed, DEAD_AFTER)
         if s.sensor_doubt[k] >= DEAD_AFTER:
@@ -132,18 +136,20 @@ def manifold_shows_pressure(s: Any, p: Any) -> bool:
 def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     """Return whether manifold and chambers that show no pressure are proven empty.
 
-    Chambers by a sensor in each. For a dead one, by a vent that reports open and the longest time; without
+    Chambers by a sensor in each that was seen to fall since they began to vent. One that showed no pressure
+    even then may be stuck: by the time for venting, too. For a dead one, by a vent that reports open and the longest time; without
     that feedback it may as well be full. Without sensors, by a vent that reports open and the time for
     venting; without feedback by that time alone. A manifold with a dead sensor is proven by nothing. A doubt
     refuses access, and does not end it.
     """
-    whole, dead = True, False
+    whole, dead, fell = True, False, True
     for k in range(SENSORS):
         if s.sensor_dead[k] == 0 and s.sensor_doubt[k] > 0.0 and s.state != State.ACCESS:
             return False
         if k > 0:
             dead = dead or s.sensor_dead[k] != 0
             whole = whole and s.sensor_seen[k] != 0
+            fell = fell and s.sensor_emptied[k] != 0
     fitted = s.vent_fitted[0] != 0 or s.vent_fitted[1] != 0
     opened = readings[0].vent_open[0] == 1.0 or readings[0].vent_open[1] == 1.0
     passed = time - s.vent_start
@@ -152,5 +158,5 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     if dead:
         return bool(opened and passed >= p.vent_time + p.vented_blind)
     if whole:
-        return True
+        return bool(fell or passed >= p.vent_time)
     return bool(passed >= p.vent_time and (opened or not fitted))

@@ -165,6 +165,7 @@ CONTROL_STATE = np.dtype(
         ("unseen", "u1", (3,)),
         ("sensor_seen", "u1", (7,)),
         ("sensor_shown", "f8", (7,)),
+        ("sensor_emptied", "u1", (7,)),
         ("sensor_doubt", "f8", (7,)),
         ("sensor_dead", "u1", (7,)),
         ("vent_fitted", "u1", (2,)),
@@ -297,6 +298,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
     control["device_operational"] = True
+    control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
     for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since"):
         control[name] = -np.inf
     return made

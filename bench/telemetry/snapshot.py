@@ -53,6 +53,7 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "entered",
             "sensor_seen",
             "sensor_shown",
+            "sensor_emptied",
             "sensor_doubt",
             "sensor_dead",
             "vent_fitted",

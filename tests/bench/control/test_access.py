@@ -118,3 +118,24 @@ def test_an_armed_bench_is_not_judged_by_its_manifold() -> None:
     puppet = reach(State.ARMED)
     puppet.run(50)
     assert (puppet.bench, puppet.phase, puppet.cause) == (State.ARMED, Phase.HOLD, Cause.NONE)
+
+
+def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time() -> None:
+    puppet = reach(State.ARMED, vent_time=5.0)
+    full, empty = (5.0e5,) * 6, (ATMOSPHERE,) * 6
+    puppet.give(chamber_pressure=(ATMOSPHERE, *full[1:])).run(20)  # the first one sticks
+    puppet.tick(Request.DISARM)
+    puppet.run(200)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=empty).run(4000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(1000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
+    puppet = reach(State.ARMED, vent_time=5.0)
+    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(200)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(3000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
