@@ -36,6 +36,8 @@ RECOVERY = 0.25
 """s of doubt that a second of believable values takes away: one value in five may be missing for ever."""
 SWITCHING = 0.5
 """s that a vent may take to follow its command, beside its delay."""
+MAX_FALL = 1.0e5
+"""Pa by which a sensor may fall from one tick to the next while the chambers vent: more is a jump."""
 _LONGEST = 0.02
 """s that one tick adds to a doubt at most: a stalled loop has read nothing."""
 
@@ -55,10 +57,13 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
     for k in range(SENSORS):
         pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
         if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
+            fell = s.sensor_seen[k] != 0 and s.sensor_shown[k] - pressure > MAX_FALL
             s.sensor_seen[k], s.sensor_shown[k] = 1, pressure
             s.sensor_doubt[k] = max(s.sensor_doubt[k] - RECOVERY * passed, 0.0)
             if s.phase != Phase.STANDING:
                 s.sensor_emptied[k] = pressure > p.vented_pressure
+            elif fell:
+                s.sensor_emptied[k] = 0
             elif pressure > p.vented_pressure:
                 s.sensor_emptied[k] = 1
         elif s.sensor_seen[k] != 0 or not np.isnan(pressure):
@@ -137,10 +142,10 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     """Return whether manifold and chambers that show no pressure are proven empty.
 
     Chambers by a sensor in each that was seen to fall since they began to vent. One that showed no pressure
-    even then may be stuck: by the time for venting, too. For a dead one, by a vent that reports open and the longest time; without
-    that feedback it may as well be full. Without sensors, by a vent that reports open and the time for
-    venting; without feedback by that time alone. A manifold with a dead sensor is proven by nothing. A doubt
-    refuses access, and does not end it.
+    even then, or jumped, may be stuck: by the time for venting, too. For a dead one, by a vent that reports
+    open and the longest time; without that feedback it may as well be full. Without sensors, by a vent that
+    reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
+    is proven by nothing. A doubt refuses access, and does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):

@@ -122,6 +122,17 @@ def _not_at_address(s: Any, parameters: Any, estimator: Any) -> int:
 
 
 @compiled
+def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
+    if interlock_cause(readings) == Cause.EMERGENCY_STOP:
+        return Refusal.EMERGENCY_STOP.value
+    if s.supply_unproven:
+        return Refusal.SENSOR.value
+    # A robot at power-up may still sink: nobody has seen it rest yet.
+    rested = s.vented and time - s.vent_start >= p.vented_still
+    return Refusal.NONE.value if rested else _not_vented(p, s, readings)
+
+
+@compiled
 def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
@@ -141,11 +152,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
     if not s.device_operational and request in (Request.ARM, Request.SWING, Request.HOME, Request.ACCESS):
         return Refusal.DEVICE
     if request == Request.ACCESS:
-        if interlock_cause(readings) == Cause.EMERGENCY_STOP:
-            return Refusal.EMERGENCY_STOP
-        if s.supply_unproven:
-            return Refusal.SENSOR
-        return Refusal.NONE if s.vented else _not_vented(p, s, readings)
+        return _access_refusal(p, s, readings, time)
     if request == Request.SECURE:
         if not readings[0].guard_closed:
             return Refusal.GUARD

@@ -132,10 +132,35 @@ def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
+def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
+    puppet = reach(State.ARMED, vent_time=5.0)
+    full = (5.0e5,) * 6
+    puppet.give(chamber_pressure=full).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(40)
+    puppet.give(chamber_pressure=(ATMOSPHERE, *full[1:])).run(40)
+    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(ATMOSPHERE, *(1e5 * bar,) * 5)).run(10)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(4000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(1000)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> None:
+    puppet = reach(State.SAFE, vented_still=2.0)
+    puppet.control["vent_start"] = puppet.time
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(2100)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
 def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
     puppet = reach(State.ARMED, vent_time=5.0)
     puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
     puppet.tick(Request.DISARM)
     puppet.run(200)
+    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
     puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(3000)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE

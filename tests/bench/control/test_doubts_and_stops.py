@@ -19,6 +19,8 @@ def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
     assert puppet.control["distrusted"]
     press(puppet)
     assert asked(puppet, Request.RESET) is Refusal.NONE
+    for bar in (5.5, 5.0, 4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(1)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(200)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(220)
