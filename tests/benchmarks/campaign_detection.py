@@ -8,8 +8,8 @@ are judged beside them, whether TOST calls them the same as often as foretold. O
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from math import sqrt
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from bench.config import Configuration, load_configuration
 from bench.shot.shot import Shot
 from bench.simulation.engine import never
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 SEED, PILOT = 5000, 4000
 BLOCKS = 16
@@ -70,7 +71,9 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Swing all campaigns; about two seconds each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--campaigns", type=int, default=100)
-    count = parser.parse_args(arguments).campaigns
+    add_engine_options(parser)
+    options = parser.parse_args(arguments)
+    count = options.campaigns
     configuration = load_configuration(Path("shipped"))
     swings = Swings(configuration)
     unlike, equal = plan_of(configuration, 0.99), plan_of(configuration, 1.0)
@@ -92,16 +95,29 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     margin = 1.3 * difference
     same_power = ahead.same(margin, 1 - unlike.analysis.confidence)
     equal = replace(equal, analysis=replace(equal.analysis, margin=margin, difference=difference))
-    found = sum(_verdict(unlike, swings.shots(unlike, SEED + n)) == "different" for n in range(count))
-    same = sum(
-        _verdict(equal, swings.shots(equal, SEED + count + n)) in {"same", "both"} for n in range(count)
-    )
+    study = SwungCampaigns(configuration)
+    planned = [(unlike, SEED + n) for n in range(count)] + [(equal, SEED + count + n) for n in range(count)]
+    verdicts = swept(options, study, planned, "campaigns", configuration)
+    found = verdicts[:count].count("different")
+    same = sum(verdict in {"same", "both"} for verdict in verdicts[count:])
     return [
         Row(TITLE, "true difference", difference, "m", "1.0 % in restitution, without scatter"),
         Row(TITLE, "deviation of one shot", deviation, "m", f"pilot of {len(pilot)} shots"),
         _rate("found", found, count, power),
         _rate("equal balls called the same", same, count, same_power),
     ]
+
+
+@dataclass(frozen=True)
+class SwungCampaigns:
+    """Verdicts of campaigns that are swung, by plan and seed."""
+
+    configuration: Configuration
+
+    def prepared(self) -> Callable[[tuple[CampaignPlan, int]], str]:
+        """Return the function of a plan and a seed."""
+        swings = Swings(self.configuration)
+        return lambda planned: _verdict(planned[0], swings.shots(*planned))
 
 
 def _verdict(plan: CampaignPlan, shots: Sequence[Shot]) -> str:

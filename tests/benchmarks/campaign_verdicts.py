@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime
 from math import sqrt
 from pathlib import Path
@@ -29,7 +29,10 @@ from bench.campaign.sequence import Role, block_trials, sections
 from bench.campaign.series import foreseen, series_needed
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
+from bench.simulation.local_engine import InProcess
+from bench.simulation.sweep import sweep
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 SEED = 20261122
 CAMPAIGNS = 10_000
@@ -192,6 +195,32 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
     return found
 
 
+@dataclass(frozen=True)
+class Campaigns:
+    """Campaigns of a row, by number."""
+
+    case: Case
+    difference: float
+    by_shots: bool
+
+    def prepared(self) -> Callable[[int], Counts]:
+        """Return the function of a number."""
+        return lambda number: tally(self.case, self.difference, 1, number, by_shots=self.by_shots)
+
+
+Sweeper = Callable[[Campaigns, range], list[Counts]]
+"""Runs campaigns of the numbers."""
+
+
+def one_by_one(study: Campaigns, numbers: range) -> list[Counts]:
+    """Run the campaigns in this process."""
+    return sweep(study, numbers, InProcess())
+
+
+def _sum(counts: Sequence[Counts]) -> Counts:
+    return Counts(*(sum(column) for column in zip(*(astuple(c) for c in counts), strict=True)))
+
+
 def cases() -> list[Case]:
     """Return all rows."""
     configuration = load_configuration(Path("shipped"))
@@ -260,9 +289,13 @@ def _split_cases() -> list[Case]:
     ]
 
 
-def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
+def rows_of(case: Case, campaigns: int, slack: float = 2.0, sweeper: Sweeper = one_by_one) -> list[Row]:
     """Return a row's figures; `slack` binomial standard errors are allowed beyond the promise."""
     plan, known = case.plan, case.known
+
+    def counted(difference: float, numbers: range, *, by_shots: bool = False) -> Counts:
+        return _sum(sweeper(Campaigns(case, difference, by_shots), numbers))
+
     several = len(levels(plan)) > 2
 
     def row(what: str, count: int, of: int, promise: tuple[float, float], independent: int = 0) -> Row:
@@ -272,11 +305,11 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
         note = f"of {of}, binomial error {error:.4f}, promised {low:.3f} to {high:.3f}"
         return Row(TITLE, f"{case.name}: {what}", rate, "", note, low - slack * error, high + slack * error)
 
-    null = tally(case, 0.0, campaigns)
+    null = counted(0.0, range(campaigns))
     rows = []
     fixed = not looks_after(plan)
     if plan.split and known.mounting and not case.within:
-        naive = tally(case, 0.0, min(campaigns, 1000), by_shots=True)
+        naive = counted(0.0, range(min(campaigns, 1000)), by_shots=True)
         rate, of = naive.wrong / naive.campaigns, naive.campaigns
         rows.append(
             Row(
@@ -303,7 +336,7 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0) -> list[Row]:
         if ahead is None:
             raise RuntimeError("nothing is foreseen")
         difference = ahead.resolution(0.8)
-        real = tally(case, difference, campaigns, campaigns)
+        real = counted(difference, range(campaigns, 2 * campaigns))
         note = row(f"{difference:.2f} m found", real.found, real.campaigns, (0.77, 0.83))
         rows.append(note._replace(note=f"{note.note}, foretold 0.800"))
     return rows
@@ -333,11 +366,18 @@ def replace_covariates(plan: CampaignPlan) -> CampaignPlan:
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Run all rows; 10,000 campaigns each take about an hour."""
+    """Run all rows; 10,000 campaigns each take about an hour of two cores."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="of each row")
     parser.add_argument("--rows", default="", help="part of a row's name")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
+
+    def sweeper(study: Campaigns, numbers: range) -> list[Counts]:
+        return swept(options, study, numbers, study.case.name)
+
     wanted: Callable[[Case], bool] = lambda case: options.rows in case.name  # noqa: E731
-    rows = [row for case in filter(wanted, cases()) for row in rows_of(case, options.campaigns)]
+    rows = [
+        row for case in filter(wanted, cases()) for row in rows_of(case, options.campaigns, sweeper=sweeper)
+    ]
     return [*rows, *_covariate_rows()]
