@@ -45,6 +45,7 @@ LONG = (
     "homing_offsets",
     "air_at_address",
     "stuck_valves",
+    "sweeps",
     "canopen_reactions",
     "canopen_bus",
     "kills",
