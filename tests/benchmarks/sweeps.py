@@ -10,14 +10,17 @@ shared by the workers. What a batch costs is measured with cases that do nothing
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from signal import SIGKILL
 from statistics import median
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 from time import perf_counter
 
 import psutil
@@ -97,6 +100,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--every", type=int, default=60, help="One case of so many.")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--kills", type=int, default=0, help="Kill so many workers, one in 3 s, and compare.")
     options = parser.parse_args(arguments)
     c = load_configuration(shipped_configuration())
     path = find_profile(c.swing.profile)
@@ -104,6 +108,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     c = replace(c, envelope=c.envelope.with_model_check("always")).for_profile(profile, path)
     study, plan = FaultStudy(c, profile, True), plan_matrix(profile, model_check=True, every=options.every)
     count = options.workers
+    if options.kills:
+        return [_killed(plan, study, options.kills, count)]
     with own_cluster(count) as (address, cluster), connected(address) as remote:
         engines = {
             "one process": Measured(InProcess()),
@@ -118,6 +124,36 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             for name, measured in engines.items()
         ]
     return rows
+
+
+def _killed(plan: MatrixPlan, study: FaultStudy, kills: int, count: int) -> Row:
+    """Return how many outcomes differ after workers were killed, or are stored twice."""
+    with TemporaryDirectory() as folder:
+        alone, path = matrix_store(Path(folder) / "alone.jsonl", study), Path(folder) / "killed.jsonl"
+        expected = run_matrix(plan, study, alone, LocalProcesses(count))
+        killed, stop = list[int](), Event()
+        with own_cluster(count) as (address, cluster), connected(address) as remote:
+
+            def kill() -> None:
+                while len(killed) < kills and not stop.wait(3.0):
+                    workers = [
+                        c for c in cluster.children(recursive=True) if "spawn_main" in str(c.cmdline())
+                    ]
+                    if workers:
+                        killed.append(workers[len(killed) % len(workers)].pid)
+                        os.kill(killed[-1], SIGKILL)
+
+            killer = Thread(target=kill)
+            killer.start()
+            try:
+                found = run_matrix(plan, study, matrix_store(path, study), remote)
+            finally:
+                stop.set()
+                killer.join()
+        twice = path.read_text().count('"case"') - len(plan.cases)
+    differing = sum(one != other for one, other in zip(expected, found, strict=True))
+    note = f"{len(killed)} workers killed, {len(plan.cases)} cases, {twice} stored twice"
+    return Row(NAME, "outcomes that differ", differing + twice, "", note, at_most=0)
 
 
 def _ratios(
