@@ -98,6 +98,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Return ratios of times, costs of a batch, and whether the outcomes are equal."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks sweeps")
     parser.add_argument("--every", type=int, default=60, help="One case of so many.")
+    parser.add_argument("--signal", default="", help="Faults with this in their name only.")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kills", type=int, default=0, help="Kill so many workers, one in 3 s, and compare.")
@@ -106,7 +107,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     path = find_profile(c.swing.profile)
     profile = load_profile(path)
     c = replace(c, envelope=c.envelope.with_model_check("always")).for_profile(profile, path)
-    study, plan = FaultStudy(c, profile, True), plan_matrix(profile, model_check=True, every=options.every)
+    study = FaultStudy(c, profile, True)
+    plan = plan_matrix(profile, model_check=True, signals=(options.signal,), every=options.every)
     count = options.workers
     if options.kills:
         return [_killed(plan, study, options.kills, count)]
