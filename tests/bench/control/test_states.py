@@ -7,7 +7,7 @@ import pytest
 
 from bench.control.braking import brake_opening
 from bench.control.records import ControlParameters, ControlState, new_control_state
-from bench.control.states import arrive, begin_reaction, disarm, latch, react, stand
+from bench.control.states import arrive, begin_reaction, disarm, give_up, latch, react, stand
 from bench.lifecycle import EDGES, LOST, TRUSTED, Cause, Phase, Reaction, Request, State
 from tests.bench.control.operating import at_power_up, do, on_the_way, reach
 from tests.bench.control.puppet import Puppet
@@ -232,6 +232,27 @@ def test_at_the_address_a_series_is_held(
     s["phase"], s["state"], s["reaction"], s["lease_held"] = Phase.RETURN, before, reaction, held
     arrive(s, bench[1], 1.0)
     assert s["state"] == after
+
+
+@pytest.mark.parametrize("cause", [Cause.SHOULDER_INDEX, Cause.WRIST_INDEX], ids=lambda cause: cause.name)
+def test_an_index_off_its_place_takes_the_reference_away(bench: Bench, cause: Cause) -> None:
+    s = bench[0].control[0]
+    s["homed"] = True
+    react(bench[0], bench[1], cause, TRUSTED, 1.0)
+    assert not s["homed"]
+
+
+def test_a_tick_that_failed_leaves_nothing_under_way(bench: Bench) -> None:
+    control = bench[0].control
+    control["phase"], control["state"], control["swinging"] = Phase.BACKSWING, State.SWINGING, True
+    under_way = ("swinging", "moving", "disarming", "air", "vented", "tee")
+    for name in under_way:
+        control[name] = True
+    give_up(control, bench[1], 1.0)
+    s = control[0]
+    assert not any(s[name] for name in under_way)
+    assert (s["phase"], s["state"], s["vent_start"]) == (Phase.STANDING, State.FAULT, 1.0)
+    assert (s["cause"], s["reaction"]) == (Cause.EXCEPTION, Reaction.PASSIVE)
 
 
 def test_the_braking_law_opposes_motion_and_fades() -> None:
