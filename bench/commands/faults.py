@@ -13,7 +13,6 @@ from bench.commands.session import Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
-    from bench.config import Configuration
     from bench.faults.catalogue import Breakage
     from bench.faults.matrix import FaultStudy, MatrixPlan
     from bench.faults.verdict import CaseOutcome
@@ -85,13 +84,14 @@ def run(
     from bench.commands.faults_page import matrix_table, reasons_table
     from bench.errors import ExitCode
     from bench.faults.catalogue import FAMILIES
-    from bench.faults.matrix import plan_matrix
+    from bench.faults.matrix import fault_study, plan_matrix
     from bench.faults.summary import PHASES, summary_text
 
     _must_be_known("--phase", phase or (), PHASES)
     _must_be_known("--family", family or (), FAMILIES)
-    study = _study(context.ensure_object(Session).configuration(), profile, model_check)
-    folder = output or study.configuration.bench.data_dir / "faults"
+    configuration = context.ensure_object(Session).configuration()
+    study = fault_study(configuration, profile, model_check=model_check)
+    folder = output or configuration.bench.data_dir / "faults"
     folder.mkdir(parents=True, exist_ok=True)
     plan = plan_matrix(
         study.profile,
@@ -102,7 +102,7 @@ def run(
         one_instant=quick,
         every=every,
     )
-    with sweep_engine(study.configuration, processes, cluster, len(plan.cases)) as engine:
+    with sweep_engine(configuration, processes, cluster, len(plan.cases)) as engine:
         summary = _matrix(study, folder, plan, compare, engine)
     _write(folder, summary)
     unsafe = summary["verdicts"]["unsafe"]
@@ -118,17 +118,6 @@ def run(
         console.print(f"{folder / 'matrix.html'}", highlight=False)
     if unsafe:
         raise typer.Exit(ExitCode.REFUSED)
-
-
-def _study(configuration: Configuration, profile: str, model_check: bool) -> FaultStudy:
-    from bench.faults.matrix import FaultStudy
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
-
-    path = find_profile(profile)
-    swing = load_profile(path)
-    envelope = configuration.envelope.with_model_check("always")
-    return FaultStudy(replace(configuration, envelope=envelope).for_profile(swing, path), swing, model_check)
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -27,7 +27,8 @@ from bench.faults.verdict import CaseOutcome
 from bench.simulation.code_version import code_digest
 from bench.simulation.sweep import Engine, sweep
 from bench.simulation.sweep_store import SweepStore
-from bench.swing.profile import Profile
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
 from sim.faults import sort_of
 
 MatrixCase = tuple[Breakage, Instant]
@@ -156,6 +157,18 @@ class FaultStudy:
         """Return the function that runs a case on a workbench of this process."""
         bench = Workbench(self.configuration, self.profile, model_check=self.model_check)
         return lambda case: bench.run(*case)
+
+
+def fault_study(configuration: Configuration, profile: str, *, model_check: bool) -> FaultStudy:
+    """Return the study of the profile named `profile`, with the limits of the model-based check that fit it.
+
+    Raises:
+        BenchError: there is no such profile.
+    """
+    path = find_profile(profile)
+    swing = load_profile(path)
+    envelope = configuration.envelope.with_model_check("always")
+    return FaultStudy(replace(configuration, envelope=envelope).for_profile(swing, path), swing, model_check)
 
 
 def matrix_store(path: Path, study: FaultStudy) -> OutcomeStore:

@@ -96,7 +96,8 @@ def sweep(
     """
     results: dict[int, Result] = {}
     if store is not None:
-        results = {i: store.results[key(c)] for i, c in enumerate(cases) if key(c) in store.results}
+        kept = store.results
+        results = {i: kept[name] for i, case in enumerate(cases) if (name := key(case)) in kept}
     progress(len(results))
     left = [i for i in range(len(cases)) if i not in results]
     batches = _Batches(cases, left, group, engine.slots, stop)

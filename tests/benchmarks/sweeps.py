@@ -10,30 +10,23 @@ shared by the workers. What a batch costs is measured with cases that do nothing
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from signal import SIGKILL
 from statistics import median
 from tempfile import TemporaryDirectory
-from threading import Event, Thread
 from time import perf_counter
 
 import psutil
 
 from bench.config import load_configuration, shipped_configuration
-from bench.faults.matrix import FaultStudy, MatrixPlan, matrix_store, plan_matrix, run_matrix
+from bench.faults.matrix import FaultStudy, MatrixPlan, fault_study, matrix_store, plan_matrix, run_matrix
 from bench.faults.verdict import CaseOutcome
 from bench.simulation.cluster_engine import connected
 from bench.simulation.local_engine import InProcess, LocalProcesses
 from bench.simulation.sweep import BATCH_TIME, Engine, sweep
-from bench.swing.library import find_profile
-from bench.swing.profile import load_profile
 from tests.benchmarks.row import Row
+from tests.running_cluster import killed_workers, running_cluster
 
 NAME = "sweeps"
 _EMPTY = 2000
@@ -47,20 +40,6 @@ class Nothing:
     def prepared(self) -> Callable[[int], int]:
         """Return the function of a case."""
         return abs
-
-
-@contextmanager
-def own_cluster(workers: int) -> Iterator[tuple[str, psutil.Process]]:
-    """Yield address and process of a cluster on this machine."""
-    command = [sys.executable, "-m", "bench", "cluster", "--port", "0", "--workers", str(workers)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            address = process.stdout.readline().split()[-1]
-            process.stdout.readline()
-            yield address, psutil.Process(process.pid)
-        finally:
-            process.terminate()
 
 
 class Measured:
@@ -104,15 +83,12 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--kills", type=int, default=0, help="Kill so many workers, one in 3 s, and compare.")
     options = parser.parse_args(arguments)
     c = load_configuration(shipped_configuration())
-    path = find_profile(c.swing.profile)
-    profile = load_profile(path)
-    c = replace(c, envelope=c.envelope.with_model_check("always")).for_profile(profile, path)
-    study = FaultStudy(c, profile, True)
-    plan = plan_matrix(profile, model_check=True, signals=(options.signal,), every=options.every)
+    study = fault_study(c, c.swing.profile, model_check=True)
+    plan = plan_matrix(study.profile, model_check=True, signals=(options.signal,), every=options.every)
     count = options.workers
     if options.kills:
         return [_killed(plan, study, options.kills, count)]
-    with own_cluster(count) as (address, cluster), connected(address) as remote:
+    with running_cluster(count) as (address, cluster), connected(address) as remote:
         engines = {
             "one process": Measured(InProcess()),
             "processes": Measured(LocalProcesses(count)),
@@ -133,25 +109,12 @@ def _killed(plan: MatrixPlan, study: FaultStudy, kills: int, count: int) -> Row:
     with TemporaryDirectory() as folder:
         alone, path = matrix_store(Path(folder) / "alone.jsonl", study), Path(folder) / "killed.jsonl"
         expected = run_matrix(plan, study, alone, LocalProcesses(count))
-        killed, stop = list[int](), Event()
-        with own_cluster(count) as (address, cluster), connected(address) as remote:
-
-            def kill() -> None:
-                while len(killed) < kills and not stop.wait(3.0):
-                    workers = [
-                        c for c in cluster.children(recursive=True) if "spawn_main" in str(c.cmdline())
-                    ]
-                    if workers:
-                        killed.append(workers[len(killed) % len(workers)].pid)
-                        os.kill(killed[-1], SIGKILL)
-
-            killer = Thread(target=kill)
-            killer.start()
-            try:
-                found = run_matrix(plan, study, matrix_store(path, study), remote)
-            finally:
-                stop.set()
-                killer.join()
+        with (
+            running_cluster(count) as (address, cluster),
+            connected(address) as remote,
+            killed_workers(cluster, every=3.0, at_most=kills) as killed,
+        ):
+            found = run_matrix(plan, study, matrix_store(path, study), remote)
         twice = path.read_text().count('"case"') - len(plan.cases)
     differing = sum(one != other for one, other in zip(expected, found, strict=True))
     note = f"{len(killed)} workers killed, {len(plan.cases)} cases, {twice} stored twice"

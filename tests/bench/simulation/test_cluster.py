@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from bench.commands.sweep_engine import sweep_engine
@@ -26,37 +21,15 @@ from bench.simulation.local_engine import InProcess
 from bench.simulation.sweep import sweep
 from bench.simulation.sweep_store import SweepStore
 from tests.bench.simulation.studies import Draws, Slow, as_dict, as_float
+from tests.running_cluster import killed_workers, running_cluster
 
 CASES = range(60)
-
-
-@contextmanager
-def running_cluster(*options: str, config: Path | None = None) -> Iterator[tuple[str, psutil.Process]]:
-    """Yield the address of a cluster and its process."""
-    command = [sys.executable, "-m", "bench", *(["--config", str(config)] if config else [])]
-    command += ["cluster", "--port", "0", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith("scheduler at "), line + process.stdout.read()
-            address = line.split()[-1]
-            assert "workers; Ctrl-C ends" in process.stdout.readline()
-            yield address, psutil.Process(process.pid)
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(20.0)
-
-
-def workers_of(cluster: psutil.Process) -> list[psutil.Process]:
-    """Return the processes that work."""
-    return [child for child in cluster.children(recursive=True) if "spawn_main" in " ".join(child.cmdline())]
 
 
 @pytest.mark.live
 def test_a_cluster_gives_the_results_of_one_process() -> None:
     alone = sweep(Draws(), CASES, InProcess())
-    with running_cluster("--workers", "2") as (address, _), connected(address) as engine:
+    with running_cluster(2) as (address, _), connected(address) as engine:
         assert engine.slots() == 2
         assert sweep(Draws(), CASES, engine) == alone
         with pytest.raises(Refused, match="found 3"):
@@ -66,24 +39,14 @@ def test_a_cluster_gives_the_results_of_one_process() -> None:
 @pytest.mark.live
 @pytest.mark.timeout(300)
 def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) -> None:
-    alone, killed = sweep(Draws(), CASES, InProcess()), list[int]()
+    alone = sweep(Draws(), CASES, InProcess())
     store = SweepStore(tmp_path / "results.jsonl", "d", as_dict, as_float)
-    with running_cluster("--workers", "2") as (address, cluster), connected(address) as engine:
-        stop = threading.Event()
-
-        def kill() -> None:
-            while not stop.wait(1.0) and len(killed) < 10:
-                if workers := workers_of(cluster):
-                    killed.append(workers[0].pid)
-                    workers[0].kill()
-
-        killer = threading.Thread(target=kill)
-        killer.start()
-        try:
-            found = sweep(Slow(0.4), CASES, engine, store=store)
-        finally:
-            stop.set()
-            killer.join()
+    with (
+        running_cluster(2) as (address, cluster),
+        connected(address) as engine,
+        killed_workers(cluster, every=1.0, at_most=10) as killed,
+    ):
+        found = sweep(Slow(0.4), CASES, engine, store=store)
     assert len(killed) >= 4
     assert found == alone
     assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 1 + len(CASES) + 1
@@ -94,7 +57,7 @@ def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) 
 def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     store = SweepStore(path, "d", as_dict, as_float)
-    with running_cluster("--workers", "1") as (address, cluster), connected(address) as engine:
+    with running_cluster(1) as (address, cluster), connected(address) as engine:
 
         def end(done: int) -> None:
             if 5 <= done < len(CASES):
@@ -106,7 +69,7 @@ def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path)
     store, done = SweepStore(path, "d", as_dict, as_float), list[int]()
     kept = len(store.results)
     assert 5 <= kept < len(CASES)
-    with running_cluster("--workers", "1") as (address, _), connected(address) as engine:
+    with running_cluster(1) as (address, _), connected(address) as engine:
         found = sweep(Draws(), CASES, engine, store=store, progress=done.append)
     assert done[0] == kept
     assert found == sweep(Draws(), CASES, InProcess())
@@ -125,7 +88,7 @@ def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) 
         write_identity(folder, name, make_certificate(own, name, ["127.0.0.1"], now, 1.0))
     file = tmp_path / "config.toml"
     file.write_text(f'base = "shipped"\n[network]\nidentity = "{tmp_path}/sweeper/sweeper"\n')
-    with running_cluster("--workers", "1", config=file) as (address, _):
+    with running_cluster(1, config=file) as (address, _):
         assert address.startswith("tls://")
         with sweep_engine(load_configuration(file), 0, address, 9) as engine:
             assert sweep(Draws(), range(9), engine) == sweep(Draws(), range(9), InProcess())
@@ -137,7 +100,7 @@ def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) 
 @pytest.mark.live
 def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 2.0)
-    with running_cluster("--workers", "0") as (address, _), connected(address) as engine:
+    with running_cluster(0) as (address, _), connected(address) as engine:
         with pytest.raises(BenchError, match="found no workers"):
             sweep(Draws(), CASES, engine)
 
