@@ -38,6 +38,7 @@ LONG = (
     "campaign_statistics",
     "carry_and_rules",
     "campaign_verdicts",
+    "paired_differences",
     "reactions",
     "adversary",
     "healthy_swings",
