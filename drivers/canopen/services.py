@@ -7,7 +7,8 @@ action.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import canopen
 from canopen.objectdictionary import ObjectDictionary
@@ -17,17 +18,25 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from drivers.base import DriverError
 from drivers.canopen.frames import SDO_REQUEST, SDO_RESPONSE, frame
 
+MISSING = frozenset({0x06020000, 0x06090011})
+"""Abort codes: no such object, no such sub-index."""
+
 _CURES = {
     0x05040000: "check the node's power and number, and the bit rate and terminators of the bus",
     0x06010002: "the value is fixed in the device: set it at the device, or use another device",
     0x06020000: "the device has no such object: see its manual, correct [canopen], or use another device",
     0x06040041: "the device cannot map this object into a PDO: see its manual for a mappable one",
     0x06040042: "the device does not accept a PDO of this length",
+    0x06070010: "the object has another size in the device: see its manual, or use another device",
+    0x06070012: "the object is shorter in the device: see its manual, or use another device",
+    0x06070013: "the object is longer in the device: see its manual, or use another device",
     0x06090011: "the device has no such sub-index: see its manual, correct [canopen], or use another device",
     0x08000022: "the node refuses in its present state: cycle its power",
 }
 
 
+_MAX_RESPONSES = 64
+"""Responses to one request: a text of 440 characters; a node that never ends must not hold the startup."""
 _ABORT = 0x80
 """Command specifier."""
 
@@ -63,21 +72,66 @@ class Node:
         Raises:
             ServiceError: the node refuses or does not answer.
         """
-        try:
-            return int.from_bytes(self._client.upload(index, subindex), "little")
-        except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
-            raise self._failure("read", index, subindex, name, error) from error
+        return int.from_bytes(self.read_bytes(index, subindex, name), "little")
 
-    def write(self, index: int, subindex: int, value: int, size: int, name: str) -> None:
-        """Write an unsigned number of `size` bytes.
+    def read_bytes(self, index: int, subindex: int, name: str) -> bytes:
+        """Return the content of an object in the size that the device gives it.
 
         Raises:
             ServiceError: the node refuses or does not answer.
         """
         try:
-            self._client.download(index, subindex, value.to_bytes(size, "little"))
+            with self._client.patience(None):
+                return bytes(self._client.upload(index, subindex))
+        except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
+            raise self._failure("read", index, subindex, name, error) from error
+
+    def find(self, index: int, subindex: int, name: str) -> bytes | None:
+        """Return the content of an object, or None if the device does not have it.
+
+        Raises:
+            ServiceError: the node refuses for another reason or does not answer.
+        """
+        try:
+            return self.read_bytes(index, subindex, name)
+        except ServiceError as error:
+            if error.code not in MISSING:
+                raise
+            return None
+
+    def write(
+        self, index: int, subindex: int, value: int, size: int, name: str, timeout: float | None = None
+    ) -> None:
+        """Write an unsigned number of `size` bytes; `timeout` (s) if the answer may take longer than usual.
+
+        Raises:
+            ServiceError: the node refuses or does not answer.
+        """
+        try:
+            with self._client.patience(timeout):
+                self._client.download(index, subindex, value.to_bytes(size, "little"))
         except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
             raise self._failure(f"set to {value:#x}", index, subindex, name, error) from error
+
+    def set_if_different(self, index: int, subindex: int, value: int, name: str) -> bool:
+        """Set a value in the size of the device's own answer; return whether it was different before.
+
+        The value is read back in either case.
+
+        Raises:
+            ServiceError: the node refuses, does not answer, or reads back another value.
+        """
+        found = self.read_bytes(index, subindex, name)
+        if int.from_bytes(found, "little") == value:
+            return False
+        size = len(found)
+        if value >= 1 << 8 * size:
+            raise ServiceError(
+                f"{self.place(index, subindex, name)}: found {size} bytes, which cannot hold {value:#x}; "
+                "see the device's manual, or use another device"
+            )
+        self.set(index, subindex, value, size, name)
+        return True
 
     def set(self, index: int, subindex: int, value: int, size: int, name: str, mask: int = -1) -> None:
         """Write a number and read it back; bits outside `mask` are not compared.
@@ -134,9 +188,24 @@ class _PolledClient(SdoClient):
         )
         self.network = _Sender(send)
         self._take, self._clock, self._timeout = take, clock, timeout
+        self._left = 0
+        """Responses that the present dialogue may still have."""
+
+    @contextmanager
+    def patience(self, timeout: float | None) -> Iterator[None]:
+        """Begin a dialogue with up to `timeout` (s) for each response; None for the usual time."""
+        usual, self._left = self._timeout, _MAX_RESPONSES
+        self._timeout = usual if timeout is None else timeout
+        try:
+            yield
+        finally:
+            self._timeout = usual
 
     def read_response(self) -> bytes:
         """Wait for the node's response."""
+        self._left -= 1
+        if self._left < 0:
+            raise SdoCommunicationError(f"no end after {_MAX_RESPONSES} segments")
         end = self._clock() + self._timeout
         while self.responses.empty():
             left = end - self._clock()

@@ -89,7 +89,7 @@ class ValveNodeSettings:
     full_scale: Annotated[float, Gt(0.0), Le(20.0)] = 10.0
     """Analogue output voltage at count 32767, V."""
     error_value_shift: Annotated[int, Ge(0), Le(16)] = 16
-    """Left shift (bits) of the value in the 32-bit object 6444h."""
+    """Left shift (bits) of the value in object 6444h if that has 32 bits; with 16 bits there is none."""
     supply_pressure: OptionalSubIndex = 1
     """Sub-index of 6401h; 0 if not fitted."""
     chamber_pressures: tuple[
@@ -141,6 +141,8 @@ class CanopenSettings:
     """Time-out of a tick for the encoders' answers to SYNC, s."""
     service_time: Annotated[float, Gt(0.0), Le(2.0)] = 0.1
     """SDO time-out, s."""
+    store_time: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
+    """Time-out of storing the settings in a node (1010h), s; common devices take 2 s to 5 s."""
     heartbeat: Annotated[float, Ge(0.005), Le(1.0)] = 0.05
     """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""
     interlock_period: Annotated[float, Ge(0.005), Le(1.0)] = 0.02

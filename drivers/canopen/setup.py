@@ -7,40 +7,40 @@ from __future__ import annotations
 
 from drivers.base import ACTUATORS, DriverError
 from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, TPDO3, pressure_groups, valve_counts
-from drivers.canopen.services import Node, ServiceError
-from drivers.canopen.settings import CanopenSettings, ValveNodeSettings
+from drivers.canopen.polarity import check_stored, set_polarity
+from drivers.canopen.scaling import set_scale
+from drivers.canopen.services import MISSING, Node, ServiceError
+from drivers.canopen.settings import CanopenSettings
 
 _ENCODER_PROFILE, _IO_PROFILE = 406, 401
 _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 _INVALID, _NO_REMOTE = 0x80000000, 0x40000000
 _COB_ID_MASK = 0x800007FF
 """Valid bit and identifier of a PDO's COB-ID; the other bits are device-specific."""
-_MAX_PDOS = 4
+_PREDEFINED_PDOS = 4
+"""PDOs of each direction that may be on without being set; devices number further ones without gaps."""
+_MAX_PDOS = 512
+_MAX_MAPPED = 64
 _ON_EVENT = 255
-_MISSING = frozenset({0x06020000, 0x06090011})
-"""Abort codes: no such object, no such sub-index."""
+_ERROR_BEHAVIOUR = 0x1029, 0x67FE
+"""Objects of the behaviour on a communication error: CiA 301, and older devices of CiA 401."""
+_OUTPUT_ERRORS = (0x6206, 0x6207), (0x6306, 0x6307)
+"""Error modes and error values of the outputs in groups of 8 and of 16."""
 
 
 def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
     """Configure the encoder to send its position with every SYNC; return the counts of its whole range.
 
     Raises:
-        DriverError: wrong device, not `counts` per revolution, or a setting is refused.
+        DriverError: wrong device, not `counts` per revolution rising clockwise, or a setting is refused.
     """
     chosen = settings.encoders
     _identify(node, _ENCODER_PROFILE, chosen.vendor, chosen.product)
-    node.expect(
-        0x6501,
-        0,
-        counts,
-        "counts per revolution",
-        "set plant.encoders.counts_per_revolution to the encoder's resolution, or scale the encoder",
-    )
-    revolutions = node.read(0x6502, 0, "revolutions") or 1
+    total = set_scale(node, counts, chosen.position)
     _silence(node, _TPDO, keep=1)
     _set_pdo(node, _TPDO + 1, _TPDO_MAP + 1, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
     _set_heartbeat(node, settings)
-    return counts * revolutions
+    return total
 
 
 def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) -> None:
@@ -53,7 +53,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     _identify(node, _IO_PROFILE, chosen.vendor, chosen.product)
     _silence(node, _RPDO)
     _silence(node, _TPDO)
-    set_fallback(node, chosen)
+    _set_fallback(node, settings)
     valves = [0x6411 << 16 | channel << 8 | 16 for channel in chosen.valves]
     silence = round(1e3 * watchdog)
     watches_commands = _set_pdo(
@@ -79,7 +79,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     _set_heartbeat(node, settings)
 
 
-def set_fallback(node: Node, chosen: ValveNodeSettings) -> None:
+def _set_fallback(node: Node, settings: CanopenSettings) -> None:
     """Set the fallback of the outputs without commands: valves centred, switches de-energised.
 
     Changed settings are stored in the node (1010h) if it can: after a power loss in mid-swing it starts with
@@ -88,50 +88,72 @@ def set_fallback(node: Node, chosen: ValveNodeSettings) -> None:
     Raises:
         DriverError: the node refuses, and no external watchdog relay is named.
     """
-    new = False
+    chosen = settings.valve_node
+    new, inverted = set_polarity(node)
     try:
         for channel, centre, actuator in zip(chosen.valves, chosen.centre, ACTUATORS, strict=True):
             count = valve_counts(centre, chosen)
-            value = count << chosen.error_value_shift
-            new |= _renew(node, 0x6443, channel, 1, 1, f"error mode of the valve of the {actuator}")
-            new |= _renew(node, 0x6444, channel, value, 4, f"error value of the valve of the {actuator}")
+            mode = f"error mode of the valve of the {actuator}"
+            new |= node.set_if_different(0x6443, channel, 1, mode)
+            new |= _set_error_value(node, channel, count, chosen.error_value_shift, actuator)
             node.set(0x6411, channel, count, 2, f"valve of the {actuator}")
-        new |= _renew(node, 0x6206, 1, 0xFF, 1, "error mode of the outputs")
-        new |= _renew(node, 0x6207, 1, 0, 1, "error value of the outputs")
+        new |= _set_output_errors(node)
         node.set(0x6200, 1, 0, 1, "outputs")
         new |= _set_error_behaviour(node)
     except ServiceError as error:
-        if error.code not in _MISSING or not chosen.watchdog_relay:
-            raise _without_fallback(error) if error.code in _MISSING else error from None
-    if new:
-        _store(node)
+        if error.code not in MISSING or not chosen.watchdog_relay:
+            raise _without_fallback(error) if error.code in MISSING else error from None
+    check_stored(node, inverted, new and _store(node, settings.store_time))
 
 
-def _renew(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
-    """Set a value if it differs, and return whether it did; the value is read back in either case."""
-    if node.read(index, subindex, name) == value:
-        return False
-    node.set(index, subindex, value, size, name)
-    return True
+def _set_error_value(node: Node, channel: int, count: int, shift: int, actuator: str) -> bool:
+    """Set the value of a valve without commands, in 16 or 32 bits; return whether it was another."""
+    name = f"error value of the valve of the {actuator}"
+    size = len(node.read_bytes(0x6444, channel, name))
+    if size not in {2, 4}:
+        raise ServiceError(
+            f"{node.place(0x6444, channel, name)}: found {size} bytes, expected 2 or 4; use another device"
+        )
+    try:
+        return node.set_if_different(0x6444, channel, count << shift if size == 4 else count, name)
+    except ServiceError as error:
+        if size == 4 and error.code and error.code not in MISSING:
+            cure = (
+                f"{error}. If it takes values without a shift, set canopen.valve_node.error_value_shift = 0"
+            )
+            raise ServiceError(cure, error.code) from error
+        raise
+
+
+def _set_output_errors(node: Node) -> bool:
+    """De-energise all outputs without commands; return whether that was set otherwise."""
+    mode_name, value_name = "error mode of the outputs", "error value of the outputs"
+    groups = [pair for pair in _OUTPUT_ERRORS if node.find(pair[0], 1, mode_name) is not None]
+    new = False
+    for mode, value in groups or _OUTPUT_ERRORS[:1]:
+        size = len(node.read_bytes(mode, 1, mode_name))
+        new |= node.set_if_different(mode, 1, (1 << 8 * size) - 1, mode_name)
+        new |= node.set_if_different(value, 1, 0, value_name)
+    return new
 
 
 def _set_error_behaviour(node: Node) -> bool:
-    """Make the node leave the operational state on an error (1029h); return whether the setting changed."""
+    """Make the node leave the operational state on an error; return whether the setting changed."""
+    for index in _ERROR_BEHAVIOUR:
+        if node.find(index, 1, "error behaviour") is not None:
+            return node.set_if_different(index, 1, 0, "error behaviour")
+    return False
+
+
+def _store(node: Node, longest: float) -> bool:
+    """Store the node's settings over a power loss within `longest` s; return whether it supports that."""
     try:
-        return _renew(node, 0x1029, 1, 0, 1, "error behaviour")
+        node.write(0x1010, 1, int.from_bytes(b"save", "little"), 4, "store parameters", longest)
     except ServiceError as error:
-        if error.code not in _MISSING:
+        if error.code not in MISSING:
             raise
         return False
-
-
-def _store(node: Node) -> None:
-    """Store the node's settings over a power loss, if it supports that."""
-    try:
-        node.write(0x1010, 1, int.from_bytes(b"save", "little"), 4, "store parameters")
-    except ServiceError as error:
-        if error.code not in _MISSING:
-            raise
+    return True
 
 
 def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: str) -> bool:
@@ -139,7 +161,7 @@ def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: s
     try:
         node.set(index, subindex, value, size, name)
     except ServiceError as error:
-        if error.code not in _MISSING:
+        if error.code not in MISSING:
             raise
         return False
     return True
@@ -181,8 +203,10 @@ def _silence(node: Node, communication: int, keep: int = -1) -> None:
         try:
             _invalidate(node, communication + number)
         except ServiceError as error:
-            if error.code not in _MISSING:
+            if error.code not in MISSING:
                 raise
+            if number >= _PREDEFINED_PDOS - 1:
+                break
 
 
 def _invalidate(node: Node, index: int) -> None:
@@ -196,25 +220,41 @@ def _set_pdo(
 ) -> bool:
     """Configure one PDO in the order required by CiA 301: disable, map, set timer, enable.
 
-    Returns whether the device has the requested event timer (ms).
+    A mapping that is right already is not written: some devices have a fixed one, and refuse with
+    whatever abort code. Returns whether the device has the requested event timer (ms).
     """
     _invalidate(node, index)
     node.set(index, 2, kind, 1, "transmission type")
+    if _mapping(node, mapping) != mapped:
+        _map(node, mapping, mapped)
+    has_timer = bool(event_timer) and _offer(node, index, 5, event_timer, 2, "event timer")
+    node.set(index, 1, identifier | _NO_REMOTE, 4, "identifier of the PDO", _COB_ID_MASK)
+    return has_timer
+
+
+def _mapping(node: Node, mapping: int) -> list[int]:
+    """Return the objects in a PDO."""
+    count = node.read(mapping, 0, "number of objects in the PDO")
+    return [node.read(mapping, n, "object in the PDO") for n in range(1, min(count, _MAX_MAPPED) + 1)]
+
+
+def _map(node: Node, mapping: int, mapped: list[int]) -> None:
+    """Map objects into a PDO that is disabled.
+
+    Raises:
+        DriverError: the device refuses, or keeps another mapping.
+    """
+    cure = "if the device has a fixed mapping, use one with a configurable mapping"
     try:
         node.write(mapping, 0, 0, 1, "number of objects in the PDO")
         for n, entry in enumerate(mapped, start=1):
             node.write(mapping, n, entry, 4, "object in the PDO")
         node.write(mapping, 0, len(mapped), 1, "number of objects in the PDO")
     except ServiceError as error:
-        if error.code != 0x06010002:  # a fixed mapping may already be right
-            raise
-    cure = "the device has a fixed mapping: use a device with a configurable mapping"
+        raise ServiceError(f"{error}; {cure}" if error.code else f"{error}", error.code) from error
     node.expect(mapping, 0, len(mapped), "number of objects in the PDO", cure)
     for n, entry in enumerate(mapped, start=1):
         node.expect(mapping, n, entry, "object in the PDO", cure)
-    has_timer = bool(event_timer) and _offer(node, index, 5, event_timer, 2, "event timer")
-    node.set(index, 1, identifier | _NO_REMOTE, 4, "identifier of the PDO", _COB_ID_MASK)
-    return has_timer
 
 
 def _set_heartbeat(node: Node, settings: CanopenSettings) -> None:

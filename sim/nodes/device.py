@@ -20,6 +20,8 @@ from canopen.objectdictionary.datatypes import NUMBER_TYPES, SIGNED_TYPES
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
+from sim.nodes.personality import Personality
+
 Send = Callable[[int, bytes], None]
 """Sends a frame of identifier and data."""
 
@@ -35,7 +37,9 @@ _COMMUNICATION = 0x8000
 """First emergency error code of monitoring and communication errors."""
 
 _ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
-_CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT, _ERROR_BEHAVIOUR = 0x1016, 0x1017, 0x1029
+_CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT = 0x1016, 0x1017
+_ERROR_BEHAVIOUR = 0x1029, 0x67FE
+"""Object of CiA 301, and of older devices of CiA 401."""
 _STORE, _SAVE = 0x1010, int.from_bytes(b"save", "little")
 _INVALID = 0x80000000
 _EVENT = 254
@@ -95,10 +99,15 @@ class _Wire(canopen.Network):
 class CanopenDevice:
     """One device. A subclass implements the behaviour: `sampled`, `written` and `fall_back`."""
 
-    def __init__(self, number: int, eds: Path, send: Send) -> None:
-        """Create node `number` (1 … 127) from the file `eds`; it is unpowered until `boot`."""
-        self.number, self._send = number, send
+    def __init__(self, number: int, eds: Path, send: Send, personality: Personality | None = None) -> None:
+        """Create node `number` (1 … 127) from the file `eds`; it is unpowered until `boot`.
+
+        A `personality` makes it answer like one family of devices.
+        """
+        self.number, self._send, self.personality = number, send, personality
         self.object_dictionary = import_od(str(eds), number)
+        if personality is not None:
+            personality.apply(self.object_dictionary)
         self._objects: dict[tuple[int, int], ODVariable] = {}
         for index, entry in self.object_dictionary.items():
             parts: Any = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
@@ -109,7 +118,9 @@ class CanopenDevice:
         self._values: dict[tuple[int, int], bytes] = {}
         self._stored: dict[tuple[int, int], bytes] = {}
         self._sdo = SdoServer(0x600 + number, 0x580 + number, self)
-        self._sdo.network = _Wire(send)
+        self._sdo.network = _Wire(self._answer)
+        self._storing_until, self._late_answer = -math.inf, b""
+        """Until when settings are being stored (s), and the answer to that."""
         self._sdo._index = self._sdo._subindex = 0  # noqa: SLF001 - else its first abort fails
         self._tpdos: list[Pdo] = []
         self._rpdos: dict[int, Pdo] = {}
@@ -166,6 +177,9 @@ class CanopenDevice:
     def run_timers(self, now: float) -> None:
         """Do what is due at `now` (s)."""
         self._now = now
+        if self._late_answer and now >= self._storing_until:
+            late, self._late_answer = self._late_answer, b""
+            self._send(0x580 + self.number, late)
         if now >= self._heartbeat_due:
             self._heartbeat_due = now + self._heartbeat
             self._send(0x700 + self.number, bytes([self.state]))
@@ -188,12 +202,12 @@ class CanopenDevice:
         """Time at which `run_timers` is due next, s."""
         dues = [self._heartbeat_due, *(pdo.due for pdo in self._tpdos)]
         dues += [pdo.due for pdo in self._rpdos.values()] + [due for _, due in self._watched.values()]
-        return min(dues)
+        return min(*dues, self._storing_until if self._late_answer else math.inf)
 
     def fail(self, code: int, register: int) -> None:
         """Report a communication error, set the outputs to fallback, and change state according to 1029h."""
         self.send_emergency(code, register)
-        behaviour = self.number_at(_ERROR_BEHAVIOUR, 1) if (_ERROR_BEHAVIOUR, 1) in self else 0
+        behaviour = next((self.number_at(index, 1) for index in _ERROR_BEHAVIOUR if (index, 1) in self), 0)
         if behaviour in (0, 2):
             self._enter(STOPPED if behaviour == 2 else PRE_OPERATIONAL)
         self.fall_back()
@@ -225,9 +239,9 @@ class CanopenDevice:
         signed = self._find(index, subindex).data_type in SIGNED_TYPES
         return int.from_bytes(self.get_data(index, subindex), "little", signed=signed)
 
-    def factor_of(self, index: int, subindex: int) -> float:
-        """Return the unit per count of an object."""
-        return float(self._find(index, subindex).factor)
+    def size_of(self, index: int, subindex: int) -> int:
+        """Return the size of an integer object in bytes."""
+        return len(self._find(index, subindex)) // 8
 
     def put(self, index: int, subindex: int, value: int) -> None:
         """Set an object from inside the device."""
@@ -266,6 +280,9 @@ class CanopenDevice:
                 raise SdoAbortedError(_TOO_HIGH)
             if found.min is not None and value < found.min:
                 raise SdoAbortedError(_TOO_LOW)
+            fixed = self.personality is not None and self.personality.fixed_mapping
+            if fixed and (0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00):
+                raise SdoAbortedError(fixed)
             if 0x1400 <= index < 0x1C00:
                 self._check_pdo(index, subindex, value)
             if index == _STORE:
@@ -280,6 +297,8 @@ class CanopenDevice:
         """Store all settings over a power loss."""
         if value != _SAVE:
             raise SdoAbortedError(_NOT_STORED)
+        if self.personality is not None:
+            self._storing_until = self._now + self.personality.store_time
         self._stored = {
             key: kept
             for key, kept in self._values.items()
@@ -291,6 +310,13 @@ class CanopenDevice:
         if found is None:
             raise SdoAbortedError(_NO_SUB_INDEX if index in self.object_dictionary else _NO_OBJECT)
         return found
+
+    def _answer(self, identifier: int, data: bytes) -> None:
+        """Send an SDO response, when storing has ended."""
+        if self._now < self._storing_until:
+            self._late_answer = data
+        else:
+            self._send(identifier, data)
 
     # PDO -----------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from drivers.base import Triple
 from sim.faults import Fault
 from sim.live.exchange import PlantPlan
+from sim.nodes.personality import Personality
 from sim.plant import PlantParameters
 
 
@@ -35,6 +36,10 @@ class NodesPlan:
     """Max plant ticks caught up at once after a stall."""
     faults: tuple[Fault, ...] = ()
     """Faults; no onset by phase."""
+    encoder_personality: Personality | None = None
+    """Device family that all encoders play; None for the plain one of the EDS file."""
+    io_personality: Personality | None = None
+    """Device family that the valve node plays; None for the plain one of the EDS file."""
 
     @property
     def plant_plan(self) -> PlantPlan:

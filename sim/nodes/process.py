@@ -134,10 +134,19 @@ class BenchNodes:
         self._speed = self._speed_before = [0.0, 0.0, 0.0]
         self.readings = unpack_readings(self.plant.report["readings"])
         self.encoders = [
-            EncoderNode(number, EDS / "encoder.eds", speak, resolution, partial(self._count, joint))
+            EncoderNode(
+                number,
+                EDS / "encoder.eds",
+                speak,
+                resolution,
+                partial(self._count, joint),
+                plan.encoder_personality,
+            )
             for joint, number in enumerate(plan.encoders)
         ]
-        self.valve_node = ValveNode401(plan.valve_node, EDS / "valve_node.eds", speak, self._obey)
+        self.valve_node = ValveNode401(
+            plan.valve_node, EDS / "valve_node.eds", speak, self._obey, plan.io_personality
+        )
         self.devices: list[CanopenDevice] = [*self.encoders, self.valve_node]
 
     def boot(self, now: float) -> None:

@@ -8,9 +8,15 @@ from pathlib import Path
 
 from drivers.base import Command, Readings, device_limited
 from sim.nodes.device import CanopenDevice, Send
+from sim.nodes.personality import Personality
 
 _INPUTS, _OUTPUTS, _OUTPUT_ERROR_MODE, _OUTPUT_ERROR_VALUE = 0x6000, 0x6200, 0x6206, 0x6207
+_INPUT_POLARITY, _OUTPUT_POLARITY, _OUTPUT_MASK = (0x6002, 0x6102), (0x6202, 0x6302), (0x6208, 0x6308)
+"""Objects in groups of 8 and of 16."""
+_GROUPS_OF_16 = {_OUTPUT_ERROR_MODE: 0x6306, _OUTPUT_ERROR_VALUE: 0x6307}
 _VOLTAGE_IN, _VOLTAGE_OUT, _VOLTAGE_ERROR_MODE, _VOLTAGE_ERROR_VALUE = 0x6401, 0x6411, 0x6443, 0x6444
+_VOLTS = 10.0 / 32767
+"""Voltage per count of inputs and outputs, V."""
 _CENTRE = 5.0
 """Spool-centre voltage, V; 0 V and twice this voltage are full stroke."""
 _PRESSURE_PER_VOLT = 1.6e5
@@ -25,26 +31,44 @@ class ValveNode401(CanopenDevice):
     lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the chambers.
     """
 
-    def __init__(self, number: int, eds: Path, send: Send, obey: Callable[[Command], None]) -> None:
-        super().__init__(number, eds, send)
+    def __init__(
+        self,
+        number: int,
+        eds: Path,
+        send: Send,
+        obey: Callable[[Command], None],
+        personality: Personality | None = None,
+    ) -> None:
+        super().__init__(number, eds, send, personality)
         self._obey_outputs = obey
-        self._volts = self.factor_of(_VOLTAGE_OUT, 1)
-        """Voltage per count, V."""
+        self._latched = 0
+        """Outputs as commanded; a masked output keeps its last state."""
 
     def written(self, index: int) -> None:
         """Apply the outputs."""
-        if index in (_OUTPUTS, _VOLTAGE_OUT):
+        if index in {_OUTPUTS, _VOLTAGE_OUT, *_OUTPUT_POLARITY, *_OUTPUT_MASK}:
             self._drive()
 
     def fall_back(self) -> None:
         """Set each output to its error value if its error mode requires that."""
         before = self.number_at(_OUTPUTS, 1)
-        chosen = self.number_at(_OUTPUT_ERROR_MODE, 1)
-        self.put(_OUTPUTS, 1, before & ~chosen | self.number_at(_OUTPUT_ERROR_VALUE, 1) & chosen)
+        chosen, value = self._of_outputs(_OUTPUT_ERROR_MODE), self._of_outputs(_OUTPUT_ERROR_VALUE)
+        self.put(_OUTPUTS, 1, before & ~chosen | value & chosen)
         for valve in (1, 2, 3):
-            if self.number_at(_VOLTAGE_ERROR_MODE, valve):
-                self.put(_VOLTAGE_OUT, valve, self.number_at(_VOLTAGE_ERROR_VALUE, valve) >> 16)
+            if self._value(_VOLTAGE_ERROR_MODE, valve):
+                shift = 8 * self.size_of(_VOLTAGE_ERROR_VALUE, valve) - 16
+                self.put(_VOLTAGE_OUT, valve, self.number_at(_VOLTAGE_ERROR_VALUE, valve) >> shift)
         self._drive()
+
+    def _value(self, index: int, subindex: int, otherwise: int = 0) -> int:
+        """Return the value of an object, or `otherwise` if the device does not have it."""
+        return self.number_at(index, subindex) if (index, subindex) in self else otherwise
+
+    def _of_outputs(self, index: int) -> int:
+        """Return error modes or values of the eight outputs, from the objects that the device has."""
+        if (index, 1) in self:
+            return self.number_at(index, 1)
+        return self._value(_GROUPS_OF_16[index], 1) & 0xFF
 
     def sense(self, readings: Readings) -> None:
         """Update contacts and pressures from `readings`."""
@@ -58,6 +82,8 @@ class ValveNode401(CanopenDevice):
             readings.vent_open[1] == 1.0,
         )
         inputs = sum(closed << bit for bit, closed in enumerate(contacts))
+        for polarity in _INPUT_POLARITY:
+            inputs ^= self._value(polarity, 1) & 0xFF
         self._measure((readings.supply_pressure, *readings.chamber_pressure))
         if inputs != self.number_at(_INPUTS, 1):
             self.put(_INPUTS, 1, inputs)
@@ -66,11 +92,16 @@ class ValveNode401(CanopenDevice):
     def _measure(self, pressures: Sequence[float]) -> None:
         for channel, pressure in enumerate(pressures, start=1):
             # A sensor without a cable gives 0 V.
-            count = round(pressure / _PRESSURE_PER_VOLT / self._volts) if isfinite(pressure) else 0
+            count = round(pressure / _PRESSURE_PER_VOLT / _VOLTS) if isfinite(pressure) else 0
             self.put(_VOLTAGE_IN, channel, max(0, min(0x7FFF, count)))
 
     def _drive(self) -> None:
-        outputs = self.number_at(_OUTPUTS, 1)
-        a, b, c = (self.number_at(_VOLTAGE_OUT, valve) * self._volts / _CENTRE - 1.0 for valve in (1, 2, 3))
+        taking = 0xFF
+        for mask in _OUTPUT_MASK:
+            taking &= self._value(mask, 1, 0xFF)
+        outputs = self._latched = self._latched & ~taking | self.number_at(_OUTPUTS, 1) & taking
+        for polarity in _OUTPUT_POLARITY:
+            outputs ^= self._value(polarity, 1) & 0xFF
+        a, b, c = (self.number_at(_VOLTAGE_OUT, valve) * _VOLTS / _CENTRE - 1.0 for valve in (1, 2, 3))
         supply, closed, release, beacon, tee = (bool(outputs >> bit & 1) for bit in range(5))
         self._obey_outputs(device_limited(Command((a, b, c), supply, closed, not release, beacon, tee)))

@@ -179,8 +179,14 @@ def nodes_plan(plant: PlantParameters = PLANT, settings: CanopenSettings = SETTI
 class DriverInStep(CanopenDriver):
     """The driver, waiting for its tick when it is read."""
 
-    def __init__(self, wire: Wire, settings: CanopenSettings) -> None:
-        super().__init__(settings, period=PERIOD, clock=lambda: wire.now, open_bus=wire.opened)
+    def __init__(self, wire: Wire, settings: CanopenSettings, counts_per_revolution: int = 2**17) -> None:
+        super().__init__(
+            settings,
+            period=PERIOD,
+            counts_per_revolution=counts_per_revolution,
+            clock=lambda: wire.now,
+            open_bus=wire.opened,
+        )
         self.wire = wire
 
     def read(self, time: float) -> Readings:

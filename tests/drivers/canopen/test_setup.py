@@ -8,13 +8,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from canopen.objectdictionary.datatypes import UNSIGNED8, UNSIGNED32
 
 from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load, max_rate, traffic, worst_bits
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 from sim.nodes.device import CanopenDevice
-from tests.drivers.canopen.in_step import SETTINGS, Wire, make
+from sim.nodes.personality import ObjectChange, Personality
+from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, make, nodes_plan
 
 RELAY = replace(SETTINGS.valve_node, watchdog_relay="K7")
 
@@ -99,7 +101,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "another resolution": (
         SETTINGS,
         changed(arm, 0x6501, 4096),
-        r"node 2 .* object 6501h:0 .*: found 0x1000, expected 0x20000; set plant.encoders",
+        r"node 2 .* object 6501h:0 .*: found 4096, expected 131072; set plant.encoders.* = 4096",
     ),
     "no error value": (
         SETTINGS,
@@ -145,7 +147,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
     "no such object": (
         replace(SETTINGS, encoders=EncoderSettings(position=0x6104)),
         lambda wire: None,
-        r"node 1 .* object 1A01h:1 .* abort code 06020000h, Object does not exist; the device has no such",
+        r"node 1 .* object 6104h:0 \(position\).* abort code 06020000h, .*; the device has no such",
     ),
 }
 
@@ -231,6 +233,49 @@ def test_a_node_that_loses_its_power_comes_up_with_centred_spools() -> None:
     driver.read(0.001)
     assert "node 10 (valves and interlocks) has restarted" in driver.trouble
     assert driver.write(PASSIVE._replace(supply_enable=True)) == PASSIVE
+
+
+CODES = (0x06010000, 0x06010002, 0x06040041, 0x06040043, 0x06060000, 0x06090030, 0x08000000, 0x08000022)
+
+
+def with_fixed_mapping(wire: Wire, code: int) -> None:
+    node = wire.nodes.valve_node
+    node.personality = Personality("fixed", "io", "any", "any", "CiA 301", fixed_mapping=code)
+
+
+@pytest.mark.parametrize("code", CODES, ids=hex)
+def test_a_fixed_mapping_that_fits_is_taken_whatever_the_device_answers(code: int) -> None:
+    driver, wire = make()
+    driver.open()  # leaves the mapping as it is needed
+    driver.close()
+    with_fixed_mapping(wire, code)
+    driver.open()
+    assert driver.operational
+
+
+@pytest.mark.parametrize("code", CODES, ids=hex)
+def test_a_fixed_mapping_that_does_not_fit_is_refused_with_its_code(code: int) -> None:
+    driver, wire = make()
+    with_fixed_mapping(wire, code)
+    told = rf"node 10 .* object 1600h:0 .*abort code {code:08X}h, .*fixed mapping, use one with a conf"
+    with pytest.raises(DriverError, match=told):
+        driver.open()
+
+
+def test_every_pdo_that_a_node_has_beyond_the_usual_four_is_off() -> None:
+    objects = [
+        ObjectChange(index + number, subindex, value, kind, "rw")
+        for number in (2, 3, 4, 5)
+        for index, subindex, value, kind in (
+            (0x1400, 1, 0x20B if number == 5 else 0x80000000, UNSIGNED32),
+            (0x1400, 2, 255, UNSIGNED8),
+            (0x1600, 1, 0x62000108, UNSIGNED32),
+        )
+    ]
+    many = Personality("many", "io", "any", "any", "CiA 301", objects=tuple(objects))
+    wire = Wire(replace(nodes_plan(), io_personality=many))
+    DriverInStep(wire, SETTINGS).open()
+    assert wire.nodes.valve_node.number_at(0x1405, 1) & 0x80000000
 
 
 def test_settings_are_stored_only_when_they_are_new() -> None:

@@ -1,0 +1,161 @@
+"""Device families as their makers' manuals describe them: each started against the driver."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.base import PASSIVE, Command, DriverError, Readings
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.settings import CanopenSettings
+from sim.nodes.personality import ENCODER, IO, Personality, find_personality, personalities
+from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
+
+ENCODERS = {name: one for name, one in personalities().items() if one.role == ENCODER}
+NODES = {name: one for name, one in personalities().items() if one.role == IO}
+ROTARY = {name: one for name, one in ENCODERS.items() if name not in {"siko-msa501", "temposonics-e"}}
+TAKEN = {name: one for name, one in NODES.items() if name != "inverted-fixed"}
+PLANT_COUNTS = 2**17
+
+
+def bus(
+    encoder: Personality | None = None,
+    io: Personality | None = None,
+    counts: int = PLANT_COUNTS,
+    settings: CanopenSettings = SETTINGS,
+) -> tuple[CanopenDriver, Wire]:
+    wire = Wire(replace(nodes_plan(), encoder_personality=encoder, io_personality=io))
+    return DriverInStep(wire, settings, counts), wire
+
+
+def run(driver: CanopenDriver, command: Command = PASSIVE, ticks: int = 30) -> Readings:
+    """Let the driver send `command` for some ticks; return the last readings."""
+    readings = driver.read(0.0)
+    for k in range(1, ticks):
+        driver.write(command)
+        readings = driver.read(k * 0.001)
+    driver.write(command)
+    return readings
+
+
+def assert_counts_are_the_shafts(driver: CanopenDriver, wire: Wire, counts: int) -> None:
+    """Every joint's count is the plant's, in the driver's resolution and direction."""
+    readings = run(driver)
+    assert readings.encoder_valid == (True, True, True)
+    for found, true in zip(readings.encoder_count, wire.nodes.readings.encoder_count, strict=True):
+        off = (found - true * counts // PLANT_COUNTS + counts // 2) % counts - counts // 2
+        assert abs(off) <= 2 + counts // 4096
+
+
+def test_there_are_encoders_of_three_makers_and_nodes_of_three() -> None:
+    makers = {role: set[str]() for role in (ENCODER, IO)}
+    for one in personalities().values():
+        assert len(one.source) > 20, one.name
+        if one.maker != "any":
+            makers[one.role].add(one.maker)
+    assert len(makers[ENCODER]) >= 3
+    assert len(makers[IO]) >= 3
+
+
+@pytest.mark.parametrize("name", ROTARY)
+def test_a_rotary_encoder_is_taken_with_its_own_resolution(name: str) -> None:
+    counts = ROTARY[name].counts or PLANT_COUNTS
+    driver, wire = bus(encoder=ROTARY[name], counts=counts)
+    driver.open()
+    assert_counts_are_the_shafts(driver, wire, counts)
+
+
+@pytest.mark.parametrize("name", [name for name, one in ROTARY.items() if one.counts])
+def test_another_resolution_is_refused_with_the_value_to_configure(name: str) -> None:
+    driver, _ = bus(encoder=ROTARY[name])
+    counts = ROTARY[name].counts
+    told = rf"node 1 .*6501h:0.*found {counts},.* expected 131072; set plant.* = {counts} if"
+    with pytest.raises(DriverError, match=told):
+        driver.open()
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("siko-msa501", r"object 1000h:0 .*found encoder type 8, expected an absolute rotary encoder"),
+        ("temposonics-e", r"object 6005h:1 .*found 20000, so the device counts lengths"),
+    ],
+)
+def test_a_linear_encoder_is_refused(name: str, told: str) -> None:
+    driver, _ = bus(encoder=ENCODERS[name])
+    with pytest.raises(DriverError, match=told):
+        driver.open()
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_an_io_node_is_taken_follows_and_falls_back(name: str) -> None:
+    driver, wire = bus(io=TAKEN[name])
+    driver.open()
+    command = PASSIVE._replace(valve=(0.5, -0.5, 1.0), supply_enable=True, exhaust_closed=True)
+    readings = run(driver, command)
+    assert driver.trouble == ""
+    assert wire.in_force._replace(valve=command.valve) == command
+    assert wire.in_force.valve == pytest.approx(command.valve, abs=3e-4)
+    assert readings.emergency_stop_clear == wire.nodes.readings.emergency_stop_clear
+    assert readings.guard_closed == wire.nodes.readings.guard_closed
+    wire.pass_time(driver.watchdog + 0.002)
+    assert wire.in_force == PASSIVE
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_an_io_node_starts_passive_after_a_loss_of_power(name: str) -> None:
+    driver, wire = bus(io=TAKEN[name])
+    driver.open()
+    driver.read(0.0)
+    driver.write(PASSIVE._replace(valve=(1.0, 1.0, 1.0), supply_enable=True, exhaust_closed=True))
+    wire.nodes.valve_node.boot(wire.now)
+    assert wire.in_force == PASSIVE
+
+
+def test_storing_may_take_its_time_and_no_longer() -> None:
+    driver, wire = bus(io=NODES["wago-750"])
+    driver.open()
+    assert 2.5 < wire.now < 3.0
+    driver.close()
+    driver, _ = bus(io=NODES["wago-750"], settings=replace(SETTINGS, store_time=2.0))
+    with pytest.raises(DriverError, match=r"object 1010h:1 \(store parameters\).*no answer within 2 s"):
+        driver.open()
+
+
+def test_outputs_that_are_inverted_for_good_are_refused() -> None:
+    driver, _ = bus(io=NODES["inverted-fixed"])
+    told = r"object 6202h:1 \(polarity of the outputs\).*06010002h.*Found ffh: inverted.*own tool"
+    with pytest.raises(DriverError, match=told):
+        driver.open()
+
+
+def test_outputs_that_would_be_inverted_after_a_loss_of_power_are_refused() -> None:
+    inverted = NODES["inverted-io"]
+    driver, _ = bus(io=replace(inverted, absent=frozenset({(0x1010, None)})))
+    with pytest.raises(DriverError, match=r"6202h:1 .*inverted outputs, and the device cannot store"):
+        driver.open()
+
+
+@pytest.mark.parametrize("name", ["turck-bl20", "proface-htb", "wago-750"])
+def test_the_error_value_has_the_size_of_the_device(name: str) -> None:
+    driver, wire = bus(io=NODES[name])
+    driver.open()
+    node = wire.nodes.valve_node
+    centre = 16384 if node.size_of(0x6444, 1) == 2 else 16384 << 16
+    assert [node.number_at(0x6444, valve) for valve in (1, 2, 3)] == [centre] * 3
+
+
+def test_an_older_node_leaves_the_operational_state_by_67feh() -> None:
+    wago = NODES["wago-750"]
+    objects = tuple(replace(one, value=1) if one.index == 0x67FE else one for one in wago.objects)
+    driver, wire = bus(io=replace(wago, objects=objects))
+    driver.open()
+    assert wire.nodes.valve_node.number_at(0x67FE, 1) == 0
+
+
+@pytest.mark.parametrize("name", ["posital-16", "wago-750"])
+def test_an_unknown_family_is_refused_with_those_there_are(name: str) -> None:
+    role = IO if name in ENCODERS else ENCODER
+    with pytest.raises(ValueError, match=rf"{role} '{name}': not known; choose one of "):
+        find_personality(name, role)
