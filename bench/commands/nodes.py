@@ -12,7 +12,19 @@ from bench.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+    from drivers.canopen.scan import ScannedNode
+    from sim.nodes.personality import Personality
     from sim.nodes.plan import NodesPlan
+
+
+class UnknownFamily(BenchError):
+    """No device family of this name can be played."""
+
+
+class UnfitNodes(BenchError):
+    """The nodes on the bus would not be taken."""
+
+    exit_code = ExitCode.REFUSED
 
 
 class NoBus(BenchError):
@@ -21,13 +33,17 @@ class NoBus(BenchError):
     exit_code = ExitCode.DEVICE
 
 
-def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
+def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io: str = "") -> NodesPlan:
     """Return what the simulated nodes of `configuration` are started with; their files go to `folder`.
+
+    `encoder` and `io` name the device families that they play; empty for the plain devices.
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each fault that would never begin.
+        UnknownFamily: no such device family.
     """
     from bench.config import unheard_phases
+    from sim.nodes.personality import ENCODER, IO
     from sim.nodes.plan import NodesPlan
 
     if mistakes := unheard_phases(configuration):
@@ -43,7 +59,18 @@ def nodes_plan(configuration: Configuration, folder: Path) -> NodesPlan:
         folder=folder,
         priority=c.loop.priority - 1 if c.loop.realtime != "off" else 0,
         faults=tuple(c.faults.values()),
+        encoder_personality=_family(encoder, ENCODER),
+        io_personality=_family(io, IO),
     )
+
+
+def _family(name: str, role: str) -> Personality | None:
+    from sim.nodes.personality import find_personality
+
+    try:
+        return find_personality(name, role) if name else None
+    except ValueError as error:
+        raise UnknownFamily(f"nodes --{role}", f"{name!r}", f"{error}", "Choose a known one.") from error
 
 
 def nodes(
@@ -56,6 +83,18 @@ def nodes(
         Path | None,
         typer.Option(metavar="FILE", help="Write a DBC file of all bus frames and exit."),
     ] = None,
+    encoder: Annotated[
+        str,
+        typer.Option(metavar="FAMILY", help="Device family that the encoders play.", show_default="plain"),
+    ] = "",
+    io: Annotated[
+        str,
+        typer.Option(metavar="FAMILY", help="Device family that the valve node plays.", show_default="plain"),
+    ] = "",
+    look: Annotated[
+        bool,
+        typer.Option("--scan", help="List the nodes on the bus and whether they would be taken, and exit."),
+    ] = False,
 ) -> None:
     """Run the simulated nodes on the CAN bus, with the simulated robot behind them, until stopped.
 
@@ -63,6 +102,9 @@ def nodes(
     `golfbench --config local_can nodes`, and in another terminal `golfbench --config local_can run`.
     """
     configuration = context.ensure_object(Session).configuration()
+    if look:
+        show_scan(configuration)
+        return
     if dbc is not None:
         from drivers.canopen.dbc import describe
 
@@ -73,10 +115,46 @@ def nodes(
     import tempfile
 
     if folder is not None:
-        play(nodes_plan(configuration, folder))
+        play(nodes_plan(configuration, folder, encoder, io))
     else:
         with tempfile.TemporaryDirectory(prefix="golfbench-nodes-") as made:
-            play(nodes_plan(configuration, Path(made)))
+            play(nodes_plan(configuration, Path(made), encoder, io))
+
+
+def show_scan(configuration: Configuration) -> None:
+    """Print the nodes on the bus of `configuration`.
+
+    Raises:
+        NoBus: the bus cannot be opened.
+        UnfitNodes: a configured node is missing or would be refused.
+    """
+    from drivers.base import DriverError
+    from drivers.canopen.scan import scan
+
+    bus = configuration.canopen
+    where = f"{bus.interface} {bus.channel}"
+    try:
+        found = scan(bus, configuration.plant.encoders.counts_per_revolution)
+    except DriverError as error:
+        raise NoBus(
+            f"nodes --scan on {where}", str(error), "a bus that can be opened", "Bring it up."
+        ) from error
+    for node in found:
+        typer.echo("\n".join(_scan_lines(node)))
+    refused = [str(node.number) for node in found if node.role and not node.taken]
+    if refused:
+        raise UnfitNodes(
+            f"nodes --scan on {where}",
+            f"node {', '.join(refused)} missing or refused",
+            "every configured node taken",
+            "Follow the text at each node.",
+        )
+
+
+def _scan_lines(node: ScannedNode) -> list[str]:
+    lines = [f"node {node.number}: {node.role or 'not configured'}"]
+    lines += [f"  {text}" for text in (node.device, node.properties) if text]
+    return [*lines, f"  {'taken' if node.taken else 'refused:'} {node.verdict}".rstrip()]
 
 
 def play(plan: NodesPlan) -> None:

@@ -44,6 +44,15 @@ class Signal(NamedTuple):
     offset: float = 0.0
     unit: str = ""
     words: dict[int, str] | None = None
+    counts: tuple[int, int] | None = None
+    """Lowest and highest valid count; None for all that the bits can hold."""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest valid value, in units of the signal."""
+        whole = 1 << self.length
+        low, high = self.counts or ((-whole // 2, whole // 2 - 1) if self.signed else (0, whole - 1))
+        return self.offset + self.factor * low, self.offset + self.factor * high
 
 
 class Frame(NamedTuple):
@@ -67,7 +76,7 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
         "NMT",
         2,
         _MASTER,
-        (Signal("command", 0, 8, words=_NMT_COMMANDS), Signal("node", 8, 8)),
+        (Signal("command", 0, 8, words=_NMT_COMMANDS), Signal("node", 8, 8, counts=(0, 127))),
         "States of the nodes; node 0: all",
     )
     yield Frame(SYNC, "SYNC", 0, _MASTER, (), "All encoders sample now", period)
@@ -85,7 +94,15 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
         )
     factor = node.full_scale / FULL_SCALE
     valves = [
-        Signal(f"valve_{_word(actuator)}", 16 * n, 16, signed=True, factor=factor, unit="V")
+        Signal(
+            f"valve_{_word(actuator)}",
+            16 * n,
+            16,
+            signed=True,
+            factor=factor,
+            unit="V",
+            counts=(0, FULL_SCALE),
+        )
         for n, actuator in enumerate(ACTUATORS)
     ]
     switches = [Signal(name, 48 + bit, 1) for name, bit in vars(node.outputs).items()]
@@ -123,7 +140,9 @@ def _pressures(settings: CanopenSettings, period: float) -> Iterator[Frame]:
     factor = (node.pressure_at_full_scale - node.pressure_at_zero) / FULL_SCALE
     for n, (base, group) in enumerate(zip((TPDO2, TPDO3), pressure_groups(node), strict=False), start=1):
         signals = tuple(
-            Signal(names[channel], 16 * k, 16, True, factor, node.pressure_at_zero, "Pa")
+            Signal(
+                names[channel], 16 * k, 16, True, factor, node.pressure_at_zero, "Pa", counts=(0, FULL_SCALE)
+            )
             for k, channel in enumerate(group)
         )
         yield Frame(
@@ -145,7 +164,7 @@ def _services(settings: CanopenSettings, watchdog: float) -> Iterator[Frame]:
         Signal("sub_index", 24, 8),
         Signal("content", 32, 32),
     )
-    state = (Signal("state", 0, 8, words=_STATES),)
+    state = (Signal("state", 0, 8, words=_STATES, counts=(0, 127)),)
     for number in (*settings.encoders.nodes, settings.valve_node.node):
         error = (Signal("error_code", 0, 16), Signal("error_register", 16, 8))
         yield Frame(
@@ -203,9 +222,10 @@ def describe(settings: CanopenSettings, period: float, watchdog: float) -> str:
 def _signal(signal: Signal, sent_by: str) -> str:
     sign = "-" if signal.signed else "+"
     receiver = "Vector__XXX" if sent_by == _MASTER else _MASTER
+    low, high = signal.limits
     return (
-        f"{signal.name} : {signal.start}|{signal.length}@1{sign} ({signal.factor!r},{signal.offset!r}) [0|0] "
-        f'"{signal.unit}" {receiver}'
+        f"{signal.name} : {signal.start}|{signal.length}@1{sign} ({signal.factor!r},{signal.offset!r}) "
+        f'[{low:.12g}|{high:.12g}] "{signal.unit}" {receiver}'
     )
 
 

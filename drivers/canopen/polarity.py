@@ -7,6 +7,8 @@ Devices have the 8-bit objects, the 16-bit ones, both for the same channels, or 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from drivers.base import DriverError
 from drivers.canopen.services import Node, ServiceError
 
@@ -19,12 +21,41 @@ POLARITY = {
 """Objects of which each bit inverts a channel."""
 _OUTPUTS = frozenset({0x6202, 0x6302})
 _MASKS = {
-    (0x6208, 1): "mask of the outputs",
-    (0x6308, 1): "mask of the outputs, 16 bits",
-    (0x6006, 1): "mask of the inputs that are sent on change",
+    0x6208: "mask of the outputs",
+    0x6308: "mask of the outputs, 16 bits",
+    0x6006: "mask of the inputs that are sent on change",
 }
 """Objects of which each bit lets a channel take part."""
-_ON_CHANGE = 0x6005, 0, "inputs are sent on change"
+_ON_CHANGE = 0x6005
+"""Object that is 1 where inputs are sent on change."""
+
+
+class PolaritySetting(NamedTuple):
+    """One object that must be set before inputs and outputs mean what they say."""
+
+    main_index: int
+    subindex: int
+    found: bytes
+    wanted: int
+    name: str
+
+
+def wrong_settings(node: Node) -> list[PolaritySetting]:
+    """Return the objects of polarity and masks that the device has otherwise.
+
+    Raises:
+        ServiceError: the node refuses or does not answer.
+    """
+    wrong = []
+    places = [(index, 1, name) for index, name in (*POLARITY.items(), *_MASKS.items())]
+    for index, subindex, name in (*places, (_ON_CHANGE, 0, "inputs are sent on change")):
+        found = node.find(index, subindex, name)
+        if found is None:
+            continue
+        wanted = (1 << 8 * len(found)) - 1 if index in _MASKS else int(index == _ON_CHANGE)
+        if int.from_bytes(found, "little") != wanted:
+            wrong.append(PolaritySetting(index, subindex, found, wanted, name))
+    return wrong
 
 
 def set_polarity(node: Node) -> tuple[bool, bool]:
@@ -35,28 +66,19 @@ def set_polarity(node: Node) -> tuple[bool, bool]:
     Raises:
         ServiceError: the node refuses, or does not keep a setting.
     """
-    changed = inverted = False
-    for index, name in POLARITY.items():
-        found = node.find(index, 1, name)
-        if found is None or not any(found):
-            continue
+    wrong = wrong_settings(node)
+    for index, subindex, found, wanted, name in wrong:
         try:
-            node.set(index, 1, 0, len(found), name)
+            node.set(index, subindex, wanted, len(found), name)
         except ServiceError as error:
+            if index not in POLARITY:
+                raise
             raise ServiceError(
                 f"{error}. Found {found[::-1].hex()}h: inverted channels make the fallback energise outputs, "
                 "or an open contact read as closed. Set it to 0 with the device's own tool",
                 error.code,
             ) from error
-        changed, inverted = True, inverted or index in _OUTPUTS
-    for (index, subindex), name in _MASKS.items():
-        found = node.find(index, subindex, name)
-        if found is not None:
-            changed |= node.set_if_different(index, subindex, (1 << 8 * len(found)) - 1, name)
-    index, subindex, name = _ON_CHANGE
-    if node.find(index, subindex, name) is not None:
-        changed |= node.set_if_different(index, subindex, 1, name)
-    return changed, inverted
+    return bool(wrong), any(one.main_index in _OUTPUTS for one in wrong)
 
 
 def check_stored(node: Node, inverted: bool, stored: bool) -> None:

@@ -89,7 +89,7 @@ class ValveNodeSettings:
     full_scale: Annotated[float, Gt(0.0), Le(20.0)] = 10.0
     """Analogue output voltage at count 32767, V."""
     error_value_shift: Annotated[int, Ge(0), Le(16)] = 16
-    """Left shift (bits) of the value in object 6444h if that has 32 bits; with 16 bits there is none."""
+    """Left shift (bits) of the value in object 6444h if that has 32 bits, not 16."""
     supply_pressure: OptionalSubIndex = 1
     """Sub-index of 6401h; 0 if not fitted."""
     chamber_pressures: tuple[

@@ -12,7 +12,7 @@ from drivers.canopen.scaling import set_scale
 from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings
 
-_ENCODER_PROFILE, _IO_PROFILE = 406, 401
+ENCODER_PROFILE, IO_PROFILE = 406, 401
 _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 _INVALID, _NO_REMOTE = 0x80000000, 0x40000000
 _COB_ID_MASK = 0x800007FF
@@ -22,9 +22,9 @@ _PREDEFINED_PDOS = 4
 _MAX_PDOS = 512
 _MAX_MAPPED = 64
 _ON_EVENT = 255
-_ERROR_BEHAVIOUR = 0x1029, 0x67FE
+ERROR_BEHAVIOUR = 0x1029, 0x67FE
 """Objects of the behaviour on a communication error: CiA 301, and older devices of CiA 401."""
-_OUTPUT_ERRORS = (0x6206, 0x6207), (0x6306, 0x6307)
+OUTPUT_ERRORS = (0x6206, 0x6207), (0x6306, 0x6307)
 """Error modes and error values of the outputs in groups of 8 and of 16."""
 
 
@@ -35,7 +35,7 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
         DriverError: wrong device, not `counts` per revolution rising clockwise, or a setting is refused.
     """
     chosen = settings.encoders
-    _identify(node, _ENCODER_PROFILE, chosen.vendor, chosen.product)
+    identify(node, ENCODER_PROFILE, chosen.vendor, chosen.product)
     total = set_scale(node, counts, chosen.position)
     _silence(node, _TPDO, keep=1)
     _set_pdo(node, _TPDO + 1, _TPDO_MAP + 1, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
@@ -50,7 +50,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
         DriverError: wrong device, a setting is refused, or no fallback and no watchdog relay.
     """
     chosen = settings.valve_node
-    _identify(node, _IO_PROFILE, chosen.vendor, chosen.product)
+    identify(node, IO_PROFILE, chosen.vendor, chosen.product)
     _silence(node, _RPDO)
     _silence(node, _TPDO)
     _set_fallback(node, settings)
@@ -128,9 +128,9 @@ def _set_error_value(node: Node, channel: int, count: int, shift: int, actuator:
 def _set_output_errors(node: Node) -> bool:
     """De-energise all outputs without commands; return whether that was set otherwise."""
     mode_name, value_name = "error mode of the outputs", "error value of the outputs"
-    groups = [pair for pair in _OUTPUT_ERRORS if node.find(pair[0], 1, mode_name) is not None]
+    groups = [pair for pair in OUTPUT_ERRORS if node.find(pair[0], 1, mode_name) is not None]
     new = False
-    for mode, value in groups or _OUTPUT_ERRORS[:1]:
+    for mode, value in groups or OUTPUT_ERRORS[:1]:
         size = len(node.read_bytes(mode, 1, mode_name))
         new |= node.set_if_different(mode, 1, (1 << 8 * size) - 1, mode_name)
         new |= node.set_if_different(value, 1, 0, value_name)
@@ -139,7 +139,7 @@ def _set_output_errors(node: Node) -> bool:
 
 def _set_error_behaviour(node: Node) -> bool:
     """Make the node leave the operational state on an error; return whether the setting changed."""
-    for index in _ERROR_BEHAVIOUR:
+    for index in ERROR_BEHAVIOUR:
         if node.find(index, 1, "error behaviour") is not None:
             return node.set_if_different(index, 1, 0, "error behaviour")
     return False
@@ -175,7 +175,7 @@ def _without_fallback(what: object) -> DriverError:
     )
 
 
-def _identify(node: Node, profile: int, vendor: int, product: int) -> None:
+def identify(node: Node, profile: int, vendor: int, product: int) -> None:
     """Check device profile, vendor and product.
 
     Raises:

@@ -55,7 +55,7 @@ class ValveNode401(CanopenDevice):
         chosen, value = self._of_outputs(_OUTPUT_ERROR_MODE), self._of_outputs(_OUTPUT_ERROR_VALUE)
         self.put(_OUTPUTS, 1, before & ~chosen | value & chosen)
         for valve in (1, 2, 3):
-            if self._value(_VOLTAGE_ERROR_MODE, valve):
+            if self._value(_VOLTAGE_ERROR_MODE, valve) and (_VOLTAGE_ERROR_VALUE, valve) in self:
                 shift = 8 * self.size_of(_VOLTAGE_ERROR_VALUE, valve) - 16
                 self.put(_VOLTAGE_OUT, valve, self.number_at(_VOLTAGE_ERROR_VALUE, valve) >> shift)
         self._drive()

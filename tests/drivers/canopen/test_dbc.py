@@ -53,6 +53,19 @@ def test_every_frame_of_a_start_up_and_of_ticks_is_described(described: Database
         assert one.identifier in seen, one.name
 
 
+def test_every_signal_has_its_limits(described: Database) -> None:
+    for message in described.messages:
+        for signal in message.signals:
+            assert signal.minimum is not None, signal.name
+            assert signal.maximum is not None, signal.name
+            assert signal.minimum < signal.maximum
+    command, pressures = (described.get_message_by_name(name) for name in ("COMMAND", "PRESSURES_1"))
+    assert [(s.minimum, s.maximum) for s in command.signals[:4]] == [(0, 10)] * 3 + [(0, 1)]
+    assert [(s.minimum, s.maximum) for s in pressures.signals] == [(0, 1.6e6)] * 4
+    position = described.get_message_by_name("POSITION_ARM").signals[0]
+    assert (position.minimum, position.maximum) == (0, 2**32 - 1)
+
+
 def test_the_command_means_what_the_driver_was_told(described: Database) -> None:
     driver, wire = make()
     driver.open()

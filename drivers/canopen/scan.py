@@ -1,0 +1,193 @@
+"""List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started."""
+
+from __future__ import annotations
+
+import time as wall
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple
+
+from drivers.base import JOINTS, DriverError
+from drivers.can_bus import FRAME
+from drivers.canopen.frames import SDO_REQUEST, SDO_RESPONSE, frame
+from drivers.canopen.link import FrameLink, open_link
+from drivers.canopen.polarity import wrong_settings
+from drivers.canopen.scaling import describe_scale, describe_settings, read_scale, wanted_settings
+from drivers.canopen.services import Node, ServiceError
+from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.setup import ENCODER_PROFILE, ERROR_BEHAVIOUR, IO_PROFILE, OUTPUT_ERRORS, identify
+
+_ALL_NODES = range(1, 128)
+_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+_GAP = 0.002
+"""Time between two questions, s: an interface queues few frames."""
+
+
+class ScannedNode(NamedTuple):
+    """One node of the bus, or a configured one that does not answer."""
+
+    number: int
+    role: str
+    """Role by the configuration; empty if it is not configured."""
+    device: str
+    """Name, vendor, product and profile as the device gives them; empty without an answer."""
+    properties: str
+    """What its objects say of counts, polarity or fallback."""
+    taken: bool
+    """Whether the startup would take it in its role, as far as reading shows."""
+    verdict: str
+    """Objects that the startup sets, or the reason and action of a refusal."""
+
+
+def scan(
+    settings: CanopenSettings,
+    counts: int,
+    *,
+    clock: Callable[[], float] = wall.monotonic,
+    open_bus: Callable[[CanopenSettings, list[int]], FrameLink] = open_link,
+) -> list[ScannedNode]:
+    """Return the nodes on the bus; `counts` per revolution are required of encoders.
+
+    Raises:
+        DriverError: the interface cannot be opened, or fails.
+    """
+    link = open_bus(settings, [SDO_RESPONSE + number for number in _ALL_NODES])
+    try:
+        return _Scanner(link, settings, counts, clock).run()
+    except OSError as error:
+        raise DriverError(
+            f"canopen: channel {settings.channel!r}: {error}; check that the interface is up"
+        ) from error
+    finally:
+        with suppress(Exception):
+            link.shutdown()
+
+
+class _Scanner:
+    """One scan of an opened bus."""
+
+    def __init__(
+        self, link: FrameLink, settings: CanopenSettings, counts: int, clock: Callable[[], float]
+    ) -> None:
+        self._link, self._settings, self._counts, self._clock = link, settings, counts, clock
+        joints = zip(settings.encoders.nodes, JOINTS, strict=True)
+        self._roles = {number: f"encoder of the {joint}" for number, joint in joints}
+        self._roles[settings.valve_node.node] = "valves and interlocks"
+
+    def run(self) -> list[ScannedNode]:
+        found = self._answering()
+        return [
+            self._judge(number) if number in found else self._missing(number)
+            for number in sorted(found | self._roles.keys())
+        ]
+
+    def _answering(self) -> set[int]:
+        """Return the nodes that answer a question for their device type."""
+        found = set()
+        for number in _ALL_NODES:
+            self._send(frame(SDO_REQUEST + number, _READ_DEVICE_TYPE))
+            answer = self._take(_GAP)
+            if answer is not None:
+                found.add(answer[0] - SDO_RESPONSE)
+        end = self._clock() + self._settings.service_time
+        while (left := end - self._clock()) > 0.0:
+            answer = self._take(left)
+            if answer is not None:
+                found.add(answer[0] - SDO_RESPONSE)
+        return found
+
+    def _send(self, whole: bytes) -> None:
+        self._link.send_frame(whole)
+
+    def _take(self, timeout: float) -> tuple[int, bytes] | None:
+        """Return the next SDO response."""
+        whole = self._link.receive_frame(timeout)
+        if whole is None:
+            return None
+        identifier, length, data = FRAME.unpack(whole)
+        return (identifier, data[:length]) if SDO_RESPONSE < identifier < SDO_REQUEST else None
+
+    def _missing(self, number: int) -> ScannedNode:
+        cure = "no answer; check its power and number, and the bit rate and terminators of the bus"
+        return ScannedNode(number, self._roles[number], "", "", False, cure)
+
+    def _judge(self, number: int) -> ScannedNode:
+        role = self._roles.get(number, "")
+        node = Node(
+            number,
+            role or "not configured",
+            self._send,
+            self._take,
+            self._clock,
+            self._settings.service_time,
+        )
+        device = properties = verdict = ""
+        try:
+            profile = node.read(0x1000, 0, "device type") & 0xFFFF
+            device = _describe_device(node, profile)
+            if profile == ENCODER_PROFILE:
+                scale = read_scale(node)
+                properties = describe_scale(scale)
+                verdict = describe_settings(wanted_settings(node, scale, self._counts))
+            elif profile == IO_PROFILE:
+                properties, verdict = judge_io_node(node, self._settings)
+            if not role:
+                return ScannedNode(
+                    number, role, device, properties, False, "in no role: correct the numbers in [canopen]"
+                )
+            chosen = self._settings.valve_node if "valves" in role else self._settings.encoders
+            wanted = IO_PROFILE if "valves" in role else ENCODER_PROFILE
+            identify(node, wanted, chosen.vendor, chosen.product)
+        except DriverError as error:
+            return ScannedNode(number, role, device, properties, False, f"{error}")
+        return ScannedNode(number, role, device, properties, True, verdict and f"after setting {verdict}")
+
+
+def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
+    """Return the properties of an I/O node and what the startup sets in it, as text.
+
+    Raises:
+        DriverError: it lacks an object that the bench needs.
+    """
+    chosen = settings.valve_node
+    needed = [(0x6000, 1, "inputs"), (0x6200, 1, "outputs"), (0x1800, 5, "event timer of the inputs")]
+    needed += [(0x6411, channel, "analogue output of a valve") for channel in chosen.valves]
+    needed += [(0x6401, channel, "analogue input of a pressure") for channel in chosen.analogue_inputs]
+    if not chosen.watchdog_relay:
+        needed += [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]
+        needed += [(0x6444, channel, "error value of a valve") for channel in chosen.valves]
+    for index, subindex, name in needed:
+        node.read_bytes(index, subindex, name)
+    watchdogs = [
+        f"{index:04X}h:{subindex}"
+        for index, subindex in ((0x1400, 5), (0x1016, 1))
+        if node.find(index, subindex, "watchdog") is not None
+    ]
+    modes = [f"{mode:04X}h" for mode, _ in OUTPUT_ERRORS if node.find(mode, 1, "error mode") is not None]
+    if not (watchdogs and modes) and not chosen.watchdog_relay:
+        raise ServiceError(
+            f"canopen: node {node.number} ({node.role}): found no "
+            f"{'error mode of the outputs (6206h, 6306h)' if watchdogs else 'timer (1400h:5, 1016h:1)'}, so "
+            "it does not go passive by itself; use another node, or fit an external watchdog relay and name "
+            "it in canopen.valve_node.watchdog_relay"
+        )
+    changes = [f"{one.main_index:04X}h = {one.wanted:#x} ({one.name})" for one in wrong_settings(node)]
+    size = node.find(0x6444, chosen.valves[0], "error value of a valve")
+    behaviour = [
+        f"{index:04X}h" for index in ERROR_BEHAVIOUR if node.find(index, 1, "error behaviour") is not None
+    ]
+    parts = [f"watched by {' and '.join(watchdogs) or chosen.watchdog_relay}"]
+    parts += [f"outputs fall back by {' and '.join(modes)}"] if modes else []
+    parts += [f"error values of {8 * len(size)} bits"] if size is not None else []
+    parts += [f"error behaviour in {behaviour[0]}"] if behaviour else []
+    return ", ".join(parts), ", ".join(changes)
+
+
+def _describe_device(node: Node, profile: int) -> str:
+    name = node.find(0x1008, 0, "device name") or b""
+    text = "".join(letter for letter in name.decode("ascii", "replace") if letter.isprintable()).strip()
+    vendor, product = (node.find(0x1018, subindex, "identity") or b"" for subindex in (1, 2))
+    return (
+        f"{text or 'no name'}, profile {profile}, vendor {int.from_bytes(vendor, 'little'):X}h, "
+        f"product {int.from_bytes(product, 'little'):X}h"
+    )

@@ -1,0 +1,119 @@
+"""The scan of a bus: it finds every node, says what the startup would, and changes nothing."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.commands.session import Session
+from drivers.base import DriverError
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.scan import ScannedNode, scan
+from drivers.canopen.settings import CanopenSettings
+from sim.nodes.device import CanopenDevice
+from sim.nodes.personality import ENCODER, IO, Personality, find_personality, personalities
+from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
+
+
+def settings_of(device: CanopenDevice) -> dict[tuple[int, int], bytes]:
+    """Return what a master has written."""
+    values, objects = device._values.items(), device._objects
+    return {key: value for key, value in values if objects[key].writable and not objects[key].pdo_mappable}
+
+
+def scanned(
+    encoder: Personality | None = None,
+    io: Personality | None = None,
+    counts: int = 2**17,
+    settings: CanopenSettings = SETTINGS,
+) -> dict[int, ScannedNode]:
+    wire = Wire(replace(nodes_plan(), encoder_personality=encoder, io_personality=io))
+    before = [settings_of(device) for device in wire.nodes.devices]
+    found = scan(settings, counts, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [settings_of(device) for device in wire.nodes.devices] == before
+    assert {data[0] & 0xE0 for _, data in wire.sent} <= {0x40, 0x60}, "something else than reading"
+    assert not wire.open
+    return {node.number: node for node in found}
+
+
+def test_plain_nodes_are_taken_as_they_are() -> None:
+    found = scanned()
+    assert list(found) == [1, 2, 3, 10]
+    assert all(node.taken and not node.verdict for node in found.values())
+    assert found[2].role == "encoder of the arm"
+    assert found[2].device.startswith("golfbench encoder, profile 406, vendor FFFFFF01h")
+    assert found[2].properties == "131072 counts per revolution, single turn"
+    assert "watched by 1400h:5 and 1016h:1, outputs fall back by 6206h" in found[10].properties
+
+
+def test_settings_that_the_startup_makes_are_named() -> None:
+    found = scanned(find_personality("reversed-17", ENCODER), find_personality("inverted-io", IO))
+    assert found[1].properties.endswith("single turn, scaled to 4096 counts, reversed")
+    assert found[1].verdict == (
+        "after setting 6001h = 0x20000 (measuring units per revolution), 6002h = 0x20000 (total measuring "
+        "range), 6000h = 0x0 (operating parameters)"
+    )
+    assert "6202h = 0x0 (polarity of the outputs)" in found[10].verdict
+
+
+@pytest.mark.parametrize("name", [name for name, one in personalities().items() if one.role == ENCODER])
+@pytest.mark.parametrize("counts", [2**17, 2**16])
+def test_the_scan_says_what_the_startup_does(name: str, counts: int) -> None:
+    encoder = find_personality(name, ENCODER)
+    wire = Wire(replace(nodes_plan(), encoder_personality=encoder))
+    driver: CanopenDriver = DriverInStep(wire, SETTINGS, counts)
+    verdict = scanned(encoder, counts=counts)[1]
+    try:
+        driver.open()
+        refusal = ""
+    except DriverError as error:
+        refusal = str(error)
+    assert verdict.taken is (refusal == "")
+    if refusal:
+        assert verdict.verdict == refusal
+
+
+def test_missing_and_misnumbered_nodes_are_listed() -> None:
+    node = replace(SETTINGS.encoders, nodes=(1, 2, 10))
+    settings = replace(SETTINGS, encoders=node, valve_node=replace(SETTINGS.valve_node, node=11))
+    found = scanned(settings=settings)
+    assert found[3].verdict == "in no role: correct the numbers in [canopen]"
+    assert not found[10].taken
+    assert "expected device profile 406" in found[10].verdict
+    assert found[11].verdict.startswith("no answer; check its power")
+
+
+@pytest.mark.parametrize(
+    ("absent", "told"),
+    [
+        ((0x6444, None), r"object 6444h:1 .*06020000h"),
+        ((0x1800, 5), r"object 1800h:5 \(event timer of the inputs\)"),
+        ((0x6206, None), r"found no error mode of the outputs"),
+    ],
+)
+def test_an_unfit_io_node_is_named(absent: tuple[int, int | None], told: str) -> None:
+    io = replace(find_personality("inverted-io", IO), absent=frozenset({absent}))
+    found = scanned(io=io)[10]
+    assert not found.taken
+    assert re.search(told, found.verdict), found.verdict
+
+
+def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "local_can"\n[canopen]\nchannel = "{tmp_path}/bus"\nservice_time = 0.05\n')
+    result = CliRunner().invoke(app, ["--config", str(file), "nodes", "--scan"], obj=Session())
+    assert result.exit_code != 0
+    for number in (1, 2, 3, 10):
+        assert f"node {number}: " in result.output
+    assert "refused: no answer; check its power" in result.output
+
+
+def test_the_command_refuses_an_unknown_family() -> None:
+    result = CliRunner().invoke(app, ["--config", "local_can", "nodes", "--io", "posital-16"], obj=Session())
+    assert result.exit_code != 0
+    assert "wago-750" in f"{result.output}{result.exception}"
