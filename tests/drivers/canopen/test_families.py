@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -159,3 +160,12 @@ def test_an_unknown_family_is_refused_with_those_there_are(name: str) -> None:
     role = IO if name in ENCODERS else ENCODER
     with pytest.raises(ValueError, match=rf"{role} '{name}': not known; choose one of "):
         find_personality(name, role)
+
+
+def test_the_readme_lists_every_family() -> None:
+    text = (Path(__file__).parents[3] / "drivers" / "canopen" / "README.md").read_text(encoding="utf-8")
+    rows = {line.split("|")[1].strip(" `"): line for line in text.splitlines() if line.startswith("| `")}
+    refused = {"siko-msa501", "temposonics-e", "inverted-fixed"}
+    for name, one in personalities().items():
+        assert ("refused: " if name in refused else "taken") in rows[name], name
+        assert not one.counts or f"| {one.counts} |" in rows[name]
