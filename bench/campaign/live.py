@@ -64,6 +64,9 @@ _AT_THE_ROBOT = {
     REFUSAL_TEXT[Refusal.LOCAL_RESET]: "Press the reset button beside the robot.",
 }
 """Refusals that a person beside the robot cures, and the cures."""
+_LASTING = frozenset({REFUSAL_TEXT[Refusal.READ_ONLY]})
+_BY_HAND = ("golfbench calibrate", "learn again")
+"""Cures in refusals that do not pass by themselves."""
 _READY = 60.0
 """Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
 _SWING = 60.0
@@ -350,8 +353,8 @@ class LiveShots:
                     events.append(
                         ("reset", f"{in_words(status)}; a simulated bench resets, homes and arms itself")
                     )
-            except CommandRefused:  # not at rest, not vented, guard still open: all pass, or the time does
-                if time.monotonic() > deadline:
+            except CommandRefused as refused:  # not at rest, not vented, guard still open: all pass in time
+                if _lasts(refused.answer.reason) or time.monotonic() > deadline:
                     raise
             if time.monotonic() > deadline:
                 raise Suspended(f"{in_words(status)}, not at rest at its address after {_READY:g} s")
@@ -592,6 +595,11 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
         "attempt": step.attempt,
         "sample": sample,
     }
+
+
+def _lasts(reason: str) -> bool:
+    """Return whether a refusal lasts until a person has calibrated, learned again or restarted the bench."""
+    return reason in _LASTING or any(command in reason for command in _BY_HAND)
 
 
 @contextmanager

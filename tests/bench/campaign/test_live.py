@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -369,6 +370,45 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
         "feeder empty or jammed: no ball came",
     )
     assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [
+        "encoders of bench b expired on 2026-11-20 08:00 UTC: golfbench calibrate encoders",
+        "club driver of bench b never calibrated: golfbench calibrate club",
+        REFUSAL_TEXT[Refusal.READ_ONLY],
+    ],
+)
+def test_a_bench_that_will_not_arm_suspends_at_once(plan: CampaignPlan, reason: str) -> None:
+    class Unarmed(StandingBench):
+        """Refuses to arm."""
+
+        def arm(self) -> None:
+            self.asked.append("arm")
+            raise CommandRefused("b", Verb.ARM, CommandAnswer(False, "READY", reason))
+
+    bench = Unarmed()
+    with pytest.raises(Suspended, match=re.escape(reason.split(":", maxsplit=1)[0])):
+        take(plan, bench, simulated=True)
+    assert bench.asked == ["arm"]
+
+
+def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.campaign.live._READY", 0.2)
+
+    class Venting(StandingBench):
+        """Its chambers never empty."""
+
+        def arm(self) -> None:
+            self.asked.append("arm")
+            reason = REFUSAL_TEXT[Refusal.NOT_VENTED]
+            raise CommandRefused("b", Verb.ARM, CommandAnswer(False, "READY", reason))
+
+    bench = Venting()
+    with pytest.raises(Suspended, match="not proven empty"):
+        take(plan, bench, simulated=True)
+    assert len(bench.asked) > 1
 
 
 def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) -> None:
