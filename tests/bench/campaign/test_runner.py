@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import subprocess
 import sys
@@ -371,6 +372,12 @@ def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -
     other = replace(bench.plan, design=replace(bench.plan.design, blocks=4))
     with pytest.raises(Refused, match="another plan"):
         require_resumable(bench.entry, state, configuration, other)
+    stored = json.loads(json.dumps(bench.entry.plan))
+    del stored["design"]["hits_per_mounting"]  # as an older version stored it, with the digest of that
+    older = replace(bench.entry, plan=stored, digest="0123456789abcdef")
+    require_resumable(older, state, configuration, bench.plan)
+    with pytest.raises(Refused, match="another plan"):
+        require_resumable(older, state, configuration, other)
     warmer = replace(configuration, air=replace(configuration.air, temperature=300.0))
     with pytest.raises(Refused, match=r"air\.temperature"):
         require_resumable(bench.entry, state, warmer, None)
