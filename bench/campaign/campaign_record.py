@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from bench.campaign.exclusions import reasons_by_hand, with_exclusions
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
-from bench.shot.shot import Shot
+from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import (
     CampaignEntry,
     CampaignRun,
@@ -16,6 +17,7 @@ from bench.store.campaigns import (
     Event,
     Hit,
     Prompt,
+    ShotExclusion,
     ShotNote,
     Standing,
 )
@@ -32,16 +34,28 @@ class CampaignRecord:
     standing: Standing
     plan: CampaignPlan
     shots: Sequence[Shot]
+    """As they count: what a person excluded is excluded."""
     events: Sequence[Event]
     hits: Counter[Hit]
     prompts: Sequence[Prompt] = ()
     notes: Sequence[ShotNote] = ()
     runs: Sequence[CampaignRun] = ()
+    exclusions: Sequence[ShotExclusion] = ()
+    """By hand, in the order in which they were made."""
 
     @property
     def issues(self) -> list[Event]:
         """Issues of its report in order; the last one supersedes those before it."""
         return [event for event in self.events if event.kind == ISSUE]
+
+    @property
+    def shots_as_taken(self) -> list[Shot]:
+        """Its shots without what a person excluded later."""
+        by_hand = reasons_by_hand(self.exclusions)
+        return [
+            replace(shot, status=ShotStatus.VALID, reason="") if shot.shot in by_hand else shot
+            for shot in self.shots
+        ]
 
     @property
     def number(self) -> str:
@@ -52,14 +66,16 @@ class CampaignRecord:
 
 def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
     """Return a campaign with all its data in the database."""
+    exclusions = store.exclusions(entry.id)
     return CampaignRecord(
         entry,
         store.standing(entry.id),
         plan_from_record(entry.plan, f"campaign {entry.id}"),
-        [stored.shot for stored in store.shots(entry.id)],
+        with_exclusions([stored.shot for stored in store.shots(entry.id)], exclusions),
         store.events(entry.id),
         store.hits(entry.hit_scope),
         store.prompts(entry.id),
         store.notes(entry.id),
         store.runs(entry.id),
+        exclusions,
     )

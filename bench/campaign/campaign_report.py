@@ -14,7 +14,7 @@ from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import measured_of
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
-from bench.campaign.digest import SHOT_DIGITS, parts_digests, shot_digests, whole_digest
+from bench.campaign.digest import NO_DATA, SHOT_DIGITS, parts_digests, shot_digests, whole_digest
 from bench.campaign.equipment import (
     EquipmentTable,
     ball_table,
@@ -22,7 +22,8 @@ from bench.campaign.equipment import (
     club_table,
     without_simulated_balls,
 )
-from bench.campaign.findings import Findings, as_flown, findings_record
+from bench.campaign.exclusions import reasons_by_hand
+from bench.campaign.findings import Findings, as_flown, findings, findings_record
 from bench.campaign.fitting import PromptKind
 from bench.campaign.interruptions import software_versions
 from bench.campaign.mixed_model import MixedModel, MixedPair
@@ -46,6 +47,7 @@ from bench.store.campaigns import (
     CampaignState,
     Hit,
     Prompt,
+    ShotExclusion,
     ShotNote,
     Standing,
 )
@@ -59,8 +61,8 @@ _MAX_LINES = 200
 """Max number of events, and of lines of manual work."""
 
 LIMITS = (
-    "Comparisons use valid shots only. A shot is excluded for its delivery or a fault, never for where its "
-    "ball went.",
+    "Comparisons use valid shots only. The bench excludes a shot for its delivery or a fault, never for "
+    "where its ball went; a person only with name and reason.",
     "Intervals are for normal scatter, of each level its own; a ball's hits belong together, so that a model "
     "is judged by its balls, blocks are fixed. The plan fixed quantity, margin and analysis before the first "
     "shot.",
@@ -161,6 +163,9 @@ def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[s
     events = [event for event in record.events if event.kind != ISSUE]
     return {
         "notes": _notes(record.notes),
+        "by_hand": len(reasons_by_hand(record.exclusions)),
+        "exclusions": _exclusions(record),
+        "counted": _counted(record, found, units),
         "events": events[:_MAX_LINES],
         "more_events": max(0, len(events) - _MAX_LINES),
         "handwork": handwork[:_MAX_LINES],
@@ -206,7 +211,7 @@ def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[...
 
 def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]:
     """Return the digests of the parts of `record`; `shots` are those of its shots."""
-    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes)
+    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes, record.exclusions)
 
 
 def _page_data(
@@ -256,6 +261,30 @@ def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
     for note in notes:
         found.setdefault(note.shot, []).append(f"{note.text or 'marked'} ({note.by})")
     return {shot: "; ".join(texts) for shot, texts in found.items()}
+
+
+def _exclusions(record: CampaignRecord) -> list[tuple[ShotExclusion, str, bool]]:
+    """Return the exclusions by hand with the shot's ball, and whether results had been looked at before."""
+    balls = {shot.shot: f"{shot.ball} #{shot.sample}" if shot.sample else shot.ball for shot in record.shots}
+    looks = [event.date for event in record.events if event.kind in NO_DATA]
+    end = len(record.shots) if record.standing.state is CampaignState.FINISHED else None  # a run ends with it
+    return [
+        (one, balls.get(one.shot, ""), one.after_shot == end or any(date <= one.date for date in looks))
+        for one in record.exclusions
+    ]
+
+
+def _counted(record: CampaignRecord, found: Findings, units: UnitSystem) -> list[str]:
+    """Return the headlines that differ if what was excluded by hand counts, with those headlines."""
+    if not reasons_by_hand(record.exclusions):
+        return []
+    taken = findings(record.plan, record.shots_as_taken, found.looks, units)
+    pairs = [
+        (one, two)
+        for mine, other in zip(found.verdicts, taken.verdicts, strict=True)
+        for one, two in zip(mine, other, strict=True)
+    ]
+    return [two.headline for one, two in pairs if one.headline != two.headline]
 
 
 def _one_day(record: CampaignRecord) -> bool:

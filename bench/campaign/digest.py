@@ -10,7 +10,7 @@ from hashlib import sha256
 from typing import Any
 
 from bench.shot.shot import COLUMNS, Shot
-from bench.store.campaigns import CampaignEntry, Event, Prompt, ShotNote
+from bench.store.campaigns import CampaignEntry, Event, Prompt, ShotExclusion, ShotNote
 
 SHOT_DIGITS = 8
 """Hex digits of a shot's digest on a page."""
@@ -30,8 +30,9 @@ def parts_digests(
     events: Iterable[Event],
     prompts: Iterable[Prompt],
     notes: Iterable[ShotNote],
+    exclusions: Sequence[ShotExclusion] = (),
 ) -> dict[str, str]:
-    """Return the digests of plan, campaign, shots, events, prompts and notes.
+    """Return the digests of plan, campaign, shots, events, prompts, notes, and exclusions if any.
 
     `shots` are those of the shots.
     """
@@ -44,6 +45,7 @@ def parts_digests(
         "events": _digest([one for one in events if one.kind not in NO_DATA]),
         "prompts": _digest(list(prompts)),
         "notes": _digest(list(notes)),
+        **({"exclusions": _digest(exclusions)} if exclusions else {}),
     }
 
 

@@ -562,6 +562,31 @@ def mark(
 
 
 @app.command()
+def exclude(
+    context: typer.Context,
+    campaign: Id,
+    shot: Annotated[int, typer.Argument(metavar="SHOT", help="Number of the shot.")],
+    reason: Annotated[str, typer.Option(metavar="TEXT", help="Why.")],
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who decides.", show_default="user@host")] = "",
+    undo: Annotated[bool, typer.Option("--undo", help="Let an excluded shot count again.")] = False,
+) -> None:
+    """Exclude a shot from the results, with the reason. Nothing is deleted; the report lists it.
+
+    A running campaign does not repeat it.
+    """
+    from datetime import UTC, datetime
+
+    from bench.campaign.exclusions import exclude_shot
+    from bench.campaign.operate import find_campaign
+    from bench.commands.campaign_terminal import user_name
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        entry = find_campaign(store, campaign)
+        exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
+    typer.echo(f"shot {shot} {'counts again' if undo else 'excluded'}: {reason.strip()}")
+
+
+@app.command()
 def answer(
     context: typer.Context,
     campaign: Id,
@@ -706,11 +731,14 @@ def export(
     ] = None,
 ) -> None:
     """Export a campaign's shots, one row each."""
+    from bench.campaign.exclusions import with_exclusions
     from bench.campaign.operate import find_campaign
     from bench.shot.shot_table import shot_table_text, write_shot_table
 
     with _store(context.ensure_object(Session).configuration()) as store:
-        shots = [stored.shot for stored in store.shots(find_campaign(store, campaign).id)]
+        found = find_campaign(store, campaign).id
+        taken = [stored.shot for stored in store.shots(found)]
+        shots = with_exclusions(taken, store.exclusions(found))
     if output is None:
         typer.echo(shot_table_text(shots), nl=False)
     else:

@@ -27,11 +27,12 @@ from bench.store.tables import (
     CampaignRunRow,
     HitCountRow,
     Row,
+    ShotExclusionRow,
     ShotNoteRow,
     ShotRow,
 )
 
-_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES = (
+_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS = (
     Row.metadata.tables[row.__tablename__]
     for row in (
         CampaignRow,
@@ -41,6 +42,7 @@ _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES = (
         HitCountRow,
         CampaignRunRow,
         ShotNoteRow,
+        ShotExclusionRow,
     )
 )
 
@@ -137,6 +139,19 @@ class ShotNote(NamedTuple):
     by: str
     text: str
     """Empty: a mark without a comment."""
+
+
+class ShotExclusion(NamedTuple):
+    """A person's exclusion of a shot, or its taking back."""
+
+    shot: int
+    date: datetime
+    by: str
+    reason: str
+    excluded: bool
+    """Whether it is excluded from then on; else it counts again."""
+    after_shot: int
+    """Number of the campaign's last shot then."""
 
 
 class Prompt(NamedTuple):
@@ -329,6 +344,18 @@ class CampaignStore:
         query = select(c.shot, c.date, c.by, c.text).where(c.campaign == campaign).order_by(c.shot, c.id)
         with self._reading() as connection:
             return [ShotNote(*row) for row in connection.execute(query)]
+
+    def add_exclusion(self, campaign: str, exclusion: ShotExclusion) -> None:
+        """Add a person's exclusion of a shot, whose own row stays as it is."""
+        with self._writing() as connection:
+            connection.execute(insert(_EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
+
+    def exclusions(self, campaign: str) -> list[ShotExclusion]:
+        """Return the exclusions by hand in the order in which they were made."""
+        c = _EXCLUSIONS.c
+        query = select(*(c[name] for name in ShotExclusion._fields)).where(c.campaign == campaign)
+        with self._reading() as connection:
+            return [ShotExclusion(*row) for row in connection.execute(query.order_by(c.id))]
 
     def prompts(self, campaign: str) -> list[Prompt]:
         """Return its prompts in order; at most the last one is not answered."""

@@ -26,11 +26,12 @@ from bench.store.tables import (
     VERSION_5,
     VERSION_6,
     VERSION_7,
+    VERSION_9,
     Row,
     SchemaVersionRow,
 )
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -84,6 +85,11 @@ def _add_order_of_answers(connection: Connection) -> None:
         connection.execute(update(prompts).where(mine).values(answer=order))
 
 
+def _add_exclusions(connection: Connection) -> None:
+    """Version 8 had no exclusions by hand."""
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_9])
+
+
 def _add_columns(connection: Connection, table: str, names: Iterable[str]) -> None:
     """Add columns to `table` unless they came with it: a table made by a migration has today's columns."""
     there = {column["name"] for column in inspect(connection).get_columns(table)}
@@ -101,6 +107,7 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     5: _add_carries,
     6: _add_runs,
     7: _add_order_of_answers,
+    8: _add_exclusions,
 }
 """Migration of the tables from each version to the next."""
 

@@ -218,6 +218,23 @@ class ShotNoteRow(Row):
     """Empty: a mark without a comment."""
 
 
+class ShotExclusionRow(Row):
+    """A person's exclusion of a shot, or its taking back. Rows are only added; the shot's row stays."""
+
+    __tablename__ = "shot_exclusions"
+
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
+    shot: Mapped[int]
+    date: Mapped[datetime]
+    by: Mapped[str]
+    reason: Mapped[str]
+    excluded: Mapped[bool]
+    """Whether it is excluded from then on; else it counts again."""
+    after_shot: Mapped[int]
+    """Number of the campaign's last shot then."""
+
+
 class CampaignPromptRow(Row):
     """A prompt to the operator: mount a club, fill the feeder."""
 
@@ -350,3 +367,6 @@ SHOT_COLUMNS_6 = (
 
 VERSION_7 = ("campaign_runs", "shot_notes")
 """Tables that came with schema version 7."""
+
+VERSION_9 = ("shot_exclusions",)
+"""Tables that came with schema version 9."""

@@ -93,9 +93,14 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
     assert call("mark", campaign, "a gust", "--shot", "3").stdout == "shot 3 marked: a gust\n"
     assert "no shot 99" in str(call("mark", campaign, "--shot", "99").exception)
+    reason = ("--reason", "leaf on the tee", "--by", "Ann")
+    assert call("exclude", campaign, "3", *reason).stdout == "shot 3 excluded: leaf on the tee\n"
+    assert "excluded by hand: leaf on the tee" in call("export", campaign).stdout
+    assert call("exclude", campaign, "4").exit_code == 2, "no reason"
     report = call("report", campaign)
     page = Path(report.stdout.strip()).read_text()
     assert "guard opened" in page
+    assert "2 excluded (1 by hand)" in page
     assert "note: a gust (" in page
     assert f"{campaign}-draft" in page
     verified = call("verify", campaign)

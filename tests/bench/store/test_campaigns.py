@@ -15,7 +15,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from sqlalchemy import create_engine, select
+from sqlalchemy import (
+    URL,
+    Boolean,
+    DateTime,
+    DefaultClause,
+    Engine,
+    MetaData,
+    create_engine,
+    false,
+    insert,
+    select,
+)
 from sqlalchemy import event as events
 
 from bench.config import database_url
@@ -29,11 +40,12 @@ from bench.store.campaigns import (
     Event,
     Hit,
     Prompt,
+    ShotExclusion,
     ShotNote,
     StoredShot,
 )
 from bench.store.database import SCHEMA_VERSION, DatabaseLocked, open_database
-from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow
+from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow, UtcTime
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 STORED = Path(__file__).with_name("stored")
@@ -124,6 +136,7 @@ def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_pat
         for table in (
             "campaign_runs",
             "shot_notes",
+            "shot_exclusions",
             "campaign_prompts",
             "campaign_events",
             "shots",
@@ -311,11 +324,53 @@ def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_pa
         assert store.shots(ENTRY.id) == _shots(1, 1)
 
 
-@pytest.mark.parametrize("version", [2, 3, 4, 5, 6, 7])
+@pytest.mark.parametrize("version", range(2, SCHEMA_VERSION))
 def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
-    with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
+    _stored_in_sqlite(tmp_path, version)
+    _require_readable(database_url("", tmp_path), version)
+
+
+@pytest.mark.requires("postgres")
+def test_postgresql_databases_of_these_versions_stay_readable(postgres: str, tmp_path: Path) -> None:
+    url = database_url(postgres, tmp_path)
+    for version in range(2, SCHEMA_VERSION):
+        (folder := tmp_path / str(version)).mkdir()
+        _copied(create_engine(_stored_in_sqlite(folder, version)), engine := create_engine(url))
+        _require_readable(url, version)
+        with engine.begin() as connection:
+            connection.exec_driver_sql("DROP SCHEMA public CASCADE; CREATE SCHEMA public")
+        engine.dispose()
+
+
+def _stored_in_sqlite(folder: Path, version: int) -> URL:
+    """Make SQLite's database of this version in `folder`; return its URL."""
+    with closing(sqlite3.connect(folder / "golfbench.sqlite")) as plain:
         plain.executescript((STORED / f"version_{version}.sql").read_text())
-    with _store(database_url("", tmp_path)) as store:
+    return database_url("", folder)
+
+
+def _copied(source: Engine, target: Engine) -> None:
+    """Copy tables and rows as they are, the tables as the version of that time made them in `target`."""
+    (tables := MetaData()).reflect(source)
+    for table in tables.sorted_tables:
+        for column in table.columns:
+            column.type = column.type.as_generic()
+            if isinstance(column.type, DateTime):
+                column.type = UtcTime()
+            default = column.server_default
+            if isinstance(column.type, Boolean) and isinstance(default, DefaultClause):
+                column.server_default = DefaultClause(false())
+    tables.create_all(target)
+    with source.connect() as reading, target.begin() as writing:
+        for table in tables.sorted_tables:
+            if rows := [dict(row) for row in reading.execute(select(table)).mappings()]:
+                writing.execute(insert(table), rows)
+    source.dispose()
+
+
+def _require_readable(url: URL, version: int) -> None:
+    """Migrate the database of `version`; require all that was in it, and room for what is new."""
+    with _store(url) as store:
         ((entry, standing, counts),) = store.entries()
         assert entry == ENTRY
         assert standing.state is CampaignState.FINISHED
@@ -333,3 +388,6 @@ def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int)
             with store.database.connect() as connection:
                 order = connection.exec_driver_sql("SELECT answer FROM campaign_prompts ORDER BY answer")
                 assert list(order.scalars()) == [0, 1, 2]
+        exclusion = ShotExclusion(2, NOW, "Ann", "a gust", True, 2)
+        store.add_exclusion(ENTRY.id, exclusion)
+        assert store.exclusions(ENTRY.id) == [exclusion]

@@ -1,0 +1,142 @@
+"""Shots excluded by hand: traceable, never deleted, taken back by another word on them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from bench.campaign.campaign_record import CampaignRecord, load_record
+from bench.campaign.campaign_report import render_campaign_report
+from bench.campaign.exclusions import LONGEST_REASON, exclude_shot, with_exclusions
+from bench.campaign.findings import findings
+from bench.campaign.verification import verify_page
+from bench.config import database_url
+from bench.errors import Refused
+from bench.shot.shot import ShotStatus
+from bench.store.campaigns import CampaignState, CampaignStore, Event, ShotExclusion, StoredShot
+from bench.store.database import open_database
+from tests.bench.campaign.test_campaign_report import NOW, _record
+from tests.benchmarks.campaign_statistics import Truth
+
+LATER = NOW + timedelta(days=3)
+
+
+@pytest.fixture(scope="module")
+def taken() -> CampaignRecord:
+    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+
+
+@pytest.fixture
+def store(taken: CampaignRecord, tmp_path: Path) -> Iterator[CampaignStore]:
+    with open_database(database_url("", tmp_path), NOW) as engine:
+        found = CampaignStore(engine)
+        found.begin(taken.entry)
+        found.add(taken.entry, [StoredShot(shot) for shot in taken.shots])
+        found.change(taken.entry.id, state=CampaignState.FINISHED)
+        yield found
+
+
+def _page(store: CampaignStore, campaign: str) -> str:
+    record = load_record(store, store.entry(campaign))
+    return render_campaign_report(record, findings(record.plan, record.shots, []))
+
+
+def test_an_excluded_shot_leaves_the_results_and_stays_in_the_records(
+    store: CampaignStore, taken: CampaignRecord
+) -> None:
+    campaign, before = taken.entry.id, store.shots(taken.entry.id)
+    page = _page(store, campaign)
+    exclude_shot(store, campaign, 9, " leaf on the <tee> ", "Ann", LATER)
+    assert store.shots(campaign) == before
+    record = load_record(store, store.entry(campaign))
+    assert record.shots[8] == replace(
+        before[8].shot, status=ShotStatus.EXCLUDED, reason="excluded by hand: leaf on the <tee>"
+    )
+    assert record.shots_as_taken == [stored.shot for stored in before]
+    (analysis,) = findings(record.plan, record.shots, []).sections
+    counted = {level.name: (level.valid, level.excluded) for level in analysis.levels}
+    (whole,) = findings(taken.plan, taken.shots, []).sections
+    for level in whole.levels:
+        gone = level.name == before[8].shot.ball
+        assert counted[level.name] == (level.valid - gone, level.excluded + gone)
+    found = verify_page(record, page, "report.html").differences
+    assert any(line.startswith("exclusions: not as reported") for line in found)
+    assert "shot 9: not as reported" in found
+    again = _page(store, campaign)
+    assert verify_page(record, again, "report.html").differences == ()
+    assert "(1 by hand)" in again
+    assert "leaf on the &lt;tee&gt;" in again
+    assert "With these shots the result would" in again
+
+
+def test_an_exclusion_taken_back_is_listed_too(store: CampaignStore, taken: CampaignRecord) -> None:
+    campaign = taken.entry.id
+    exclude_shot(store, campaign, 9, "leaf on the tee", "Ann", LATER)
+    exclude_shot(store, campaign, 9, "it was shot 10", "Bob", LATER, undo=True)
+    record = load_record(store, store.entry(campaign))
+    assert list(record.shots) == list(taken.shots)
+    assert [(one.by, one.excluded, one.after_shot) for one in record.exclusions] == [
+        ("Ann", True, len(taken.shots)),
+        ("Bob", False, len(taken.shots)),
+    ]
+    page = _page(store, campaign)
+    assert "by hand)" not in page
+    assert "it was shot 10" in page
+    assert "counts again" in page
+    assert verify_page(record, page, "report.html").differences == ()
+
+
+def test_the_page_says_whether_results_had_been_looked_at(taken: CampaignRecord) -> None:
+    def seen(exclusion: ShotExclusion, *looks: Event, state: CampaignState = CampaignState.STOPPED) -> str:
+        shots = with_exclusions(taken.shots, [exclusion])
+        record = replace(
+            taken,
+            shots=shots,
+            events=looks,
+            exclusions=[exclusion],
+            standing=taken.standing._replace(state=state),
+        )
+        page = render_campaign_report(record, findings(record.plan, shots, []))
+        row, *_ = re.findall("a gust</td>(.*?)</tr>", page.split("<h3>Excluded by hand")[1])
+        return str(re.findall(">([^<]*)</td>", row)[-1])
+
+    last = len(taken.shots)
+    exclusion = ShotExclusion(9, LATER, "Ann", "a gust", True, 20)
+    look = Event(LATER - timedelta(1), 11, "look", "look at 10 shots: report")
+    assert seen(exclusion) == "no"
+    assert seen(exclusion, look) == "yes"
+    assert seen(exclusion, look._replace(date=LATER + timedelta(1))) == "no"
+    assert seen(exclusion, state=CampaignState.FINISHED) == "no"
+    assert seen(exclusion._replace(after_shot=last), state=CampaignState.FINISHED) == "yes"
+
+
+@pytest.mark.parametrize(
+    ("shot", "reason", "by", "undo", "message"),
+    [
+        (9, " ", "Ann", False, "a reason of 0 characters"),
+        (9, "x" * (LONGEST_REASON + 1), "Ann", False, "a reason of 501 characters"),
+        (9, "a gust", " ", False, "no name"),
+        (999, "a gust", "Ann", False, "no such shot"),
+        (9, "a gust", "Ann", True, "not excluded by hand"),
+        (8, "a gust", "Ann", False, "excluded by hand already"),
+    ],
+)
+def test_what_cannot_be_excluded_is_refused(
+    store: CampaignStore, taken: CampaignRecord, shot: int, reason: str, by: str, undo: bool, message: str
+) -> None:
+    exclude_shot(store, taken.entry.id, 8, "a leaf", "Ann", NOW)
+    with pytest.raises(Refused, match=message):
+        exclude_shot(store, taken.entry.id, shot, reason, by, NOW, undo=undo)
+    assert len(store.exclusions(taken.entry.id)) == 1
+
+
+def test_a_shot_that_does_not_count_is_not_excluded(store: CampaignStore, taken: CampaignRecord) -> None:
+    failed = replace(taken.shots[-1], shot=99, status=ShotStatus.FAILED, reason="no ball on the tee")
+    store.add(taken.entry, [StoredShot(failed)])
+    with pytest.raises(Refused, match="failed already: no ball on the tee"):
+        exclude_shot(store, taken.entry.id, 99, "a gust", "Ann", NOW)
