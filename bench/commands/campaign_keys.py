@@ -170,10 +170,13 @@ class MarkKeys:
 
     def _read_singly(self, terminal: int) -> None:
         """Get keys without Enter and without echo; Ctrl-C stays a signal."""
-        now = termios.tcgetattr(terminal)
-        if now[3] & (termios.ICANON | termios.ECHO):
-            self._before = [*now[:6], list(now[6])]
-            now[3] &= ~(termios.ICANON | termios.ECHO)
+        now, lines = termios.tcgetattr(terminal), termios.ICANON | termios.ECHO
+        if now[3] & lines or self._before is None:
+            # Off already: a killed command left it so, and could not restore it.
+            flags = now[3] if now[3] & lines else now[3] | lines
+            self._before = [*now[:3], flags, *now[4:6], list(now[6])]
+        if now[3] & lines:
+            now[3] &= ~lines
             termios.tcsetattr(terminal, termios.TCSADRAIN, now)
 
     def _restore(self) -> None:

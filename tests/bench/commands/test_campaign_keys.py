@@ -114,6 +114,21 @@ def keys_of(desk: Desk, *, terminal: bool = True) -> Iterator[Any]:
         yield keys
 
 
+def test_a_terminal_that_a_killed_run_left_without_echo_gets_it_back(desk: Desk) -> None:
+    left = termios.tcgetattr(desk.terminal)
+    left[3] &= ~(termios.ICANON | termios.ECHO)
+    termios.tcsetattr(desk.terminal, termios.TCSANOW, left)
+    with keys_of(desk) as keys:
+        desk.until(lambda: keys._before is not None)
+        assert not desk.echoes()
+        keys.pause()
+        assert desk.echoes(), "a prompt reads lines"
+        keys.resume()
+        desk.until(lambda: not desk.echoes())
+    assert desk.echoes()
+    assert termios.tcgetattr(desk.terminal)[3] & termios.ICANON
+
+
 def test_keys_store_marks_as_soon_as_the_shot_is_stored(desk: Desk) -> None:
     with keys_of(desk) as keys:
         desk.until(lambda: not desk.echoes())
