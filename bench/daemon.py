@@ -48,6 +48,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
+from drivers.launch_monitor.open_connect import club_code
 from sim.live.exchange import PlantPlan
 from sim.live.process import start_plant
 
@@ -328,6 +329,7 @@ class Daemon:
             air=c.air,
             wind=c.wind,
             turf=c.turf,
+            club=c.launch_monitor.player.club or club_code(c.swing.club),
             wall=self.wall,
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)

@@ -34,6 +34,7 @@ from bench.processes.child_process import (
     send_failure,
 )
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
+from bench.shot.arming_watch import ArmingWatch
 from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
 from bench.shot.shot_matcher import LaunchBook, Told
 from bench.shot.shot_message import SHOT_VERSION, launch_to_json, shortened
@@ -72,6 +73,8 @@ class LaunchMonitorService:
             self._stack.callback(self._ring.close)
             self._server = LaunchMonitorServer(settings)
             self._stack.callback(self._server.close)
+            self._player = plan.club, "RH" if settings.player.right_handed else "LH", settings.player.distance
+            self._server.announce_player(*self._player)
             self._client: SimulatorClient | None = None
             if settings.simulator.enabled:
                 self._client = SimulatorClient(settings.simulator, settings.device)
@@ -85,6 +88,7 @@ class LaunchMonitorService:
         self._watch = SwingWatch(plan.run, wall=plan.wall)
         self._book = LaunchBook(settings.window, settings.plausible, plan.plant, around)
         self._lost = 0
+        self._arming = ArmingWatch()
         self._trouble = "not listening yet"
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None
@@ -104,6 +108,8 @@ class LaunchMonitorService:
         lost, self._lost = self._ring.lost > self._lost, self._ring.lost
         for swing in self._watch.take(cycles, now, lost=lost):
             self._book.note_swing(swing, utc)
+        if self._arming.take(cycles):
+            self._server.announce_player(*self._player)
         self._book.note_launches(self._server.take())
         for told in self._book.settle(now):
             send_event("shot", message=message_of(told))

@@ -26,5 +26,7 @@ class LaunchMonitorPlan:
     air: Air
     wind: Wind
     turf: Turf
+    club: str = "DR"
+    """Code of the club in the player message to monitors."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""

@@ -1,19 +1,23 @@
 """GSPro's Open Connect, version 1: its messages, read tolerantly and written exactly.
 
 Accepted variants: numbers as strings, other capitals and underscores in names, `BackSpin` and `SideSpin`
-instead of `TotalSpin` and `SpinAxis`, missing figures, null or 0 rpm for spin that was not measured. Speeds
-are mph whatever `Units` says, `CarryDistance` is in yards unless `Units` is "Meters". Angles keep their
-signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right, as here.
+instead of `TotalSpin` and `SpinAxis`, missing figures, null or 0 for values that were not measured: 0 rpm, no
+carry, 0 degrees of loft, a strike of exactly 0 in both directions, and every club figure of 0 beside a club
+without speed. Fields of known devices that hold something else are ignored, see
+`drivers.launch_monitor.quirks`. Speeds are mph whatever `Units` says, `CarryDistance` is in yards unless
+`Units` is "Meters". Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from math import atan2, cos, degrees, hypot, isfinite, pi, radians, sin
 from typing import Any, NamedTuple
 
 from drivers.base import Launch
+from drivers.launch_monitor.quirks import MonitorQuirk, quirk_of
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures, LaunchRecord
 
 MPH = 0.44704
@@ -23,8 +27,11 @@ YARD = 0.9144
 RPM = pi / 30.0
 """rad/s."""
 
-SHOT_TAKEN, PLAYER, FAILURE, TOO_LARGE = 200, 201, 501, 413
+SHOT_TAKEN, PLAYER, READY, ENDED, FAILURE, TOO_LARGE = 200, 201, 202, 203, 501, 413
 """Answer codes."""
+
+CLUB_CODE = re.compile(r"DR|PT|[PGSL]W|[WH][2-7]|I[1-9]")
+"""Clubs that monitors know; some do not parse any other."""
 
 MAX_NAME_LENGTH = 64
 """Maximum number of characters kept of a device name."""
@@ -66,6 +73,7 @@ _BACK_SPIN = _Bounds(-20_000.0, 20_000.0, "rpm", RPM)
 _CARRY_YD = _Bounds(0.0, 600.0, "yd", YARD)
 _CARRY_M = _Bounds(0.0, 550.0, "m", 1.0)
 _STRIKE = _Bounds(-100.0, 100.0, "mm", 1e-3)
+_NOT_MEASURED = "0: not measured"
 
 
 def read_message(data: bytes, time: float) -> Message:
@@ -98,48 +106,78 @@ def read_message(data: bytes, time: float) -> Message:
         return RejectedMessage(FAILURE, f"APIversion {_short(version)}, expected 1")
     if has_ball and not ball:
         return RejectedMessage(FAILURE, "ContainsBallData without BallData")
+    quirk = quirk_of(device)
     in_metres = _text(root.get("units")).lower() in ("meters", "metres", "meter", "metre", "m")
     number = _number(root.get("shotnumber"))
     whole = int(number) if number is not None and 0 <= number <= 1e9 and number == int(number) else None
-    return _record(ball, club if has_club else {}, time, device, whole, in_metres)
+    return _record(_Figures(ball, club if has_club else {}, quirk), time, device, whole, in_metres)
 
 
-def _record(
-    ball: Mapping[str, Any],
-    club: Mapping[str, Any],
-    time: float,
-    device: str,
-    number: int | None,
-    in_metres: bool,
-) -> LaunchRecord:
-    absent: list[tuple[str, str]] = []
+class _Figures:
+    """Figures of one message in SI; those without a measurement are collected with their reason."""
 
-    def figure(name: str, key: str, bounds: _Bounds, data: Mapping[str, Any] = ball) -> float | None:
+    def __init__(self, ball: Mapping[str, Any], club: Mapping[str, Any], quirk: MonitorQuirk | None) -> None:
+        self.ball, self.club, self._quirk = ball, club, quirk
+        self.absent: list[tuple[str, str]] = []
+
+    def of_ball(self, name: str, key: str, bounds: _Bounds, *, measured_zero: bool = True) -> float | None:
+        """Return a figure of the ball."""
+        return self._kept(name, self.value(self.ball, key, bounds, measured_zero=measured_zero))
+
+    def of_club(self) -> ClubFigures:
+        """Return the figures of the club."""
+        club = self.club
+        if not club:
+            return NO_CLUB
+        speed = self.value(club, "Speed", _SPEED)
+        resting = isinstance(speed, str)
+        strike = [self.value(club, f"{way}FaceImpact", _STRIKE) for way in ("Horizontal", "Vertical")]
+        if all(isinstance(part, str) or part == 0.0 for part in strike):
+            strike = [_NOT_MEASURED if part == 0.0 else part for part in strike]
+        figures = {
+            "speed": speed,
+            "attack_angle": self.value(club, "AngleOfAttack", _ELEVATION),
+            "path": self.value(club, "Path", _ELEVATION),
+            "face_angle": self.value(club, "FaceToTarget", _ELEVATION),
+            "dynamic_loft": self.value(club, "Loft", _ELEVATION, measured_zero=False),
+            "strike_x": strike[0],
+            "strike_y": strike[1],
+        }
+        return ClubFigures(
+            *(
+                self._kept(f"club.{name}", _NOT_MEASURED if resting and value == 0.0 else value)
+                for name, value in figures.items()
+            )
+        )
+
+    def value(
+        self, data: Mapping[str, Any], key: str, bounds: _Bounds, *, measured_zero: bool = True
+    ) -> float | str:
+        """Return the figure in SI, or why it is missing."""
+        if self._quirk is not None and key.lower() in self._quirk.ignore:
+            return f"{key} of this device: {self._quirk.reason}"
         value = _figure(data, key, bounds)
+        return _NOT_MEASURED if value == 0.0 and not measured_zero else value
+
+    def _kept(self, name: str, value: float | str) -> float | None:
         if isinstance(value, str):
-            absent.append((name, value))
+            self.absent.append((name, value))
             return None
         return value
 
-    speed = figure("speed", "Speed", _SPEED)
-    launch_angle = figure("launch_angle", "VLA", _ELEVATION)
-    direction = figure("direction", "HLA", _AZIMUTH)
-    spin, spin_axis = _spin(ball)
+
+def _record(figures: _Figures, time: float, device: str, number: int | None, in_metres: bool) -> LaunchRecord:
+    speed = figures.of_ball("speed", "Speed", _SPEED)
+    launch_angle = figures.of_ball("launch_angle", "VLA", _ELEVATION)
+    direction = figures.of_ball("direction", "HLA", _AZIMUTH)
+    spin, spin_axis = _spin(figures)
     for name, value in (("spin", spin), ("spin_axis", spin_axis)):
         if isinstance(value, str):
-            absent.append((name, value))
-    carry = figure("carry", "CarryDistance", _CARRY_M if in_metres else _CARRY_YD)
-    figures = NO_CLUB
-    if club:
-        figures = ClubFigures(
-            figure("club.speed", "Speed", _SPEED, club),
-            figure("club.attack_angle", "AngleOfAttack", _ELEVATION, club),
-            figure("club.path", "Path", _ELEVATION, club),
-            figure("club.face_angle", "FaceToTarget", _ELEVATION, club),
-            figure("club.dynamic_loft", "Loft", _ELEVATION, club),
-            figure("club.strike_x", "HorizontalFaceImpact", _STRIKE, club),
-            figure("club.strike_y", "VerticalFaceImpact", _STRIKE, club),
-        )
+            figures.absent.append((name, value))
+    carry = figures.of_ball(
+        "carry", "CarryDistance", _CARRY_M if in_metres else _CARRY_YD, measured_zero=False
+    )
+    club = figures.of_club()
     return LaunchRecord(
         time=time,
         device=device,
@@ -150,19 +188,20 @@ def _record(
         spin=None if isinstance(spin, str) else spin,
         spin_axis=None if isinstance(spin_axis, str) else spin_axis,
         carry=carry,
-        club=figures,
-        absent=tuple(absent),
+        club=club,
+        absent=tuple(figures.absent),
     )
 
 
-def _spin(ball: Mapping[str, Any]) -> tuple[float | str, float | str]:
+def _spin(figures: _Figures) -> tuple[float | str, float | str]:
     """Return spin (rad/s) and axis (rad), each replaced by a reason if unknown.
 
     Total spin and axis take precedence over the components, which may disagree, as in the specification's own
     example. No ball leaves a club without spin: 0 rpm means that spin was not measured.
     """
-    total, axis = _figure(ball, "TotalSpin", _SPIN), _figure(ball, "SpinAxis", _AZIMUTH)
-    back, side = _figure(ball, "BackSpin", _BACK_SPIN), _figure(ball, "SideSpin", _BACK_SPIN)
+    ball, value = figures.ball, figures.value
+    total, axis = value(ball, "TotalSpin", _SPIN), value(ball, "SpinAxis", _AZIMUTH)
+    back, side = value(ball, "BackSpin", _BACK_SPIN), value(ball, "SideSpin", _BACK_SPIN)
     if not isinstance(total, str) and total == 0.0:
         total = "0 rpm: not measured"
     if isinstance(back, float) and isinstance(side, float) and (back or side):
@@ -251,10 +290,31 @@ def write_answer(code: int, text: str) -> bytes:
     return json.dumps({"Code": code, "Message": text}).encode()
 
 
-def write_player(club: str, handed: str = "RH") -> bytes:
-    """Return the player message, from which a monitor takes club and handedness."""
-    player = {"Handed": handed, "Club": club}
+def write_player(club: str, handed: str = "RH", distance: float = 0.0) -> bytes:
+    """Return the player message; `distance` to the target in m."""
+    player = {"Handed": handed, "Club": club, "DistanceToTarget": round(distance / YARD, 1)}
     return json.dumps({"Code": PLAYER, "Message": "GSPro Player Information", "Player": player}).encode()
+
+
+def write_ready() -> bytes:
+    """Return the message that shots are awaited: some monitors do not arm before."""
+    return write_answer(READY, "GSPro ready")
+
+
+def write_ended() -> bytes:
+    """Return the message that no more shots are awaited."""
+    return write_answer(ENDED, "GSPro round ended")
+
+
+def club_code(name: str, otherwise: str = "DR") -> str:
+    """Return the code of a club from its name, such as I7 for "iron7"; `otherwise` if it is unclear."""
+    words = re.fullmatch(r"(driver|putter|wood|hybrid|iron|pw|gw|sw|lw)[ _-]?([1-9]?)", name.strip().lower())
+    if words is None:
+        return otherwise
+    kind, number = words.groups()
+    code = {"driver": "DR", "putter": "PT", "wood": "W", "hybrid": "H", "iron": "I"}.get(kind, kind.upper())
+    code = f"{code}{number}" if len(code) == 1 else code
+    return code if CLUB_CODE.fullmatch(code) else otherwise
 
 
 def read_answer(data: bytes) -> SimulatorResponse | None:

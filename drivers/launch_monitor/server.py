@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from drivers.base import DriverError
 from drivers.launch_monitor.conversation import Conversation, MessageCounts
-from drivers.launch_monitor.open_connect import write_player
+from drivers.launch_monitor.open_connect import write_ended, write_player, write_ready
 from drivers.launch_monitor.record import LaunchRecord
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 
@@ -171,19 +171,29 @@ class LaunchMonitorServer:
                 self._lost,
             )
 
-    def announce_player(self, club: str, handed: str = "RH") -> None:
-        """Send the club (DR, W3, H4, I7, PW, PT ...) to all connected and later monitors."""
+    def announce_player(self, club: str, handed: str = "RH", distance: float = 0.0) -> None:
+        """Send player and readiness to all connected and later monitors: several do not arm before.
+
+        `club` is a code (DR, W3, H4, I7, PW, PT ...), `distance` (m) that to the target. Call it again
+        whenever shots are awaited, as when the bench is armed.
+        """
         with self._lock:
-            self._player = write_player(club, handed)
+            self._player = write_player(club, handed, distance) + write_ready()
             for client in self._clients.values():
                 client.unread += self._player
         self._wake()
 
     def close(self) -> None:
-        """Close all connections and stop the thread. Allowed in any state, also twice."""
+        """End the round at all monitors, close all connections and stop the thread.
+
+        Allowed in any state, also twice.
+        """
         thread, self._thread = self._thread, None
         if thread is None:
             return
+        with self._lock:
+            for client in self._clients.values():
+                client.unread += write_ended() if self._player else b""
         self._stopping = True
         self._wake()
         thread.join()
@@ -222,6 +232,8 @@ class LaunchMonitorServer:
                         self._check_silence(selector)
             finally:
                 for client in list(self._clients.values()):
+                    with self._lock, suppress(OSError):
+                        client.connection.send(client.unread)
                     self._drop(selector, client)
                 self._listener = None
                 listener.close()

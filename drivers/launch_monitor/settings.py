@@ -9,6 +9,7 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from drivers.launch_monitor.matching import MatchWindow
+from drivers.launch_monitor.open_connect import CLUB_CODE
 from drivers.launch_monitor.plausibility import PlausibleFigures
 
 Port = Annotated[int, Ge(1), Le(65535)]
@@ -33,6 +34,25 @@ class SimulatorSettings:
 
 
 @dataclass(frozen=True)
+class PlayerSettings:
+    """Player in the message to monitors; several do not arm without it."""
+
+    club: str = ""
+    """Club code (DR, W3, H4, I7, PW, PT ...); empty to derive it from `swing.club`."""
+    right_handed: bool = True
+    """Whether the player is right-handed, as the robot is."""
+    distance: Annotated[float, Ge(0.0), Le(500.0)] = 230.0
+    """Distance to the target, m."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError if `club` is no code."""
+        if self.club and not CLUB_CODE.fullmatch(self.club):
+            raise ValueError(
+                f"club: one of DR, W2 to W7, H2 to H7, I1 to I9, PW, GW, SW, LW, PT, not {self.club}"
+            )
+
+
+@dataclass(frozen=True)
 class LaunchMonitorSettings:
     """Open Connect has neither passwords nor encryption: by default it is limited to this machine."""
 
@@ -50,6 +70,7 @@ class LaunchMonitorSettings:
     """Device name sent to simulators."""
     window: MatchWindow = field(default_factory=MatchWindow)
     plausible: PlausibleFigures = field(default_factory=PlausibleFigures)
+    player: PlayerSettings = field(default_factory=PlayerSettings)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
 
     def __post_init__(self) -> None:

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from drivers.base import Launch
 from drivers.launch_monitor.open_connect import (
+    CLUB_CODE,
     RejectedMessage,
     ReportedStatus,
+    club_code,
     read_answer,
     read_message,
     write_answer,
@@ -286,3 +288,17 @@ def test_heartbeat_and_answers_read_back() -> None:
     assert (player.code, player.club, player.handed) == (201, "PT", "LH")
     for bad in (b"{}", b"nonsense", b"[1]", b'{"Code": "x"}', b'{"Code": 5e9}', b'{"Code": true}'):
         assert read_answer(bad) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("driver", "DR"), ("iron7", "I7"), ("Wood 3", "W3"), ("hybrid-4", "H4"), ("pw", "PW"), ("putter", "PT")],
+)
+def test_clubs_have_codes(name: str, code: str) -> None:
+    assert club_code(name) == code
+    assert CLUB_CODE.fullmatch(code)
+
+
+@pytest.mark.parametrize("name", ["thesis", "wood", "wood8", "iron", "", "iron77"])
+def test_an_unclear_club_is_a_driver(name: str) -> None:
+    assert club_code(name) == "DR"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import socket
 import threading
@@ -172,6 +173,26 @@ def test_the_player_is_told_to_who_is_there_and_who_comes(
     server.announce_player("I7", "LH")
     assert b'"Club": "I7"' in receive(before, 1)
     assert b'"Handed": "LH"' in receive(connect(), 1)
+
+
+def test_player_and_readiness_come_on_connecting_and_again_and_the_end_on_closing(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    server.announce_player("DR", distance=228.6)
+    connection = connect()
+    wait_for(lambda: server.link().connected)
+    greeting = receive(connection, 2)
+    first, end = json.JSONDecoder().raw_decode(greeting.decode())
+    assert first["Player"] == {"Handed": "RH", "Club": "DR", "DistanceToTarget": 250.0}
+    assert (first["Code"], json.loads(greeting[end:])["Code"]) == (201, 202)
+    assert b"\n" not in greeting
+    server.announce_player("DR")
+    again = receive(connection, 2)
+    assert (again.count(b'"Code": 201'), again.count(b'"Code": 202')) == (1, 1)
+    connection.sendall(shot())
+    assert b'"Code": 200' in receive(connection, 1)
+    server.close()
+    assert receive(connection, 2).count(b'"Code": 203') == 1
 
 
 def test_a_doubtful_shot_is_kept_with_its_doubt(server: LaunchMonitorServer, connect: Connect) -> None:
