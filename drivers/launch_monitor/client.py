@@ -11,6 +11,7 @@ import time as wall
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.base import DriverError, Launch
@@ -49,10 +50,13 @@ class ForwardingStatus(NamedTuple):
     """Last player message of the simulator."""
 
 
-class _Waiting(NamedTuple):
+@dataclass
+class _Waiting:
     number: int
     message: bytes
     since: float
+    sent: int = 0
+    """Times it was sent, over all connections: a simulator may have taken it before it disconnected."""
 
 
 class SimulatorClient:
@@ -186,7 +190,8 @@ class SimulatorClient:
 
     def _send_shot(self, connection: socket.socket, stream: ObjectStream, shot: _Waiting) -> bool:
         """Send `shot` and wait for its answer; return whether it was accepted."""
-        for _ in range(ATTEMPTS):
+        while shot.sent < ATTEMPTS:
+            shot.sent += 1
             connection.sendall(shot.message)
             end = self._clock() + self._answer_time
             while (left := end - self._clock()) > 0.0 and not self._stopping.is_set():
@@ -196,6 +201,7 @@ class SimulatorClient:
                         return True
                     self._set_status(True, f"shot {shot.number} was answered {answer.code}: {answer.text}")
                     return False
+            stream.drop()  # the rest of an answer that was cut off would swallow the next one
         self._set_status(True, f"shot {shot.number} was not answered within {self._answer_time:g} s, twice")
         return False
 
@@ -213,10 +219,10 @@ class SimulatorClient:
             if stream.error:
                 raise ConnectionError(f"the simulator sends {stream.error}")
             for answer in filter(None, map(read_answer, objects)):
-                if 201 <= answer.code <= 299:
+                if answer.club:
                     with self._lock:
-                        self._player = answer if answer.code == 201 else self._player
-                else:
+                        self._player = answer
+                if not 201 <= answer.code <= 299:
                     found.append(answer)
         connection.settimeout(self._answer_time)
         return found

@@ -73,6 +73,44 @@ def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
         assert "not answered" in client.status().trouble
 
 
+def test_a_simulator_that_hangs_up_gets_a_shot_twice_at_most(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
+    client.send(LAUNCH)
+    client.send(LAUNCH)
+    numbers = []
+    for _ in range(4):
+        with accept(gspro) as connection:
+            numbers.append(message(connection)["ShotNumber"])
+    wait_for(lambda: client.status().refused == 1)
+    with accept(gspro):
+        wait_for(lambda: client.status().refused == 2)
+    assert numbers == [1, 1, 2, 2]
+
+
+def test_an_answer_that_is_cut_off_does_not_swallow_the_next(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
+    client.send(LAUNCH)
+    with accept(gspro) as connection:
+        message(connection)
+        connection.sendall(b"not valid json {{{")
+        message(connection)
+        connection.sendall(write_answer(200, "Shot received successfully"))
+        wait_for(lambda: client.status().taken == 1)
+
+
+def test_a_player_beside_the_answer_is_noted(gspro: socket.socket, client: SimulatorClient) -> None:
+    client.send(LAUNCH)
+    with accept(gspro) as connection:
+        message(connection)
+        connection.sendall(b'{"Code": 200, "Message": "ok", "Player": {"Handed": "LH", "Club": "I7"}}')
+        wait_for(lambda: client.status().taken == 1)
+    player = client.status().player
+    assert player is not None
+    assert (player.club, player.handed) == ("I7", "LH")
+
+
 def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, client: SimulatorClient) -> None:
     client.send(LAUNCH)
     with accept(gspro) as connection:
