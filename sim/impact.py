@@ -19,11 +19,14 @@ Ball: its in-plane position is where the face centre must be for a centred strik
 lies off centre along the line in which the swing plane cuts the face: one in-plane number
 (`in_plane_error`, positive up the plane), of which `strike_x` and `strike_y` are projections.
 
-Collision: contact lasts 0.45 ms, in which the shaft takes no part: the head is a free rigid body. Newton's
-restitution along the normal; of the friction impulse that would end all slip (the ball rolls at exit,
-Penner 2001) the share `tangential_factor`, less where Coulomb friction does not suffice or where it would
-gain energy. Gear effect needs no formula: it comes from the head's inertia and the depth of its centre of
-mass, which also lets the head yield to friction and takes about 5 % from the spin of Penner's point mass.
+Collision: contact lasts 0.45 ms, in which the shaft takes no part: the head is a free rigid body. A club with
+`tangential_stiffness` has the contact of `sim.contact`: springs along and across the face, with friction.
+Without it (0) there is Newton's restitution along the normal; of the friction impulse that would end all
+slip (the ball rolls at exit, Penner 2001) the share `tangential_factor`, less where Coulomb friction does
+not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s and changes by
+`restitution_slope` with it. Gear effect needs no formula: it comes from the head's inertia and the depth of
+its centre of mass, which also lets the head yield to friction and takes about 5 % from the spin of Penner's
+point mass.
 """
 
 from __future__ import annotations
@@ -37,6 +40,7 @@ import numpy as np
 from drivers.base import Launch
 from drivers.base.compiled import compiled, new_record
 from sim.ball import Ball
+from sim.contact import contact_impulse
 from sim.robot import Club
 from sim.vectors import Vector, added, cross, dot, norm, scaled, unit
 
@@ -74,6 +78,10 @@ SHAFT_DOWN = 1.5 * pi
 FACE_HALF_WIDTH, FACE_HALF_HEIGHT = 0.055, 0.030
 """Half axes (m) of the ellipse that a modern driver's face about fills (assumption)."""
 
+_USUAL = 40.0
+"""Approach (m/s) at which a club's restitution is stated."""
+_LEAST_RESTITUTION = 0.1
+
 IMPACT = np.dtype(
     [
         (name, "f8")
@@ -90,7 +98,10 @@ IMPACT = np.dtype(
             "bulge_radius",
             "roll_radius",
             "restitution",
+            "restitution_slope",
             "tangential_factor",
+            "tangential_stiffness",
+            "tangential_loss",
             "ball_mass",
             "ball_radius",
             "ball_inertia",
@@ -106,8 +117,8 @@ def impact_parameters(club: Club, ball: Ball, lie: float) -> Array:
     """Return one `IMPACT` record of `club` and `ball` in a swing plane at `lie` (rad) to the ground.
 
     The head's inertia about the face normal, which a club does not state, is taken equal to the one
-    about the heel-toe axis; it matters only for friction off the centre. Restitution is the club's times
-    the ball's factor, at most 1.
+    about the heel-toe axis; it matters only for friction off the centre. Restitution and friction are the
+    club's times the ball's, restitution at most 1.
     """
     record = new_record(IMPACT)
     for name, value in {
@@ -123,11 +134,14 @@ def impact_parameters(club: Club, ball: Ball, lie: float) -> Array:
         "bulge_radius": club.bulge_radius,
         "roll_radius": club.roll_radius,
         "restitution": min(1.0, club.restitution * ball.restitution_factor),
+        "restitution_slope": club.restitution_slope * ball.restitution_factor,
         "tangential_factor": club.tangential_factor,
+        "tangential_stiffness": club.tangential_stiffness,
+        "tangential_loss": club.tangential_loss,
         "ball_mass": ball.mass,
         "ball_radius": ball.radius,
         "ball_inertia": ball.inertia,
-        "friction": ball.friction,
+        "friction": ball.friction * club.friction_factor,
     }.items():
         if not isfinite(value):
             raise ValueError(f"impact: {name} of club {club.name!r} or ball {ball.name!r}: found {value!r}")
@@ -248,6 +262,9 @@ def collide(
     restitution: float,
     friction: float,
     tangential_factor: float,
+    restitution_slope: float = 0.0,
+    tangential_stiffness: float = 0.0,
+    tangential_loss: float = 0.0,
 ) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Return (ball velocity, ball spin, impulse on the ball, head velocity, head spin) after the contact.
 
@@ -268,6 +285,46 @@ def collide(
     first = _response((1.0, 0.0, 0.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     second = _response((0.0, 1.0, 0.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     third = _response((0.0, 0.0, 1.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
+    if restitution_slope != 0.0:
+        restitution = min(1.0, max(_LEAST_RESTITUTION, restitution + restitution_slope * (approach - _USUAL)))
+    if tangential_stiffness > 0.0:
+        impulse = contact_impulse(
+            (first, second, third),
+            face,
+            normal,
+            restitution,
+            friction,
+            tangential_stiffness,
+            tangential_loss,
+        )
+    else:
+        impulse = _rolling_share(
+            (first, second, third), face, normal, approach, restitution, friction, tangential_factor
+        )
+
+    ball_spin = scaled(-ball_radius / ball_inertia, cross(normal, impulse))
+    kick = _inverse_inertia(cross(arm, impulse), axes, head_inertia)
+    return (
+        scaled(1.0 / ball_mass, impulse),
+        ball_spin,
+        impulse,
+        added(head_velocity, -1.0 / head_mass, impulse),
+        added(head_spin, -1.0, kick),
+    )
+
+
+@compiled
+def _rolling_share(
+    response: tuple[Vector, Vector, Vector],
+    face: Vector,
+    normal: Vector,
+    approach: float,
+    restitution: float,
+    friction: float,
+    tangential_factor: float,
+) -> Vector:
+    """Return the impulse on the ball whose friction is a share of what makes the ball roll at exit."""
+    first, second, third = response
     k_normal = (dot(first, normal), dot(second, normal), dot(third, normal))
 
     pressing = approach / dot(k_normal, normal)  # normal impulse that ends the approach without friction
@@ -288,17 +345,7 @@ def collide(
         loss = (1.0 - restitution * restitution) * pressing * approach
         half = -dot(shear, slip_at_rest)
         share = min(share, (half + sqrt(half * half + work * max(loss, 0.0))) / work)
-    impulse = added(scaled(pressing_out, normal), max(share, 0.0), shear)
-
-    ball_spin = scaled(-ball_radius / ball_inertia, cross(normal, impulse))
-    kick = _inverse_inertia(cross(arm, impulse), axes, head_inertia)
-    return (
-        scaled(1.0 / ball_mass, impulse),
-        ball_spin,
-        impulse,
-        added(head_velocity, -1.0 / head_mass, impulse),
-        added(head_spin, -1.0, kick),
-    )
+    return added(scaled(pressing_out, normal), max(share, 0.0), shear)
 
 
 @compiled
@@ -367,6 +414,9 @@ def _collide_at(
         p.restitution,
         p.friction,
         p.tangential_factor,
+        p.restitution_slope,
+        p.tangential_stiffness,
+        p.tangential_loss,
     )
     return result[0], result[1], result[2], result[3], result[4], contact
 
@@ -430,9 +480,11 @@ class Delivery:
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     """Of the head (rad/s)."""
     source: Source = "simulated"
+    shaft_loft: float = 0.0
+    """Part of `dynamic_loft` that the shaft's bend adds (rad), where it is stated."""
 
     def __post_init__(self) -> None:
-        angles = (self.face_angle, self.dynamic_loft, self.shaft_lean, self.toe_tilt)
+        angles = (self.face_angle, self.dynamic_loft, self.shaft_lean, self.toe_tilt, self.shaft_loft)
         for value in (*self.velocity, *self.angular_velocity, *angles, self.strike_x, self.strike_y):
             if not isfinite(value):
                 raise ValueError(f"Delivery: found {value!r} in {self!r}, expected finite numbers")
@@ -469,6 +521,10 @@ class Delivery:
     def face_to_path(self) -> float:
         """Face angle less path (rad)."""
         return self.face_angle - self.path
+
+    def with_rigid_shaft(self) -> Delivery:
+        """Return the delivery without the loft that the shaft adds."""
+        return replace(self, dynamic_loft=self.dynamic_loft - self.shaft_loft, shaft_loft=0.0)
 
     @property
     def closure_rate(self) -> float:
@@ -521,11 +577,23 @@ def delivery_from_angles(
     strike_x: float = 0.0,
     strike_y: float = 0.0,
     source: Source = "launch monitor",
+    shaft_loft: float = 0.0,
 ) -> Delivery:
-    """Return the delivery that a launch monitor states: m/s, rad, m, signs as in `Delivery`."""
+    """Return the delivery that a launch monitor states: m/s, rad, m, signs as in `Delivery`.
+
+    `dynamic_loft` includes `shaft_loft`.
+    """
     level = speed * cos(attack_angle)
     velocity = (level * cos(path), speed * sin(attack_angle), level * sin(path))
-    return Delivery(velocity, face_angle, dynamic_loft, strike_x=strike_x, strike_y=strike_y, source=source)
+    return Delivery(
+        velocity,
+        face_angle,
+        dynamic_loft,
+        strike_x=strike_x,
+        strike_y=strike_y,
+        source=source,
+        shaft_loft=shaft_loft,
+    )
 
 
 def strike(delivery: Delivery, club: Club, ball: Ball | None = None) -> Launch:

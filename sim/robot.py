@@ -63,9 +63,17 @@ class Club:
     head_depth: Annotated[float, Range(0.0, 0.12, "m")] = 0.035
     """Depth of the centre of mass behind the face (m)."""
     restitution: Annotated[float, Range(0.1, 1.0, "")] = 0.83
-    """Coefficient at the centre; the Rules' limit for drivers by default."""
+    """Coefficient at the centre, at an approach of 40 m/s; the Rules' limit for drivers by default."""
     tangential_factor: Annotated[float, Range(0.0, 1.0, "")] = 0.75
     """Share of the rolling-contact spin that a modern face gives (golf.md 3.1, a start value)."""
+    restitution_slope: Annotated[float, Range(-0.02, 0.02, "s/m")] = 0.0
+    """Change of the restitution with the speed of approach (s/m)."""
+    tangential_stiffness: Annotated[float, Range(0.0, 4.0, "")] = 0.0
+    """Stiffness of the contact across the face over that along its normal; 0: `tangential_factor` instead."""
+    tangential_loss: Annotated[float, Range(0.0, 2.0, "")] = 0.0
+    """Loss factor of the contact across the face; only with `tangential_stiffness`."""
+    friction_factor: Annotated[float, Range(0.0, 3.0, "")] = 1.0
+    """Factor on the ball's friction: below 1 for a wet or worn face."""
     bulge_radius: FaceRadius = 0.305
     """Curvature heel to toe (m); 1e6 is flat."""
     roll_radius: FaceRadius = 0.305

@@ -18,7 +18,19 @@ Profiles = Mapping[tuple[str, str], Profile]
 """Keyed by the plan's names of swing and club."""
 
 _ON_THE_BALL_ONLY = frozenset(
-    {"name", "loft", "face_angle", "restitution", "tangential_factor", "bulge_radius", "roll_radius"}
+    {
+        "name",
+        "loft",
+        "face_angle",
+        "restitution",
+        "restitution_slope",
+        "tangential_factor",
+        "tangential_stiffness",
+        "tangential_loss",
+        "friction_factor",
+        "bulge_radius",
+        "roll_radius",
+    }
 )
 """Fields of a club that do not act on the robot."""
 

@@ -31,6 +31,7 @@ BENCHMARKS = (
     "model_check",
 )
 LONG = (
+    "impact",
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",

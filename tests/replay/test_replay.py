@@ -17,6 +17,7 @@ import pytest
 
 from bench.cli import main
 from bench.control.model import KINDS
+from bench.control.model_limits import ADDED_TO_CLUBS
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.errors import BenchError
@@ -32,6 +33,7 @@ from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
 from sim.plant import PlantParameters
+from sim.robot import Club
 from tests.replay.renew import STOP, SWING, reference_bench
 
 Change = Callable[[ControlParameters], None]
@@ -66,6 +68,8 @@ ADDED = (
     | {"lifecycle.air_tolerance", "lifecycle.air_timeout"}
 )
 """Settings that the references do not have, and that no swing or stop reads; of air only a planned one."""
+FACES = frozenset(f"plant.robot.club.{name}" for name in ADDED_TO_CLUBS)
+"""Settings of the contact with the ball that the references do not have; their defaults do nothing."""
 CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
 """Settings that the references do not have: in their time the cushion's travel, today's default."""
 
@@ -77,12 +81,16 @@ def test_clearances_of_the_references_are_their_cushions(name: str, swing: Recor
         assert metadata["configuration"]["plant"][name]["stop"]["travel"] == clearance
 
 
+def test_faces_of_the_references_are_todays_default() -> None:
+    assert {name: getattr(Club.driver(), name) for name in ADDED_TO_CLUBS} == ADDED_TO_CLUBS
+
+
 @pytest.mark.parametrize("path", [SWING, STOP])
 def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES}
+    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | FACES}
     assert not since, "the record is older than these settings: make reference"
 
 
@@ -321,7 +329,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     )
     replay = replay_cycles(swing[0], metadata, "swing")
     assert (
-        set(replay.defaults) - ADDED - CLEARANCES
+        set(replay.defaults) - ADDED - CLEARANCES - FACES
         == {
             "control.strike_drop",
             *(f"homing.{setting.name}" for setting in fields(HomingSettings)),

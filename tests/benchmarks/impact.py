@@ -1,0 +1,345 @@
+"""Impact: ball speed, launch and spin of the bag against published averages; the off-centre map; the bag.
+
+`--fit` fits restitution, its slope and the loss factor again to every other tour row and prints them.
+`--picture FOLDER` also draws face-map.png (over a driver's face) and bag.png (launch, spin, carry, descent
+beside the tours').
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import cos, degrees, radians, sin
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.config import load_configuration
+from bench.shot.plot_style import COLOURS, STYLE, styled
+from sim.flight import Launch, fly
+from sim.impact import delivery_from_angles, strike
+from sim.robot import Club
+from tests.benchmarks.row import Row
+from tests.sim.tour_averages import (
+    BALL,
+    MPH,
+    ODD_ROW,
+    RPM,
+    Average,
+    Error,
+    Fitted,
+    FlownAverage,
+    club_of,
+    error_of,
+    fit,
+    flown_averages,
+    lofted_averages,
+    rms,
+    stiffness_of,
+    tour_averages,
+)
+
+NAME = "impact"
+YARD = 0.9144
+BAG = ("Driver", "3-wood", "Hybrid", "5-iron", "7-iron", "9-iron", "PW")
+WEDGE = (78 * MPH, radians(-5.0), radians(50.0))
+"""Speed, attack and dynamic loft of a full 56 degree wedge; assumption, no average is published."""
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    return table
+
+
+def _errors(title: str, averages: Sequence[Average], bag: Mapping[str, Club]) -> tuple[Table, list[Error]]:
+    table = _table(title, "average", "", "mph", "attack", "loft", "ball mph", "launch", "rpm", "smash")
+    errors = []
+    for a in averages:
+        error = error_of(a, club_of(a.club, bag))
+        errors.append(error)
+        table.add_row(
+            a.name,
+            "held out" if a.held_out else "fitted",
+            f"{a.speed / MPH:.0f}",
+            f"{degrees(a.attack):+.1f}",
+            f"{degrees(a.loft):.1f}",
+            f"{a.ball_speed / MPH:.0f} {100 * error.ball_speed:+.1f} %",
+            f"{degrees(a.launch):.1f} {error.launch:+.1f}",
+            f"{a.spin / RPM:.0f} {100 * error.spin:+.0f} %",
+            f"{a.ball_speed * (1 + error.ball_speed) / a.speed:.3f}",
+        )
+    return table, errors
+
+
+def _rms_rows(title: str, errors: Sequence[Error], asked: bool) -> list[Row]:
+    found, note = rms(errors), f"{len(errors)} rows"
+    return [
+        Row(
+            NAME, f"{title}: ball speed", 100 * found.ball_speed, "% rms", note, None, 1.5 if asked else None
+        ),
+        Row(NAME, f"{title}: launch", found.launch, "deg rms", note, None, 0.7 if asked else None),
+        Row(NAME, f"{title}: spin", 100 * found.spin, "% rms", note, None, 10.0 if asked else None),
+    ]
+
+
+def _fitted(values: Fitted) -> Table:
+    table = _table("fitted to every other row", "value", "")
+    for name in ("driver", "fairway", "solid"):
+        e = getattr(values, name)
+        table.add_row(
+            f"restitution, {name}", f"{e:.4f}; stiffness across {stiffness_of(e, values.solid):.3f}"
+        )
+    table.add_row("its slope", f"{values.slope:.5f} s/m")
+    table.add_row("loss factor", f"{values.loss:.3f}")
+    return table
+
+
+# --- Over the face ----------------------------------------------------------------------------------
+
+TOES, HEIGHTS = (-20, -10, 0, 10, 20), (10, 0, -10)
+"""mm from the centre of the face."""
+
+
+def _struck(club: Club, x: float, y: float) -> Launch:
+    """Return the launch of a 100 mph drive at (x, y) mm from the face's centre, the loft 13 degrees."""
+    delivery = delivery_from_angles(100 * MPH, 0.0, 0.0, 0.0, radians(13.0), x / 1e3, y / 1e3)
+    return strike(delivery, club, BALL)
+
+
+def _parts(launch: Launch) -> tuple[float, float, float, float, float]:
+    """Return ball speed (mph), launch and direction (deg), back and side spin (rpm)."""
+    return (
+        launch.speed / MPH,
+        degrees(launch.launch_angle),
+        degrees(launch.direction),
+        launch.spin * cos(launch.spin_axis) / RPM,
+        launch.spin * sin(launch.spin_axis) / RPM,
+    )
+
+
+def _face_table(club: Club) -> Table:
+    table = _table(
+        "driver, 100 mph, loft 13 deg, off centre (toe, high mm)",
+        *("toe, high", "ball mph", "launch", "direction", "back rpm", "side rpm"),
+    )
+    for y in HEIGHTS:
+        for x in TOES:
+            speed, launch, direction, back, side = _parts(_struck(club, x, y))
+            table.add_row(
+                f"{x:+d} {y:+d}",
+                f"{speed:.1f}",
+                f"{launch:.1f}",
+                f"{direction:+.1f}",
+                f"{back:.0f}",
+                f"{side:+.0f}",
+            )
+    return table
+
+
+def _gear_rows(club: Club) -> list[Row]:
+    """Return spin by gear effect over Tutelman's rules, and what the strike costs."""
+    flat = replace(club, bulge_radius=1e6, roll_radius=1e6)
+    centre = _parts(_struck(flat, 0, 0))
+    side = _parts(_struck(flat, 10, 0))[4] - centre[4]
+    back = (_parts(_struck(flat, 0, -10))[3] - _parts(_struck(flat, 0, 10))[3]) / 2
+    depth, inertia = club.head_depth / 0.0254, club.head_inertia_horizontal * 1e7
+    lost = 1 - _parts(_struck(club, 12.7, 0))[0] / centre[0]
+    return [
+        Row(
+            NAME,
+            "horizontal gear effect over the ideal gear's",
+            -side / (58_830 * centre[0] * depth * (10 / 25.4) / inertia),
+            "",
+            "Tutelman 58,830 V C x / I; flat face",
+            0.6,
+            0.9,
+        ),
+        Row(NAME, "the same, rule of thumb 16.4 V x", -side / (16.4 * centre[0] * 10 / 25.4), ""),
+        Row(
+            NAME,
+            "vertical gear effect over the rule 25 V y",
+            back / (25 * centre[0] * 10 / 25.4),
+            "",
+            "Tutelman; flat face",
+            0.6,
+            1.0,
+        ),
+        Row(
+            NAME, "ball speed lost half an inch off centre", 100 * lost, "%", "Maltby: 7 % of distance, woods"
+        ),
+    ]
+
+
+# --- The bag ----------------------------------------------------------------------------------------
+
+
+def _bag_table(bag: Mapping[str, Club]) -> tuple[Table, list[dict[str, Any]]]:
+    """Return carry, launch, spin and descent of the bag's clubs beside the tours', from their deliveries."""
+    table = _table(
+        "the bag, from the tours' deliveries: model (tour)",
+        *("club", "mph", "attack", "loft, own", "ball mph", "launch", "rpm", "carry yd", "descent"),
+    )
+    found = []
+    for flown in flown_averages():
+        a = flown.average
+        if a.club not in BAG:
+            continue
+        club = club_of(a.club, bag)
+        launch = strike(delivery_from_angles(a.speed, a.attack, 0.0, 0.0, a.loft), club, BALL)
+        flight = fly(launch, ball=BALL)
+        values = {
+            "launch": (degrees(launch.launch_angle), degrees(a.launch)),
+            "spin": (launch.spin / RPM, a.spin / RPM),
+            "carry": (flight.carry / YARD, flown.carry / YARD),
+            "descent": (degrees(flight.landing_angle), degrees(flown.landing_angle)),
+        }
+        found.append({"tour": a.group, "club": a.club, **values})
+        table.add_row(
+            a.name,
+            f"{a.speed / MPH:.0f}",
+            f"{degrees(a.attack):+.1f}",
+            f"{degrees(a.loft):.1f}, {degrees(club.loft):.1f}",
+            f"{launch.speed / MPH:.0f} ({a.ball_speed / MPH:.0f})",
+            *(
+                f"{model:.{places}f} ({tour:.{places}f})"
+                for places, (model, tour) in zip((1, 0, 0, 0), values.values(), strict=True)
+            ),
+        )
+    for name in ("wedge56", "wedge56_wet"):
+        speed, attack, loft = WEDGE
+        launch = strike(delivery_from_angles(speed, attack, 0.0, 0.0, loft), bag[name], BALL)
+        flight = fly(launch, ball=BALL)
+        table.add_row(
+            name,
+            f"{speed / MPH:.0f}",
+            f"{degrees(attack):+.1f}",
+            f"{degrees(loft):.1f}, {degrees(bag[name].loft):.1f}",
+            f"{launch.speed / MPH:.0f}",
+            f"{degrees(launch.launch_angle):.1f}",
+            f"{launch.spin / RPM:.0f}",
+            f"{flight.carry / YARD:.0f}",
+            f"{degrees(flight.landing_angle):.0f}",
+        )
+    return table, found
+
+
+# --- Pictures ---------------------------------------------------------------------------------------
+
+
+def _draw_face(club: Club, file: Path) -> None:
+    x, y = np.linspace(-25, 25, 41), np.linspace(-15, 15, 31)
+    launches = np.array([[_parts(_struck(club, a, b)) for a in x] for b in y])
+    titles = (
+        "ball speed (mph)",
+        "launch (deg)",
+        "direction (deg, + right)",
+        "back spin (rpm)",
+        "side spin (rpm, + right)",
+    )
+    with mpl.rc_context(STYLE):
+        figure = styled(6.2)
+        for number, title in enumerate(titles):
+            axes = figure.add_subplot(3, 2, number + 1)
+            lines = axes.contour(x, y, launches[..., number], levels=10, colors=COLOURS[0], linewidths=0.8)
+            axes.clabel(lines, fontsize=6, fmt="%g")
+            axes.set(title=title, aspect="equal", xlabel="heel to toe (mm)", ylabel="up the face (mm)")
+        figure.savefig(file, dpi=130)
+
+
+def _draw_bag(found: Sequence[dict[str, Any]], file: Path) -> None:
+    titles = {
+        "launch": "launch (deg)",
+        "spin": "spin (rpm)",
+        "carry": "carry (yd)",
+        "descent": "descent (deg)",
+    }
+    with mpl.rc_context(STYLE):
+        figure = styled(5.4)
+        for number, (key, title) in enumerate(titles.items()):
+            axes = figure.add_subplot(2, 2, number + 1)
+            for colour, tour in zip(COLOURS, ("PGA", "LPGA"), strict=False):
+                rows = [row for row in found if row["tour"] == tour]
+                places = [BAG.index(row["club"]) for row in rows]
+                axes.plot(places, [row[key][0] for row in rows], color=colour, label=f"{tour}, model")
+                tours = [row[key][1] for row in rows]
+                axes.plot(places, tours, "o", color=colour, markersize=4, label=f"{tour}, average")
+            axes.set_xticks(range(len(BAG)), BAG)
+            axes.set_title(title)
+        figure.axes[0].legend()
+        figure.savefig(file, dpi=130)
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Print the tables and return the figures."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks impact", description=__doc__)
+    parser.add_argument("--fit", action="store_true", help="fit again, and print the values")
+    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="also draw face-map.png and bag.png")
+    given = parser.parse_args(arguments)
+    bag, console = load_configuration(Path("bag")).clubs, Console()
+    averages = tour_averages()
+    tours, errors = _errors(
+        "tour averages 2023, loft from spin; published, error of the model", averages, bag
+    )
+    lofted, with_loft = _errors("averages with a published loft", lofted_averages(), bag)
+    shown, found = _bag_table(bag)
+    for table in (tours, lofted, _face_table(bag["wood1"]), shown):
+        console.print(table)
+    if given.fit:
+        console.print(_fitted(fit(averages, bag)))
+    if given.picture:
+        given.picture.mkdir(parents=True, exist_ok=True)
+        _draw_face(bag["wood1"], given.picture / "face-map.png")
+        _draw_bag(found, given.picture / "bag.png")
+    pairs = list(zip(averages, errors, strict=True))
+    before = {name: _before(club) for name, club in bag.items()}
+    shipped = [error_of(a, club_of(a.club, before)) for a in averages if a.held_out]
+    carries = [model - tour for row in found for model, tour in [row["carry"]]]
+    descents = [model - tour for row in found for model, tour in [row["descent"]]]
+    own = [_descent(f) for f in flown_averages() if f.average.club in BAG]
+    return [
+        *_rms_rows("held out", [e for a, e in pairs if a.held_out], True),
+        *_rms_rows(
+            f"held out but {' '.join(ODD_ROW)}",
+            [e for a, e in pairs if a.held_out and (a.group, a.club) != ODD_ROW],
+            False,
+        ),
+        *_rms_rows("fitted", [e for a, e in pairs if not a.held_out], False),
+        *_rms_rows("held out, contact without compliance", shipped, False),
+        *_rms_rows("published loft", with_loft, False),
+        *_gear_rows(bag["wood1"]),
+        Row(NAME, "descent of the bag", _rms(descents), "deg rms", f"{len(descents)} rows"),
+        Row(
+            NAME, "descent from the tours' own launches", _rms(own), "deg rms", "what the flight model misses"
+        ),
+        Row(
+            NAME,
+            "carry of the bag",
+            _rms(carries),
+            "yd rms",
+            f"{len(carries)} rows",
+        ),
+    ]
+
+
+def _descent(flown: FlownAverage) -> float:
+    """Return the error (deg) of the descent when the tour's own launch is flown."""
+    a = flown.average
+    flight = fly(Launch(a.ball_speed, a.launch, 0.0, a.spin, 0.0), ball=BALL)
+    return degrees(flight.landing_angle - flown.landing_angle)
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _before(club: Club) -> Club:
+    """Return `club` with the contact of the shipped driver, and its bands of restitution."""
+    e = {0.882: 0.83, 0.817: 0.80}.get(club.restitution, 0.72)
+    return replace(club, restitution=e, restitution_slope=0.0, tangential_stiffness=0.0)
