@@ -35,6 +35,7 @@ LONG = (
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",
+    "sdo_fuzz",
     "launch_monitor_fuzz",
     "campaign_statistics",
     "carry_and_rules",

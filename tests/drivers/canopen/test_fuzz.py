@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.benchmarks.frame_fuzz import fuzz
+from tests.benchmarks.sdo_fuzz import fuzz as fuzz_startups
 
 
 @pytest.mark.parametrize("listening", [True, False], ids=["latching", "never latched"])
@@ -15,3 +16,11 @@ def test_no_frame_escapes_moves_or_goes_uncounted(listening: bool) -> None:
     assert result.counted == result.frames
     assert result.frames > 10_000
     assert all(result.classes.values()), result.classes
+
+
+def test_lying_nodes_are_refused_by_name_and_nothing_is_energised() -> None:
+    result = fuzz_startups(3_000, 7)
+    assert result.escaped == []
+    assert result.unnamed == []
+    assert (result.energised, result.slow) == (0, 0)
+    assert 0 < result.opened < result.startups
