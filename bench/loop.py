@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from bench.clock import Clock
+from bench.compiled_tick import CompiledTick
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.states import give_up
-from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.lifecycle import Cause, Phase, Request, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import (
@@ -22,6 +22,7 @@ from drivers.base import (
     Command,
     Driver,
     DriverError,
+    RecordReader,
     pack_readings,
     unpack_command,
 )
@@ -57,7 +58,7 @@ class Cycle:
         state: State = State.READY,
     ) -> None:
         """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
-        self.driver, self.parameters, self.publish, self.name = driver, parameters, publish, name
+        self.driver, self.publish, self.name = driver, publish, name
         self.state = new_control_state(state)
         self.marks = np.zeros(7, np.int64)
         self.record = new_record(CYCLE)
@@ -65,9 +66,24 @@ class Cycle:
         self.publish_error: Exception | None = None
         self._note_truth = note_truth
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
+        self._read_record = driver.read_record if isinstance(driver, RecordReader) else None
+        self._operational = self.state.control["device_operational"]
+        self.parameters = parameters
         for field in FIELDS:
             if field.name.startswith("plant_"):
                 self.record[field.name] = ABSENT
+
+    @property
+    def parameters(self) -> ControlParameters:
+        """Parameters of the step; others may be set between two ticks."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters: ControlParameters) -> None:
+        self._parameters = parameters
+        self._decide = CompiledTick(
+            self.state, parameters, self._readings, self._command, self.record, self.marks
+        )
 
     def request(self, request: int) -> None:
         """Put a `Request` to the next tick."""
@@ -84,19 +100,13 @@ class Cycle:
         Readings that fail count as lost in this very tick. Whatever else fails makes the driver passive in
         this tick, latches Cause.EXCEPTION and is raised again with the driver's name.
         """
-        state, parameters, readings, marks = self.state, self.parameters, self._readings, self.marks
-        decided = False
+        marks, decided = self.marks, False
         try:
             marks[0] = now()
             trusted = self._read(time)
-            before = int(state.control["cause"][0])
+            before = 0 if trusted else int(self.state.control["cause"][0])
             marks[1] = now()
-            estimate_tick(state, parameters, readings, time)
-            marks[2] = now()
-            decide_tick(state, parameters, readings, time)
-            marks[3] = now()
-            limit_tick(state, parameters, readings, self._command, self.record)
-            marks[4] = now()
+            self._decide(time)
             decided = True
             if not trusted:
                 self._blame_exception(before)
@@ -109,7 +119,7 @@ class Cycle:
             marks[5] = now()
         except BaseException as error:
             self.give_up(time, decided=decided)
-            where = f"driver {self.name!r}, tick {int(state.control['tick'][0])}"
+            where = f"driver {self.name!r}, tick {int(self.state.control['tick'][0])}"
             if isinstance(error, DriverError):
                 raise DriverError(f"{where}: {error}; the passive command was sent") from error
             error.add_note(f"{where}: the passive command was sent")
@@ -120,8 +130,11 @@ class Cycle:
     def _read(self, time: float) -> bool:
         """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
         try:
-            pack_readings(self.driver.read(time), self._readings)
-            self.state.control["device_operational"] = self.driver.operational
+            if self._read_record is not None:
+                self._read_record(time, self._readings)
+            else:
+                pack_readings(self.driver.read(time), self._readings)
+            self._operational[0] = self.driver.operational
             return True
         except Exception as error:  # a driver may fail in any way
             self.read_error = self.read_error or error

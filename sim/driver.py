@@ -135,6 +135,24 @@ class SimDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
+        record = new_record(READINGS)
+        self.read_record(time, record)
+        return unpack_readings(record)
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        """Advance the plant as `read` does; write its readings into a READINGS record.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or earlier than the last.
+        """
+        self._advance_to(time)
+        record[...] = self._readings
+        if self._offset != 0.0:
+            record["time"] += self._offset
+            record["encoder_time"] += self._offset
+
+    def _advance_to(self, time: float) -> None:
+        """Let `_readings` be those of the last whole tick at or before `time` (s)."""
         self._require_open("read")
         if self._first_time is None and math.isfinite(time):
             self._first_time = time
@@ -154,8 +172,6 @@ class SimDriver:
         else:
             self._read_faulty(self.faults, due)
         self._ticks = due
-        readings = unpack_readings(self._readings)
-        return readings if self._offset == 0.0 else _shifted_times(readings, self._offset)
 
     def _read_faulty(self, faults: Faults, due: int) -> None:
         """Advance the plant to tick `due` and read it, both with its faults."""
@@ -210,9 +226,3 @@ class SimDriver:
     def _require_open(self, call: str) -> None:
         if not self._is_open:
             raise DriverError(f"sim driver: {call}() while closed; call open() first")
-
-
-def _shifted_times(readings: Readings, offset: float) -> Readings:
-    """Return `readings` with times shifted by `offset` s."""
-    a, b, c = readings.encoder_time
-    return readings._replace(time=readings.time + offset, encoder_time=(a + offset, b + offset, c + offset))

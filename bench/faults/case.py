@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cached_property
 from math import pi
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,12 +26,17 @@ from sim.driver import hanging_pose
 from sim.faults import own_records
 from sim.plant import Plant, build_plant
 
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
 _LONGEST = 40.0
 """Longest watch of a case, s."""
 _LONGEST_SEARCH = 30.0
 """Additional time for a case that begins in the search and goes on to a swing, s."""
 _LONGEST_ACCESS = 60.0
 """Additional time for a case that vents, releases the guard and goes on to a swing, s."""
+_KEPT = 8
+"""Undisturbed benches and runs that are kept: a run has up to 90 s of records, a sweep goes by instants."""
 _ASK_AFTER = 0.2
 """Time in hold or standing from the fault to the request that goes on, s."""
 
@@ -86,7 +92,7 @@ class Workbench:
         """
         instant = replace(instant, delay=0.0)
         if instant not in self._bases:
-            self._bases[instant] = self._brought_to(instant)
+            _keep(self._bases, instant, self._brought_to(instant))
         return self._bases[instant].copy()
 
     def _brought_to(self, instant: Instant) -> LockstepEngine:
@@ -136,7 +142,7 @@ class Workbench:
         """Return the run from `instant` without a fault, with `event` (stop or missing ball) `after` s."""
         key = replace(instant, delay=0.0), event, after
         if key not in self._ends:
-            self._ends[key] = self._watched(key[0], None, event, after)
+            _keep(self._ends, key, self._watched(key[0], None, event, after))
         return self._ends[key]
 
     @cached_property
@@ -175,6 +181,13 @@ class Workbench:
             round(longest / self.period), _GOING_ON.get(instant.name, _GOING_ON.get(instant.phase, ()))
         )
         return watch.run()
+
+
+def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:
+    """Keep `value`; of more than _KEPT the oldest goes."""
+    kept[key] = value
+    if len(kept) > _KEPT:
+        del kept[next(iter(kept))]
 
 
 _GOING_ON: dict[str, tuple[Request, ...]] = {

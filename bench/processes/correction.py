@@ -57,13 +57,18 @@ class CorrectionReader:
         self._version = self._orders.newest
         self._active.write(self._answer)
 
+    @property
+    def is_ordered(self) -> bool:
+        """Whether there is an order that was not taken yet."""
+        return self._orders.newest != self._version
+
     def take(self, tick: int, *, resting: bool) -> Profile | None:
         """Return the profile to swing from `tick` on if a new one was ordered, else None.
 
         An order that arrives while the robot is not resting, or for another profile, only updates `asked`
         and is dropped.
         """
-        if self._orders.newest == self._version:
+        if not self.is_ordered:
             return None
         self._version = self._orders.read(self._order)
         self._answer["asked"] = self._order["number"]

@@ -235,5 +235,13 @@ class Driver(Protocol):
         """Release the device. Allowed in any state, also twice."""
 
 
+@runtime_checkable
+class RecordReader(Protocol):
+    """A driver whose readings are a record already; the loop takes them as such."""
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        """Write what `Driver.read` returns at `time` (s) into a READINGS record (a one-element array)."""
+
+
 class DriverError(RuntimeError):
     """A driver cannot do its work; the text names the device, what was found, expected, and the cure."""

@@ -13,9 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
+from drivers.base import (
+    PASSIVE,
+    READINGS,
+    Command,
+    DriverError,
+    Readings,
+    device_limited,
+    unpack_readings,
+)
+from drivers.base.compiled import compiled, new_record
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
-from sim.live.exchange import COMMAND_FILE, PLANT_COMMAND, PLANT_REPORT, REPORT_FILE, TRUTH
+from sim.live.exchange import COMMAND_FILE, PLANT_COMMAND, PLANT_REPORT, REPORT_FILE
 from sim.live.valve_watchdog import Mode
 from sim.truth import Contact, contact_in
 
@@ -37,11 +46,10 @@ class ProcessPlantDriver:
         `timeout` (s) bounds how long `open` waits for the node.
         """
         self.folder, self.watchdog, self.timeout = Path(folder), watchdog, timeout
-        self.report = np.zeros(1, PLANT_REPORT)
+        self.report = new_record(PLANT_REPORT)
         self.applied = PASSIVE
         """Last command sent, within the device's limits."""
-        self._readings, self._operational = self.report["readings"], self.report["node"]["operational"]
-        self._truth = [(name, self.report["truth"][name]) for name in TRUTH.names or ()]
+        self._readings, self._operational = new_record(READINGS), self.report["node"]["operational"]
         self._outgoing = np.zeros(1, PLANT_COMMAND)
         self._incoming: SharedRecord | None = None
         self._sender: SharedRecord | None = None
@@ -79,6 +87,15 @@ class ProcessPlantDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
+        self.read_record(time, self._readings)
+        return unpack_readings(self._readings)
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        """Write the plant's newest readings with their ages at `time` (s) into a READINGS record.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or earlier than the last.
+        """
         if self._incoming is None:
             raise _closed("read")
         if not self._last_time <= time < math.inf:
@@ -88,28 +105,7 @@ class ProcessPlantDriver:
             )
         self._last_time = time
         self._incoming.read(self.report)
-        (_, count, stamp, valid, _, stop, closed, locked, supply, reset, ball, chamber, indexed, vents) = (
-            self._readings.item()
-        )
-        a, b, c = stamp.tolist()
-        v1, v2, v3 = valid.tolist()
-        i1, i2, i3 = indexed.tolist()
-        return Readings(
-            time,
-            tuple(count.tolist()),
-            (a, b, c),
-            (v1 != 0, v2 != 0, v3 != 0),
-            (time - a, time - b, time - c),
-            stop,
-            closed,
-            locked,
-            supply,
-            reset,
-            ball,
-            tuple(chamber.tolist()),
-            (i1 != 0, i2 != 0, i3 != 0),
-            tuple(vents.tolist()),
-        )
+        _take_readings(self.report, record, time)
 
     def write(self, command: Command) -> Command:
         """Send `command` within the device's limits; return it, or PASSIVE if the node went passive.
@@ -137,8 +133,7 @@ class ProcessPlantDriver:
 
     def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
         """Write the fields `plant_*` of a CYCLE record (a one-element array) at the readings' tick."""
-        for name, value in self._truth:
-            cycle[name] = value
+        _take_truth(self.report, cycle)
 
     @property
     def contact(self) -> Contact | None:
@@ -190,6 +185,38 @@ class ProcessPlantDriver:
                 shared.close()
         self._incoming = self._sender = None
         self._operational[0] = False
+
+
+@compiled
+def _take_readings(report: Any, record: Any, time: float) -> None:
+    """Write the readings of a PLANT_REPORT into a READINGS record, as of `time` (s)."""
+    given, out = report[0].readings, record[0]
+    out.time = time
+    for i in range(3):
+        out.encoder_count[i], out.encoder_time[i] = given.encoder_count[i], given.encoder_time[i]
+        out.encoder_valid[i], out.encoder_indexed[i] = given.encoder_valid[i], given.encoder_indexed[i]
+        out.encoder_age[i] = time - given.encoder_time[i]
+    out.emergency_stop_clear, out.guard_closed = given.emergency_stop_clear, given.guard_closed
+    out.guard_locked, out.local_reset = given.guard_locked, given.local_reset
+    out.ball_present, out.supply_pressure = given.ball_present, given.supply_pressure
+    for i in range(6):
+        out.chamber_pressure[i] = given.chamber_pressure[i]
+    for i in range(2):
+        out.vent_open[i] = given.vent_open[i]
+
+
+@compiled
+def _take_truth(report: Any, cycle: Any) -> None:
+    """Write the truth of a PLANT_REPORT into the fields `plant_*` of a CYCLE record."""
+    truth, out = report[0].truth, cycle[0]
+    for i in range(3):
+        out.plant_angle[i], out.plant_velocity[i] = truth.plant_angle[i], truth.plant_velocity[i]
+        out.plant_effort[i] = truth.plant_effort[i]
+    for i in range(6):
+        out.plant_pressure[i] = truth.plant_pressure[i]
+    for i in range(2):
+        out.plant_head_position[i] = truth.plant_head_position[i]
+    out.plant_head_speed = truth.plant_head_speed
 
 
 def _closed(call: str) -> DriverError:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base import Command, DriverError, Readings
+from drivers.base import READINGS, Command, DriverError, Readings, unpack_readings
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedMemoryError
 from sim.driver import SimDriver
@@ -36,7 +36,9 @@ class PacedPlantDriver:
         self._surroundings, self._report = new_record(PLANT_SURROUNDINGS), new_record(PLANT_REPORT)
         self._surrounded, self._was_struck = 0, False
         self._handled = HandledPlant(self._driver.plant, self._driver.plant_state)
-        self._readings: Readings | None = None
+        self._readings, self._last = new_record(READINGS), new_record(READINGS)
+        self._has_read = False
+        self._struck = self._driver.plant_state["struck"]
 
     @property
     def operational(self) -> bool:
@@ -67,19 +69,30 @@ class PacedPlantDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
+        self.read_record(time, self._readings)
+        return unpack_readings(self._readings)
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        """Advance the plant as `read` does; write its readings into a READINGS record.
+
+        Raises:
+            DriverError: not open, or `time` is not finite or earlier than the last.
+        """
         if self._files is not None and self._files.surroundings.newest != self._surrounded:
             self._surrounded = self._files.surroundings.read(self._surroundings)
             self._handled.set_surroundings(self._surroundings)
-        readings = self._driver.read(time)
-        if (struck := bool(self._driver.plant_state["struck"][0])) != self._was_struck:
+        self._driver.read_record(time, record)
+        if (struck := bool(self._struck[0])) != self._was_struck:
             self._was_struck = struck
             if struck:
                 self._report_contact()
-        if self._handled.frozen and (last := self._readings) is not None:
-            a, b, c = last.encoder_time
-            return last._replace(time=time, encoder_age=(time - a, time - b, time - c))
-        self._readings = readings
-        return readings
+        if self._handled.frozen and self._has_read:
+            record[...] = self._last
+            record["time"] = time
+            record["encoder_age"] = time - record["encoder_time"]
+        else:
+            self._last[...] = record
+            self._has_read = True
 
     def write(self, command: Command) -> Command:
         """Apply `command` within the device's limits; DriverError if not open."""

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import bench.loop
 from bench.clock import FreeClock, PacedClock
 from bench.control.records import ControlParameters
 from bench.control.settings import (
@@ -261,7 +260,7 @@ def test_numerics_that_fail_make_passive_too(
     def fail(*_: object) -> None:
         raise ZeroDivisionError("in the step")
 
-    monkeypatch.setattr(bench.loop, "decide_tick", fail)
+    monkeypatch.setattr(holding.cycle, "_decide", fail)
     kept = CycleArray(1)
     holding.cycle.publish = kept
     with pytest.raises(ZeroDivisionError) as raised:

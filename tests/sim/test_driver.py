@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, Command, DriverError, pack_command
+from drivers.base import COMMAND, PASSIVE, READINGS, Command, DriverError, pack_command, pack_readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver, hanging_pose
 from sim.kane import bias_forces
@@ -145,3 +145,16 @@ def test_a_refused_reading_says_what_time_it_wants() -> None:
     driver.read(2.005)
     with pytest.raises(DriverError, match=r"at least 2\.005 s"):
         driver.read(2.001)
+
+
+@pytest.mark.parametrize("start", [0.0, 12.5])
+def test_a_record_holds_the_same_readings(start: float) -> None:
+    one, other = SimDriver(PlantParameters()), SimDriver(PlantParameters())
+    one.open()
+    other.open()
+    packed, record = new_record(READINGS), new_record(READINGS)
+    for k in range(40):
+        pack_readings(one.read(start + 1e-3 * k), packed)
+        other.read_record(start + 1e-3 * k, record)
+        for name in READINGS.names or ():
+            np.testing.assert_array_equal(record[name], packed[name])

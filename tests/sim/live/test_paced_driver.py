@@ -53,11 +53,12 @@ def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
     assert driver.read(0.0).guard_closed
     with SurroundingsWriter(tmp_path) as hands:
         hands.change(guard_closed=False)
-        assert not driver.read(0.001).guard_closed
+        opened = driver.read(0.001)
+        assert not opened.guard_closed
         hands.change(guard_closed=True, frozen=True)
         frozen = driver.read(0.003)
         assert frozen.time == 0.003
-        assert frozen.encoder_age[0] == pytest.approx(0.002 + driver._readings.encoder_age[0])  # type: ignore[union-attr]
+        assert frozen.encoder_age[0] == pytest.approx(0.002 + opened.encoder_age[0])
         hands.change(frozen=False)
         hands.place_ball()
         assert driver.read(0.004).ball_present
