@@ -170,8 +170,7 @@ class CampaignCorrections:
         return self._lectures[arm]
 
     def _plant(self, arm: Arm) -> PlantParameters:
-        plant = self._configuration.plant
-        return replace(plant, robot=replace(plant.robot, club=self._plan.clubs[arm[1]]))
+        return self._configuration.plant_of(arm[1], self._plan.clubs[arm[1]])
 
     def _conditions(self, arm: Arm, truth: PlantParameters | None = None) -> Conditions:
         plant = self._plant(arm)

@@ -312,10 +312,6 @@ class SimulatedShots:
 
     def _nominal(self, club: str) -> PlantParameters:
         """Return the plant with `club` and the encoders' noise, without shot-to-shot scatter."""
-        plant = self._configuration.plant
+        plant = self._configuration.plant_of(club, self._plan.clubs[club])
         noise = float(np.hypot(plant.encoders.noise, self._plan.simulation.encoders))
-        return replace(
-            plant,
-            robot=replace(plant.robot, club=self._plan.clubs[club]),
-            encoders=replace(plant.encoders, noise=noise),
-        )
+        return replace(plant, encoders=replace(plant.encoders, noise=noise))

@@ -59,7 +59,7 @@ def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles
             )
             continue
         designed_for = replace(club, name=profile.club)
-        plant = replace(configuration.plant, robot=replace(configuration.plant.robot, club=designed_for))
+        plant = configuration.plant_of(name, designed_for)
         try:
             require_possible(profile, plant, configuration.envelope, str(path))
         except ExceptionGroup as group:

@@ -13,6 +13,7 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
+from bench.config.club_site import ClubSite
 from bench.config.defaults import DEFAULTS, DERIVED, default_tables
 from bench.config.renamed import rename_keys
 from bench.config.rules import RULES
@@ -154,8 +155,13 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
 
 
 def _with_derived(c: Configuration, files: tuple[Path, ...]) -> Configuration:
-    """Return `c` with what follows from other keys: tick, club and ball of the plant."""
+    """Return `c` with what follows from other keys: tick, club, site and ball of the plant.
+
+    With `sites`, a club without one gets that of plant.site, so that changing clubs leads back to it.
+    """
+    if c.sites:
+        c = replace(c, sites={name: ClubSite.of(c.plant) for name in c.clubs} | c.sites)
     club, ball = c.clubs.get(c.swing.club), c.balls.get(c.swing.ball)
-    robot = c.plant.robot if club is None else replace(c.plant.robot, club=club)
-    plant = replace(c.plant, robot=robot, tick=1.0 / c.loop.rate, ball=ball or c.plant.ball)
+    plant = c.plant if club is None else c.plant_of(c.swing.club, club)
+    plant = replace(plant, tick=1.0 / c.loop.rate, ball=ball or c.plant.ball)
     return replace(c, plant=plant, files=files).with_driver(c.driver)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.metadata import entry_points
 from ipaddress import ip_address
-from math import asin, ceil, hypot, pi
+from math import asin, ceil, degrees, hypot, pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -262,6 +263,34 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield "plant.site.ball_y", found, wanted, "Move the ball nearer, or take a longer club."
 
 
+MAX_TOE_TILT = radians(5.0)
+"""Max difference (rad) of a swing plane from the lie of the club swung in it."""
+
+
+def _club_sites(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    """Check the sites of clubs as `_site` does the common one, and the plane against the club's lie."""
+    for name, site in c.sites.items():
+        key, club = f"sites.{name}", c.clubs.get(name)
+        if club is None:
+            yield key, "no such club", f"one of {', '.join(c.clubs)}", f"Rename it, or add [clubs.{name}]."
+            continue
+        # A club that has no site of its own stands where the plant does, which is checked there.
+        if _leaf(tree, f"{key}.plane") is None:
+            continue
+        for part, found, wanted, cure in _site(replace(c, plant=c.plant_of(name, club)), tree):
+            yield part.replace("plant.site", key), found, wanted, cure
+        tilt = site.plane - club.lie
+        if abs(tilt) > MAX_TOE_TILT + 1e-9:
+            found = f"{degrees(site.plane):.1f} deg, with the club's lie at {degrees(club.lie):.1f} deg"
+            wanted = f"within {degrees(MAX_TOE_TILT):g} deg of it"
+            yield f"{key}.plane", found, wanted, "Tilt the mount to the lie, or correct the club's."
+        deep = site.ground - (site.ball_y - site.sole_depth)
+        if deep > 1e-6:
+            found = f"{short(site.sole_depth)} m, a sole {1e3 * deep:.1f} mm in the ground at the ball"
+            cure = "Raise the ball (ball_y), or correct the depth of the sole."
+            yield f"{key}.sole_depth", found, f"at most {site.ball_y - site.ground:.4f} m", cure
+
+
 def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.driver.name != "canopen":
         return
@@ -336,6 +365,7 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
     _times,
     _air,
     _site,
+    _club_sites,
     _bus,
     _faults,
     check_safety,

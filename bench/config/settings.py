@@ -9,6 +9,7 @@ from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from bench.config.club_site import ClubSite
 from bench.control.model_limits import LimitsInUse, MadeFor, limits_in_use, limits_path
 from bench.control.settings import (
     ControlSettings,
@@ -148,6 +149,8 @@ class Configuration:
     envelope: EnvelopeSettings = field(default_factory=_watched)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     clubs: dict[str, Club] = field(default_factory=_clubs)
+    sites: dict[str, ClubSite] = field(default_factory=dict)
+    """Sites of clubs by their key in `clubs`; a club without one stands on plant.site."""
     balls: dict[str, Ball] = field(default_factory=lambda: {"tour": Ball(name="tour")})
     air: Air = field(default_factory=Air)
     wind: Wind = field(default_factory=Wind)
@@ -158,15 +161,20 @@ class Configuration:
     """Files it was read from, the base first."""
 
     def plant_with(self, *, club: str | None = None, ball: str | None = None) -> PlantParameters:
-        """Return the plant with another club or ball of this configuration.
+        """Return the plant with another club or ball of this configuration, on the club's site.
 
         Raises:
             BenchError: none has that name.
         """
         plant = self.plant
         if club is not None:
-            plant = replace(plant, robot=replace(plant.robot, club=_choice(self, "clubs", club)))
+            plant = self.plant_of(club, _choice(self, "clubs", club))
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
+
+    def plant_of(self, name: str, club: Club) -> PlantParameters:
+        """Return the plant with `club` on the site of the club called `name`."""
+        plant = replace(self.plant, robot=replace(self.plant.robot, club=club))
+        return self.sites[name].applied_to(plant) if name in self.sites else plant
 
     def with_driver(self, driver: DriverSettings) -> Configuration:
         """Return the configuration with another driver, and its consequences.

@@ -1,0 +1,142 @@
+"""Sites of clubs: what a club brings, the way back, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from math import asin, degrees, pi, radians, sin
+from pathlib import Path
+
+import pytest
+
+from bench.config import Configuration, load_configuration
+from bench.errors import BenchError
+from sim.impact import face_axes, impact_parameters
+from sim.plant import build_plant
+
+BAG = ("wood1", "wood3", "hybrid", "iron5", "iron7", "iron9", "pitching", "wedge56")
+IRON7 = """
+[sites.iron7]
+plane_deg = 62.5
+ground = -1.417
+sole_depth = 0.02
+ball_x = 0.14
+ball_y = -1.3956
+ground_stiffness = 2.0e5
+"""
+SOLE_AND_BALL = "sole_depth = 0.02\nball_x = 0.14\nball_y = -1.3956"
+Overlay = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def bag() -> Configuration:
+    return load_configuration(Path("bag"))
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Configuration:
+    return load_configuration(Path("shipped"))
+
+
+@pytest.fixture
+def overlay(tmp_path: Path) -> Overlay:
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.toml"
+        path.write_text(f'base = "shipped"\n{text}\n', encoding="utf-8")
+        return path
+
+    return write
+
+
+def faults(path: Path) -> list[BenchError]:
+    with pytest.raises(ExceptionGroup) as raised:
+        load_configuration(path)
+    return [fault for fault in raised.value.exceptions if isinstance(fault, BenchError)]
+
+
+def test_a_club_brings_its_site(bag: Configuration) -> None:
+    plant = bag.plant_with(club="iron7")
+    assert plant.robot.club == bag.clubs["iron7"]
+    assert plant.robot.lie == pytest.approx(radians(62.0))
+    assert plant.robot.in_plane_gravity == pytest.approx(plant.robot.gravity * sin(radians(62.0)))
+    assert (plant.site.ball_x, plant.site.ground) == (0.14, -1.417)
+    assert type(plant.site) is type(bag.plant.site)
+    assert build_plant(plant).plant["lie"][0] == plant.robot.lie
+
+
+def test_the_way_back_leads_to_the_common_site(bag: Configuration, shipped: Configuration) -> None:
+    assert bag.plant == shipped.plant
+    ironed = replace(bag, plant=bag.plant_with(club="iron7"))
+    assert ironed.plant_with(club="driver") == shipped.plant
+    assert shipped.plant_with(club="iron7").site == shipped.plant.site
+
+
+def test_the_club_of_the_swing_stands_on_its_site(overlay: Overlay) -> None:
+    found = load_configuration(overlay(IRON7 + '[swing]\nclub = "iron7"'))
+    assert found.plant.robot.lie == pytest.approx(radians(62.5))
+    assert found.plant.site.ball_y == -1.3956
+
+
+@pytest.mark.parametrize("name", BAG)
+def test_clubs_of_the_bag_meet_their_balls_level(name: str, bag: Configuration) -> None:
+    plant = bag.plant_with(club=name)
+    site, club = plant.site, plant.robot.club
+    n, _, toe = face_axes(1.5 * pi, impact_parameters(club, plant.ball, plant.robot.lie))
+    assert toe[1] == pytest.approx(0.0, abs=1e-9)
+    assert degrees(asin(n[1])) == pytest.approx(degrees(club.loft))
+    lifted = site.ball_y - site.ground - plant.ball.radius
+    assert lifted == pytest.approx(0.0387 if name == "wood1" else 0.0, abs=1e-4)
+    # The arms stand alike whatever the club's length.
+    assert site.ground + club.length_to_face == pytest.approx(-1.62 + 1.09, abs=1e-9)
+
+
+def test_the_bag_goes_from_long_and_light_to_short_and_heavy(bag: Configuration) -> None:
+    clubs = [bag.clubs[name] for name in BAG]
+    for longer, shorter in pairwise(clubs):
+        assert longer.length_to_face > shorter.length_to_face
+        assert longer.shaft_length < longer.length_to_face
+        assert longer.head_mass < shorter.head_mass
+        assert longer.loft < shorter.loft
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "found", "wanted"),
+    [
+        (("sites.iron7", "sites.putter"), "sites.putter", "no such club", "one of driver"),
+        (("62.5", "50.0"), "sites.iron7.plane_deg", "50.0 deg, with the club's lie at 62.5", "within 5 deg"),
+        (("62.5", "10.0"), "sites.iron7.plane_deg", "10", "20 to 90 deg"),
+        (
+            (SOLE_AND_BALL, SOLE_AND_BALL.replace("0.02", "0.0").replace("-1.3956", "-1.41")),
+            "sites.iron7.ball_y",
+            "-1.41 m",
+            "at least -1.3957 m",
+        ),
+        (
+            ("0.02\n", "0.05\n"),
+            "sites.iron7.sole_depth",
+            "0.05 m, a sole 28.6 mm in the ground",
+            "at most 0.0214",
+        ),
+        (
+            ("ball_x = 0.14", "ball_x = 1.4"),
+            "sites.iron7.ball_y",
+            "1.977 m from the shoulder",
+            "at most 1.680 m",
+        ),
+    ],
+)
+def test_a_site_that_cannot_be_is_refused(
+    change: tuple[str, str], key: str, found: str, wanted: str, overlay: Overlay
+) -> None:
+    text = IRON7.replace(*change)
+    (fault,) = faults(overlay(text))
+    assert fault.place.endswith(f": {key}")
+    assert found in fault.found
+    assert wanted in fault.expected
+
+
+def test_a_site_must_be_complete(overlay: Overlay) -> None:
+    (fault,) = faults(overlay(IRON7.replace("ball_x = 0.14\n", "")))
+    assert fault.place.endswith("sites.iron7.ball_x")
+    assert fault.found == "nothing"
