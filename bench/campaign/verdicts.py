@@ -148,9 +148,13 @@ def _all_pairs(
         if count["both"]:
             headline += f" ({_of(count['both'], pairs)} {_differ(count['both'])}, by less than that)"
     else:
-        headline = f"{_of(count['different'], pairs)} {_differ(count['different'])} in {name}"
-        if same:
-            headline += f", {same} {'are' if same > 1 else 'is'} the same within {_margin(plan, unit)}"
+        differ, alike = count["different"] + count["both"], count["same"]
+        headline = f"{_of(differ, pairs)} {_differ(differ)} in {name}"
+        if count["both"]:
+            how_many = f"{count['both']} of them " if count["different"] else ""
+            headline += f", {how_many}by less than {_margin(plan, unit)}"
+        if alike:
+            headline += f", {alike} {'are' if alike > 1 else 'is'} the same within {_margin(plan, unit)}"
         if count["open"]:
             what = "neither different nor the same" if plan.analysis.margin else "not seen to differ"
             headline += f", {count['open']} {'are' if count['open'] > 1 else 'is'} {what}"

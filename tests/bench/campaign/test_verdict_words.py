@@ -79,6 +79,20 @@ def test_ten_levels_of_which_one_is_far_are_counted(ten: Case) -> None:
     assert headline == "9 of 45 pairs differ in carry (launch monitor), 36 are the same within 4 m."
 
 
+def test_pairs_that_differ_by_less_than_the_margin_are_counted_as_different(ten: Case) -> None:
+    shots, _ = drawn(ten, 3.45, 5)
+    found = findings(ten.plan, shots)
+    pairs = found.sections[0].confirmatory.pairs  # type: ignore[union-attr]
+    apart = [pair for pair in pairs if pair.low_together > 0 or pair.high_together < 0]
+    less = [pair for pair in apart if pair.verdict == "both"]
+    headline = found.verdicts[0][0].headline
+    assert 0 < len(less) < len(apart)
+    begin = (
+        f"{len(apart)} of 45 pairs differ in carry (launch monitor), {len(less)} of them by less than 4 m, "
+    )
+    assert headline.startswith(begin)
+
+
 def test_enough_shots_are_not_called_too_few(ten: Case) -> None:
     # All are about a margin apart: neither different by more nor the same, however many shots.
     shots, _ = drawn(ten, 4.0, 5)
