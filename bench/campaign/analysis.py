@@ -357,6 +357,8 @@ def _deviations(
     again = balls[:count] < hits[:count]
     if not (again & (balls[:count] > 1)).any():
         return fit.deviation, None
+    if not errors.ratio:  # balls' sums that scatter less than their hits by chance say little of one shot
+        return fit.deviation, 0.0
     variance = float(np.average(errors.variances[:count], weights=np.maximum(hits[:count], 1e-9)))
     return sqrt(max(variance, 0.0)), sqrt(max(variance * errors.ratio, 0.0))
 

@@ -34,6 +34,7 @@ from bench.campaign.suitability import needs, needs_words
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignState, Standing
+from tests.benchmarks.campaign_verdicts import Known, cases, drawn
 
 SHIPPED = load_configuration(Path("shipped"))
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -292,3 +293,16 @@ def test_the_report_names_mountings_and_balls_within_clubs() -> None:
     assert "within" in findings_record(found)["sections"][0]
     plain = load_plan(Path("clubs"), SHIPPED)
     assert "within" not in findings_record(findings(plain, []))["sections"][0]
+
+
+def test_mountings_that_agree_by_chance_do_not_make_one_shot_scatter_less() -> None:
+    case = next(case for case in cases() if "no mounting error" in case.name)
+    found = []
+    for number in range(20):
+        shots, _ = drawn(case._replace(known=Known()), 0.0, number)
+        comparison = analyse(case.plan, shots, 1, "", ()).confirmatory
+        assert comparison is not None
+        if comparison.ball_deviation == 0:
+            found.append(comparison.deviation / Known().deviation)
+    assert len(found) > 5
+    assert 0.85 < min(found) <= max(found) < 1.25
