@@ -58,6 +58,8 @@ _TURN = 0.01
 """Period of the supervisor, s."""
 _LOOP_SILENCE = 0.5
 """Time without a tick after which the loop counts as frozen, s."""
+_REOPENING = 30.0
+"""Time that the loop may take to reopen a device that went passive, s; it moves nothing meanwhile."""
 _START = 240.0
 """Startup time-out of a process, s: the first start compiles."""
 _STOP_TIMEOUT = 20.0
@@ -272,6 +274,7 @@ class Daemon:
         self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
         self._before_timing = self._timing.snapshot()
         self._summed_up = self._advanced = time.monotonic()
+        self._reopening_until = -np.inf
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
         session = open_daemon(c.network)
         stack.callback(session.close)
@@ -400,6 +403,12 @@ class Daemon:
                 self._publish("exception", {"text": str(event.get("text"))})
             elif event["event"] == "device":
                 self._device = DeviceStatus(trouble=event["trouble"], counters=event["counters"])
+            elif event["event"] == "reopening":
+                self._reopening_until = now + _REOPENING
+            elif event["event"] == "reopened":
+                self._reopening_until = -np.inf
+        if now < self._reopening_until:
+            self._advanced = now
         if self._ending:
             return  # unlocking its memory stalls it longer than allowed otherwise
         if not loop.alive:

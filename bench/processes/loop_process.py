@@ -281,11 +281,17 @@ class LoopProcess:
     def _revive(self) -> None:
         """Reopen a device that went passive; the robot is at rest, missed ticks are counted.
 
+        A device may take seconds to store its settings, in which no tick shows that the loop lives.
+
         Raises:
             DriverError: the device is unsuitable.
         """
         if not self.driver.operational:
-            self._reopen()
+            send_event("reopening")
+            try:
+                self._reopen()
+            finally:
+                send_event("reopened")
 
     def _reopen(self) -> None:
         self.driver.close()

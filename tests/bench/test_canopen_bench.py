@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -75,3 +76,23 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
         assert counters["recoveries"] == 1
         assert counters["frames"] == sum(counters[name] for name in CLASSES) > 0
         plant.close()
+
+
+def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: Path) -> None:
+    file = write_configuration(
+        tmp_path,
+        "store",
+        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )
+    with ExitStack() as first:
+        first.enter_context(played_nodes(file, "--io", "wago-750"))
+        with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+            bench.recover()
+            first.close()  # the nodes lose their memory with their process, as replaced ones
+            bench.wait_until(lambda record: record["state"] in (State.FAULT, State.ESTOP))
+            with played_nodes(file, "--io", "wago-750"):
+                bench.recover()
+                counters = device_when(bench.client, lambda device: not device["trouble"])["counters"]
+                assert counters["recoveries"] == 1
+                assert "froze" not in bench.log
