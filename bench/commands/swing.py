@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
+    from bench.simulation.sweep import Engine
     from bench.swing.golfers import Golfer
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
@@ -302,6 +303,8 @@ def design(
     highest: Highest = False,
     nearest: Nearest = False,
     start: Start = None,
+    processes: Processes = 0,
+    cluster: ClusterAddress = "",
 ) -> None:
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
@@ -314,6 +317,7 @@ def design(
 
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
     from bench.design.designer import DesignFailed, SwingDemand
+    from bench.design.highest_speed import TOGETHER
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
     from bench.swing.golfers import find_golfer
@@ -335,7 +339,8 @@ def design(
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
-            _show_highest_speed(configuration, plant, demand, begin)
+            with sweep_engine(configuration, processes, cluster, TOGETHER) as engine:
+                _show_highest_speed(configuration, plant, demand, begin, engine)
             return
         swing = _save_design(configuration, plant, demand, begin, path, whose)
     except DesignFailed as failure:
@@ -388,17 +393,21 @@ def _design_progress() -> Iterator[Callable[[str, float], None]]:
 
 
 def _show_highest_speed(
-    configuration: Configuration, plant: PlantParameters, demand: SwingDemand, begin: str | None
+    configuration: Configuration,
+    plant: PlantParameters,
+    demand: SwingDemand,
+    begin: str | None,
+    engine: Engine,
 ) -> None:
     """Print the highest head speed, its limit, and what would raise it."""
-    from bench.design.designer import highest_speed
+    from bench.commands.progress import progress_bar
+    from bench.design.highest_speed import DownswingStudy, highest_speed
 
     c, unwatched = configuration, configuration.envelope.with_model_check("off")
-    start = _profile_named(begin)
-    with _design_progress() as progress:
-        found = highest_speed(
-            plant, demand, c.control, unwatched, c.estimator, start=start, progress=progress
-        )
+    study = DownswingStudy(plant, demand, c.control, unwatched, c.estimator, _profile_named(begin))
+    with progress_bar() as bar:
+        task = bar.add_task("", total=None)
+        found = highest_speed(study, engine, lambda what: bar.update(task, description=what))
     typer.echo(
         f"At most {found.plan.speed:.1f} m/s at the ball, {100 * demand.margin:g} % of each valve left to "
         "feedback, cushions kept when the ball is missed or the bench falls silent;\n"

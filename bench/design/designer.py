@@ -53,8 +53,6 @@ _INTERVALS = 40
 """Collocation intervals of the downswing."""
 _CORRECTED = 0.02, 0.06
 """Share of the stroke left to the correction on the plant; the second when a motion is followed."""
-_MORE, _NEAREST = 2.0, 0.5
-"""Step of the demanded speed, and max gap between the fastest found and the slowest failed one, m/s."""
 _GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
 """Max concessions of a nearest swing: share of the longest downswing, rad of attack angle, m/s."""
 _SHORT = 0.2
@@ -458,52 +456,21 @@ def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProbl
     return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
 
 
-class Highest(NamedTuple):
-    """The fastest downswing that was found."""
-
-    plan: DownswingPlan
-    limit: str
-    """Why a higher speed failed."""
-
-
-def highest_speed(
+def plan_at_speed(
     parameters: PlantParameters,
     demand: SwingDemand,
     control: ControlSettings,
     envelope: EnvelopeSettings,
     estimator: EstimatorSettings,
-    *,
-    start: Profile | None = None,
-    progress: Progress = lambda what, part: None,
-) -> Highest:
-    """Return the fastest downswing within `demand` that the plant follows within its cushions.
-
-    The fastest plan is only a start: with cushions that must hold when the ball is missed, faster ones are
-    found by demanding them, until half a m/s more fails. Begins with `start`, or from scratch.
+    start: Profile | None,
+) -> DownswingPlan:
+    """Return the plan of a downswing that meets `demand` on the plant; without a speed the fastest one.
 
     Raises:
-        BenchError: the package casadi is not installed.
-        DesignFailed: no downswing was found.
+        DesignFailed: no plan that the plant can follow within its cushions.
     """
-    load_casadi()
     bench = _bench(parameters, control, envelope, estimator)
-    free = replace(demand, head_speed=None, follow=None)
-    begun = _swing_up(bench, free)
-
-    def fastest(speed: float | None, what: str) -> DownswingPlan:
-        def report(_: str, part: float) -> None:
-            progress(what, part)
-
-        return design_downswing(bench, replace(free, head_speed=speed), start, begun, report)[0].plan
-
-    plan, failed, limit = fastest(None, "as fast as it goes"), inf, ""
-    while failed - plan.speed > _NEAREST:
-        speed = min(plan.speed + _MORE, (plan.speed + failed) / 2)
-        try:
-            plan = fastest(speed, f"{speed:.1f} m/s")
-        except DesignFailed as failure:
-            failed, limit = speed, f"at {speed:.1f} m/s {failure}"
-    return Highest(plan, limit)
+    return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None)[0].plan
 
 
 def _model_state(begun: _Start) -> Array:

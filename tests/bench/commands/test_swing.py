@@ -213,11 +213,11 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
 ) -> None:
     plan = SimpleNamespace(speed=47.3, binding={"supply pressure": 0.12})
 
-    def found(*_: Any, start: Any, **__: Any) -> Any:
-        assert start is not None
+    def found(study: Any, *_: Any) -> Any:
+        assert study.start is not None
         return SimpleNamespace(plan=plan, limit="the wrist's valve limits it")
 
-    monkeypatch.setattr("bench.design.designer.highest_speed", found)
+    monkeypatch.setattr("bench.design.highest_speed.highest_speed", found)
     answer = run("--config", "mine.toml", "swing", "design", "--highest")
     assert answer.code == 0, answer.err
     assert "At most 47.3 m/s at the ball, 15 % of each valve" in answer.out
@@ -226,7 +226,7 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
     def failed(*_: Any, **__: Any) -> Any:
         raise DesignFailed("no way")
 
-    monkeypatch.setattr("bench.design.designer.highest_speed", failed)
+    monkeypatch.setattr("bench.design.highest_speed.highest_speed", failed)
     answer = run("--config", "mine.toml", "swing", "design", "--highest")
     assert answer.code == ExitCode.BAD_INPUT
     assert "no way" in answer.err

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from math import asin, radians, sin
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ import pytest
 from bench.config import load_configuration
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
-    DesignFailed,
     SwingDemand,
     _Cushions,
     _guess_from,
@@ -24,7 +21,6 @@ from bench.design.designer import (
     address_pose,
     design_downswing,
     design_swing,
-    highest_speed,
     slope_of,
     top_pose,
 )
@@ -264,22 +260,3 @@ def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
         design_swing(PlantParameters(), SwingDemand(), "nothing")
-
-
-def test_the_highest_speed_is_asked_for_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
-    asked = list[float | None]()
-
-    def downswing(bench: Any, demand: SwingDemand, *_: Any) -> Any:
-        asked.append(demand.head_speed)
-        if demand.head_speed is not None and demand.head_speed > 41.3:
-            raise DesignFailed("the wrist's cushion would take too much")
-        return SimpleNamespace(plan=SimpleNamespace(speed=demand.head_speed or 38.0)), 1
-
-    monkeypatch.setattr("bench.design.designer.design_downswing", downswing)
-    monkeypatch.setattr("bench.design.designer._swing_up", lambda *_: None)
-    bench = _bench("driver-85mph", "shipped")
-    found = highest_speed(bench.plant, SwingDemand(), bench.control, bench.envelope, bench.estimator)
-    assert asked == [None, 40.0, 42.0, 41.0, 41.5]
-    assert found.plan.speed == 41.0
-    assert found.limit == "at 41.5 m/s the wrist's cushion would take too much"

@@ -1,0 +1,87 @@
+"""The highest speed that a plant can swing: downswings at rising demanded speeds, until one fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import NamedTuple
+
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.design.casadi_package import load_casadi
+from bench.design.designer import DesignFailed, SwingDemand, plan_at_speed
+from bench.design.optimal_control import DownswingPlan
+from bench.simulation.sweep import Engine, sweep
+from bench.swing.profile import Profile
+from sim.plant import PlantParameters
+
+STEP, NEAREST = 2.0, 0.5
+"""Step of the demanded speed, and max gap between the fastest found and the slowest failed one, m/s."""
+TOGETHER = 2
+"""Speeds tried at a time; the same number on any engine, as the result depends on it."""
+
+
+class HighestSpeed(NamedTuple):
+    """The fastest downswing that was found."""
+
+    plan: DownswingPlan
+    limit: str
+    """Why a higher speed failed."""
+
+
+@dataclass(frozen=True)
+class DownswingStudy:
+    """The downswing at each speed (m/s), or the fastest plan for None; a text if none was found."""
+
+    plant: PlantParameters
+    demand: SwingDemand
+    control: ControlSettings
+    envelope: EnvelopeSettings
+    estimator: EstimatorSettings
+    start: Profile | None
+
+    def prepared(self) -> Callable[[float | None], DownswingPlan | str]:
+        """Return the search at a speed.
+
+        Raises:
+            BenchError: the package casadi is not installed.
+        """
+        load_casadi()
+        return self._search
+
+    def _search(self, speed: float | None) -> DownswingPlan | str:
+        demand = replace(self.demand, head_speed=speed, follow=None)
+        try:
+            return plan_at_speed(self.plant, demand, self.control, self.envelope, self.estimator, self.start)
+        except DesignFailed as failure:
+            return str(failure)
+
+
+def highest_speed(
+    study: DownswingStudy, engine: Engine, progress: Callable[[str], None] = lambda what: None
+) -> HighestSpeed:
+    """Return the fastest downswing within the demand that the plant follows within its cushions.
+
+    The fastest plan is only a start: with cushions that must hold when the ball is missed, faster ones are
+    found by demanding them, until half a m/s more fails. `progress` gets the speeds that are tried.
+
+    Raises:
+        BenchError: the package casadi is not installed.
+        DesignFailed: no downswing was found.
+    """
+    load_casadi()
+    progress("as fast as it goes")
+    begun = sweep(study, [None], engine)[0]
+    if isinstance(begun, str):
+        raise DesignFailed(begun)
+    plan, failed, limit = begun, inf, ""
+    while failed - plan.speed > NEAREST:
+        step = min(STEP, (failed - plan.speed) / (TOGETHER + 1))
+        speeds = [plan.speed + step * (k + 1) for k in range(TOGETHER)]
+        progress(" and ".join(f"{speed:.1f}" for speed in speeds) + " m/s")
+        for speed, found in zip(speeds, sweep(study, speeds, engine), strict=True):
+            if isinstance(found, str):
+                failed, limit = speed, f"at {speed:.1f} m/s {found}"
+                break
+            plan = found
+    return HighestSpeed(plan, limit)

@@ -1,0 +1,69 @@
+"""Speeds are demanded two at a time until half a m/s more fails, whatever engine plans them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.design import highest_speed as module
+from bench.design.designer import DesignFailed, SwingDemand
+from bench.design.highest_speed import DownswingStudy, highest_speed
+from bench.simulation.local_engine import InProcess
+from sim.plant import PlantParameters
+
+STUDY = DownswingStudy(
+    PlantParameters(), SwingDemand(), ControlSettings(), EnvelopeSettings(), EstimatorSettings(), None
+)
+
+
+def robot_that_does(
+    most: float, monkeypatch: pytest.MonkeyPatch, *, plans: float = 38.0
+) -> list[float | None]:
+    """Let downswings up to `most` m/s be found, and `plans` m/s without a demand; return the speeds asked."""
+    asked = list[float | None]()
+
+    def plan(_: Any, demand: SwingDemand, *__: Any) -> Any:
+        asked.append(demand.head_speed)
+        speed = plans if demand.head_speed is None else demand.head_speed
+        if speed > most:
+            raise DesignFailed("the wrist's cushion would take too much")
+        return SimpleNamespace(speed=speed)
+
+    monkeypatch.setattr(module, "plan_at_speed", plan)
+    return asked
+
+
+def test_a_higher_speed_is_demanded_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
+    asked, shown = robot_that_does(41.3, monkeypatch), list[str]()
+    found = highest_speed(STUDY, InProcess(), shown.append)
+    assert asked[:3] == [None, 40.0, 42.0]
+    assert asked[3:] == pytest.approx([40 + 6 / 9, 40 + 12 / 9, 40 + 8 / 9, 40 + 10 / 9])
+    assert found.plan.speed == pytest.approx(40 + 10 / 9)
+    assert found.limit == "at 41.3 m/s the wrist's cushion would take too much"
+    assert shown[:2] == ["as fast as it goes", "40.0 and 42.0 m/s"]
+
+
+def test_the_search_goes_up_as_long_as_it_succeeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = robot_that_does(47.0, monkeypatch)
+    assert 46.5 <= highest_speed(STUDY, InProcess()).plan.speed <= 47.0
+    assert asked[:7] == [None, 40.0, 42.0, 44.0, 46.0, 48.0, 50.0]
+
+
+def test_a_success_above_a_failure_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    def plan(_: Any, demand: SwingDemand, *__: Any) -> Any:
+        if demand.head_speed == 40.0:
+            raise DesignFailed("no")
+        return SimpleNamespace(speed=demand.head_speed or 38.0)
+
+    monkeypatch.setattr(module, "plan_at_speed", plan)
+    assert highest_speed(STUDY, InProcess()).plan.speed < 40.0
+
+
+def test_a_robot_without_a_downswing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot_that_does(30.0, monkeypatch)
+    with pytest.raises(DesignFailed, match="cushion"):
+        highest_speed(STUDY, InProcess())
