@@ -12,6 +12,9 @@ from threading import Event, Thread
 
 import psutil
 
+_ENDING = 60.0
+"""s in which a cluster ends, on a busy machine, too."""
+
 
 @contextmanager
 def running_cluster(workers: int, config: Path | None = None) -> Iterator[tuple[str, psutil.Process]]:
@@ -28,7 +31,7 @@ def running_cluster(workers: int, config: Path | None = None) -> Iterator[tuple[
             yield address, psutil.Process(process.pid)
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(20.0)
+            process.wait(_ENDING)
 
 
 @contextmanager

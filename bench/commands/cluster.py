@@ -91,9 +91,13 @@ async def _serve(host: str, port: int, workers: int, join: str, files: IdentityF
             scheduler = Scheduler(host=host, port=port, **settings)
             address = (await stack.enter_async_context(scheduler)).address
             typer.echo(f"scheduler at {address}")
-        for _ in range(workers):
-            worker = Nanny(address, nthreads=1, host=host, **settings)
-            await stack.enter_async_context(worker)
+        nannies = [Nanny(address, nthreads=1, host=host, **settings) for _ in range(workers)]
+
+        async def close_all() -> None:
+            await asyncio.gather(*(nanny.close() for nanny in nannies))  # each takes seconds
+
+        stack.push_async_callback(close_all)
+        await asyncio.gather(*nannies)
         typer.echo(f"{workers} workers; Ctrl-C ends. Use it: golfbench faults run --cluster {address}")
         await stop.wait()
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
-    from bench.simulation.sweep import Engine
     from bench.swing.golfers import Golfer
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
@@ -317,7 +316,6 @@ def design(
 
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
     from bench.design.designer import DesignFailed, SwingDemand
-    from bench.design.highest_speed import TOGETHER
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
     from bench.swing.golfers import find_golfer
@@ -339,9 +337,7 @@ def design(
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
-            with sweep_engine(configuration, processes, cluster, TOGETHER) as engine:
-                _show_highest_speed(configuration, plant, demand, begin, engine)
-            return
+            return _show_highest_speed(configuration, plant, demand, begin, (processes, cluster))
         swing = _save_design(configuration, plant, demand, begin, path, whose)
     except DesignFailed as failure:
         raise BenchError(
@@ -397,15 +393,15 @@ def _show_highest_speed(
     plant: PlantParameters,
     demand: SwingDemand,
     begin: str | None,
-    engine: Engine,
+    workers: tuple[int, str],
 ) -> None:
-    """Print the highest head speed, its limit, and what would raise it."""
+    """Print the highest head speed, its limit, and what would raise it; `workers`: processes, cluster."""
     from bench.commands.progress import progress_bar
-    from bench.design.highest_speed import DownswingStudy, highest_speed
+    from bench.design.highest_speed import TOGETHER, DownswingStudy, highest_speed
 
     c, unwatched = configuration, configuration.envelope.with_model_check("off")
     study = DownswingStudy(plant, demand, c.control, unwatched, c.estimator, _profile_named(begin))
-    with progress_bar() as bar:
+    with sweep_engine(c, *workers, TOGETHER) as engine, progress_bar() as bar:
         task = bar.add_task("", total=None)
         found = highest_speed(study, engine, lambda what: bar.update(task, description=what))
     typer.echo(

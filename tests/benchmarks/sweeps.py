@@ -1,6 +1,8 @@
 """Engines of sweeps side by side: a sample of the fault matrix in turn, and what a batch costs by itself.
 
     python -m tests.benchmarks sweeps [--every 60] [--rounds 3] [--workers 2]
+    python -m tests.benchmarks sweeps --equal        # outcomes of one process, of 1, 2 and 4 workers
+    python -m tests.benchmarks sweeps --kills 10     # outcomes after workers were killed
 
 The engines run the same cases in turn: one process, processes, a cluster of as many workers on this machine,
 started before it is timed. Ratios are medians over the rounds; ideal is the processor time of one process,
@@ -81,11 +83,14 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--kills", type=int, default=0, help="Kill so many workers, one in 3 s, and compare.")
+    parser.add_argument("--equal", action="store_true", help="Compare outcomes of 1, 2 and 4 workers only.")
     options = parser.parse_args(arguments)
     c = load_configuration(shipped_configuration())
     study = fault_study(c, c.swing.profile, model_check=True)
     plan = plan_matrix(study.profile, model_check=True, signals=(options.signal,), every=options.every)
     count = options.workers
+    if options.equal:
+        return _equality(plan, study)
     if options.kills:
         return [_killed(plan, study, options.kills, count)]
     with running_cluster(count) as (address, cluster), connected(address) as remote:
@@ -119,6 +124,29 @@ def _killed(plan: MatrixPlan, study: FaultStudy, kills: int, count: int) -> Row:
     differing = sum(one != other for one, other in zip(expected, found, strict=True))
     note = f"{len(killed)} workers killed, {len(plan.cases)} cases, {twice} stored twice"
     return Row(NAME, "outcomes that differ", differing + twice, "", note, at_most=0)
+
+
+def _equality(plan: MatrixPlan, study: FaultStudy) -> list[Row]:
+    """Return how many outcomes of each engine differ from those of one process."""
+    note = f"{len(plan.cases)} cases"
+    with TemporaryDirectory() as folder:
+
+        def outcomes(name: str, engine: Engine) -> list[CaseOutcome]:
+            return run_matrix(plan, study, matrix_store(Path(folder) / f"{name}.jsonl", study), engine)
+
+        def row(name: str, found: list[CaseOutcome]) -> Row:
+            differing = sum(one != other for one, other in zip(alone, found, strict=True))
+            return Row(NAME, f"{name}: outcomes that differ", differing, "", note, at_most=0)
+
+        alone = outcomes("one process", InProcess())
+        rows = [row("one process again", outcomes("again", InProcess()))]
+        for count in (1, 2, 4):
+            name = f"processes, {count}"
+            rows.append(row(name, outcomes(name, LocalProcesses(count))))
+            name = f"cluster, {count} workers"
+            with running_cluster(count) as (address, _), connected(address) as remote:
+                rows.append(row(name, outcomes(name, remote)))
+    return rows
 
 
 def _ratios(
