@@ -1,14 +1,16 @@
 """MCAP, the container of robotics: one channel `/cycle` of JSON messages, a message a cycle.
 
 Vectors are objects by component, so that a plot names `/cycle.angle.wrist`. The channel's JSON schema carries
-each value's unit and description, the file's metadata record `golfbench` the record's own. What is not known
-is null, as JSON has no NaN. Time stamps are UTC if the record has its time, else from zero.
+each value's unit and description, the file's metadata record `golfbench` the record's own. JSON has no NaN:
+an unknown number is left out of its message. It is not null, which would make its type a union: viewers of
+Foxglove's line refuse a channel whose schema has one. Time stamps are UTC if the record has its time, else
+from zero.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
@@ -53,12 +55,12 @@ def json_schema() -> dict[str, Any]:
         "title": "golfbench.Cycle",
         "type": "object",
         "properties": {field.name: _property(field) for field in FIELDS},
-        "required": [field.name for field in FIELDS],
+        "required": [field.name for field in FIELDS if field.components or field.dtype != "f8"],
     }
 
 
 def _property(field: Field) -> dict[str, Any]:
-    kind: Any = {"f8": ["number", "null"], "?": "boolean"}.get(field.dtype, "integer")
+    kind = {"f8": "number", "?": "boolean"}.get(field.dtype, "integer")
     if not field.components:
         return {"type": kind, "unit": field.unit, "description": field.text}
     units = field.unit.split(", ")
@@ -71,13 +73,17 @@ def _rows(record: ExportRecord) -> Iterator[dict[str, Any]]:
     """Yield the messages' contents."""
     values = [record.cycles[field.name].tolist() for field in FIELDS]
     for row in zip(*values, strict=True):
+        contents = zip(FIELDS, row, strict=True)
         yield {
-            field.name: dict(zip(field.components, map(_number, value), strict=True))
-            if field.components
-            else _number(value)
-            for field, value in zip(FIELDS, row, strict=True)
+            field.name: _known(zip(field.components, value, strict=True)) if field.components else value
+            for field, value in contents
+            if field.components or _is_known(value)
         }
 
 
-def _number(value: Any) -> Any:
-    return None if isinstance(value, float) and not isfinite(value) else value
+def _known(parts: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in parts if _is_known(value)}
+
+
+def _is_known(value: Any) -> bool:
+    return not isinstance(value, float) or isfinite(value)

@@ -95,10 +95,8 @@ def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecor
             )
             row, properties = json.loads(message.data), json.loads(schema.data)["properties"]
             for field in FIELDS:
-                values = (
-                    [row[field.name][c] for c in field.components] if field.components else [row[field.name]]
-                )
-                numbers = [np.nan if value is None else value for value in values]
+                found = row[field.name] if field.components else row
+                numbers = [found.get(name, np.nan) for name in field.components or (field.name,)]
                 back[field.name][n] = numbers if field.components else numbers[0]
             times.append(message.log_time)
         (metadata,) = reader.iter_metadata()
@@ -134,6 +132,35 @@ def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -
         assert units[field.name] == field.unit
     expected = np.round((record.cycles["time"] - record.cycles["time"][0]) * 1e9)
     assert np.array_equal(times["angle"], expected)
+
+
+def assert_readable(schema: dict[str, Any], value: Any) -> None:
+    """Hold a schema and a value against the rules of Foxglove's schema parser: one type a property."""
+    kind = schema["type"]
+    assert kind in {"boolean", "string", "number", "integer", "object"}
+    assert not {"anyOf", "oneOf", "allOf", "$ref"} & schema.keys()
+    if kind == "object":
+        assert isinstance(value, dict)
+        assert value.keys() <= schema["properties"].keys()
+        assert set(schema.get("required", ())) <= value.keys()
+        for name, part in schema["properties"].items():
+            if name in value:
+                assert_readable(part, value[name])
+            else:
+                assert part["type"] == "number", name
+    else:
+        python = {"boolean": bool, "string": str, "number": float, "integer": int}[kind]
+        assert type(value) is python
+
+
+def test_mcap_is_readable_by_viewers_that_take_one_type_a_property(
+    tmp_path: Path, record: ExportRecord
+) -> None:
+    (path,) = write_mcap(tmp_path / "007.mcap", record)
+    with path.open("rb") as stream:
+        for schema, _, message in make_reader(stream).iter_messages():
+            assert schema is not None
+            assert_readable(json.loads(schema.data), json.loads(message.data))
 
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
