@@ -21,8 +21,8 @@ from bench.telemetry.cycle_record import (
 )
 from bench.telemetry.whole_file import whole_file
 
-METADATA_KEY = b"golfbench"
-"""Key of the JSON text in the Parquet file's key-value metadata."""
+METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
+"""Keys of the JSON texts in the Parquet file's key-value metadata."""
 
 ENUMERATIONS: dict[str, dict[str, str]] = {
     "state": {str(state.value): state.name for state in State},
@@ -44,7 +44,8 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
     """Write the swing's `cycles` (n records of CYCLE) and `metadata` to `path`, whole or not at all.
 
     `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
-    version and the names of phases, reactions and causes are added; units stand in each column's metadata.
+    version and the names of phases, reactions and causes are added; units stand in each column's metadata,
+    and all together as JSON in the file's own (`units`), which is what DuckDB and polars show.
     Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
     metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
     """
@@ -56,7 +57,9 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
         {"schema_version": SCHEMA_VERSION, "enumerations": ENUMERATIONS, **metadata}, allow_nan=False
     )
     table = to_arrow(cycles)
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), METADATA_KEY: text.encode()})
+    units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in table.schema})
+    of_file = {METADATA_KEY: text.encode(), UNITS_KEY: units.encode()}
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), **of_file})
     with whole_file(path) as stream:
         pq.write_table(
             table,

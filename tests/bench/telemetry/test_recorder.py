@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import resource
 from collections.abc import Callable, Iterator
@@ -161,3 +162,11 @@ def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_it_ends(
     write_swing(path, np.zeros(100, CYCLE), METADATA)
     size = path.stat().st_size
     assert steps == [("sync partial file", False, size), ("rename", False, size), ("sync folder", True, 0)]
+
+
+def test_the_files_own_metadata_has_the_unit_of_every_column(tmp_path: Path) -> None:
+    write_swing(tmp_path / "swing.parquet", np.zeros(3, CYCLE), {})
+    stored = pq.read_metadata(tmp_path / "swing.parquet").metadata
+    units = json.loads(stored[b"units"])
+    assert list(units) == pq.read_schema(tmp_path / "swing.parquet").names
+    assert (units["angle_wrist"], units["plant_effort_arm"]) == ("rad", "N")
