@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import MISSING, fields, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
@@ -85,9 +85,12 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
     """
     faults: list[BenchError] = []
     tables = json.loads(json.dumps(record))
-    for name in ("balls", "clubs"):
+    for name, kind in (("balls", Ball), ("clubs", Club)):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
+            for field in fields(kind):  # an older one has fewer keys
+                if field.name != "name" and field.default is not MISSING:
+                    entry.setdefault(field.name, field.default)
     today = as_tree(read_toml(DEFAULTS, "defaults", "Reinstall golfbench."), DEFAULTS, faults)
     tree = laid_over(today, as_tree(tables, Path(place), faults))  # an older plan has fewer keys
     plan = _build(tree, Path(place), faults)
