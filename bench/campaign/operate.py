@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from hashlib import sha256
 from pathlib import Path
@@ -42,6 +43,8 @@ from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
+from sim.ball import Ball
+from sim.robot import Club
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that do not differ by themselves from start to start."""
@@ -296,9 +299,23 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
         one, two = before.get(key), now.get(key)
         if isinstance(one, Mapping) and isinstance(two, Mapping):
             found += _changed(one, two, f"{path}{key}.")
+        elif key not in before and _is_neutral(path, key, two):
+            continue
         elif one != two and f"{path}{key}" not in {"files", "bench.database"}:
             found.append(f"{path}{key}")
     return found
+
+
+def _is_neutral(path: str, key: str, value: Any) -> bool:
+    """Return whether a club's or ball's key that an older version did not store has its default."""
+    tables = set(path.split("."))
+    kinds = ((Ball, {"ball", "balls"}), (Club, {"club", "clubs"}))
+    return any(
+        field.name == key and field.default == value
+        for kind, names in kinds
+        if tables & names
+        for field in fields(kind)
+    )
 
 
 def answer(
