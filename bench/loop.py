@@ -59,19 +59,28 @@ class Cycle:
     ) -> None:
         """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
         self.driver, self.publish, self.name = driver, publish, name
-        self.state = new_control_state(state)
         self.marks = np.zeros(7, np.int64)
         self.record = new_record(CYCLE)
         self.read_error: Exception | None = None
         self.publish_error: Exception | None = None
         self._note_truth = note_truth
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
-        self._read_record = driver.read_record if isinstance(driver, RecordReader) else None
-        self._operational = self.state.control["device_operational"]
-        self.parameters = parameters
+        self._read_record = _record_reading(driver)
+        self._state, self._parameters = new_control_state(state), parameters
+        self._bind()
         for field in FIELDS:
             if field.name.startswith("plant_"):
                 self.record[field.name] = ABSENT
+
+    @property
+    def state(self) -> ControlState:
+        """Memory of the step; another one may be set between two ticks."""
+        return self._state
+
+    @state.setter
+    def state(self, state: ControlState) -> None:
+        self._state = state
+        self._bind()
 
     @property
     def parameters(self) -> ControlParameters:
@@ -81,8 +90,13 @@ class Cycle:
     @parameters.setter
     def parameters(self, parameters: ControlParameters) -> None:
         self._parameters = parameters
+        self._bind()
+
+    def _bind(self) -> None:
+        """Hand the records to the compiled part of the tick."""
+        self._operational = self._state.control["device_operational"]
         self._decide = CompiledTick(
-            self.state, parameters, self._readings, self._command, self.record, self.marks
+            self._state, self._parameters, self._readings, self._command, self.record, self.marks
         )
 
     def request(self, request: int) -> None:
@@ -178,6 +192,14 @@ class Cycle:
                 self.publish(self.record)
             except Exception as error:  # a publisher may fail in any way
                 self.publish_error = error
+
+
+def _record_reading(driver: Driver) -> Callable[[float, Any], None] | None:
+    """Return the `read_record` that belongs to the driver's `read`; None where `read` alone was replaced."""
+    if not isinstance(driver, RecordReader) or "read" in getattr(driver, "__dict__", ()):
+        return None
+    first = next(kind for kind in type(driver).__mro__ if {"read", "read_record"} & vars(kind).keys())
+    return driver.read_record if "read_record" in vars(first) else None
 
 
 class CycleArray:

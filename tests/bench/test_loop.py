@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.clock import FreeClock, PacedClock
-from bench.control.records import ControlParameters
+from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -16,11 +16,11 @@ from bench.control.settings import (
     PidSettings,
     build_controller,
 )
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Request, State
+from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import PASSIVE, Command, DriverError, Readings
+from drivers.base import PASSIVE, Command, DriverError, Readings, pack_readings
 from drivers.base.compiled import new_record
 from drivers.mock import MockDriver
 from sim.plant import PlantParameters
@@ -333,3 +333,41 @@ def test_paced_time_slips_when_the_machine_stalls() -> None:
     assert clock.slips == 1
     assert clock.slipped == pytest.approx(0.0195)
     assert naps == pytest.approx([0.0005] * 4)
+
+
+def test_another_state_and_other_parameters_take_effect_in_the_next_tick(holding: Loop) -> None:
+    cycle = holding.cycle
+    parameters = cycle.parameters._replace(control=cycle.parameters.control.copy())
+    parameters.control["read_only"] = True
+    cycle.state, cycle.parameters = new_control_state(State.FAULT), parameters
+    cycle.request(Request.RESET)
+    cycle.run_tick(holding.clock.wait())
+    assert cycle.record["state"][0] == State.FAULT
+    assert cycle.record["tick"][0] == 1
+    assert cycle.record["refusal"][0] == Refusal.READ_ONLY
+
+
+class Recording(Faulty):
+    """A driver whose readings are a record."""
+
+    def read(self, time: float) -> Readings:
+        raise AssertionError("its readings are taken as a record")
+
+    def read_record(self, time: float, record: np.ndarray) -> None:
+        pack_readings(super().read(time), record)
+
+
+class Guarded(Recording):
+    """One that replaces `read` alone."""
+
+    def read(self, time: float) -> Readings:
+        raise DriverError("no frame")
+
+
+def test_a_record_is_taken_unless_the_reading_was_replaced(parameters: ControlParameters) -> None:
+    for kind, lost in ((Recording, False), (Guarded, True)):
+        driver = kind()
+        driver.open()
+        cycle = Cycle(driver, parameters, CycleArray(1), name="recording")
+        cycle.run_tick(0.0)
+        assert (cycle.read_error is not None) is lost
