@@ -78,7 +78,7 @@ async def _serve(host: str, port: int, workers: int, join: str, files: IdentityF
             "distributed.scheduler.allowed-failures": _ALLOWED_DEATHS,
             "distributed.scheduler.http.routes": [],
             "distributed.worker.http.routes": [],
-            "distributed.nanny.pre-spawn-environ": {"DASK_LOGGING__DISTRIBUTED": "warning"},
+            "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "warning",
         }
     )
     logging.getLogger("distributed").setLevel(logging.WARNING)

@@ -22,7 +22,7 @@ from uuid import uuid4
 from bench.config.identity_files import IdentityFiles
 from bench.errors import BenchError, ExitCode, Refused
 from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, run_batch
+from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, prepare, run_batch
 
 CONNECT_TIMEOUT = 10.0
 """s to wait for the scheduler, and for a first worker."""
@@ -55,7 +55,7 @@ class SharedStudy:
                 "Install the same versions of golfbench, Python, numba, numpy and scipy on all machines.",
             )
         study: Study[Any, Any] = pickle.loads(self._payload)  # noqa: S301 - as all of dask's tasks
-        return study.prepared()
+        return prepare(study)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out what was prepared."""

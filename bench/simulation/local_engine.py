@@ -13,7 +13,8 @@ from multiprocessing import get_context
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
-from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, run_batch
+from bench.simulation.one_blas_thread import one_blas_thread_in_children
+from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, prepare, run_batch
 
 _PR_SET_PDEATHSIG = 1
 _LOST_IN_A_ROW = 3
@@ -31,7 +32,7 @@ class InProcess:
         """Yield the batches in their order."""
         function: Callable[[Any], Any] | None = None
         for batch in batches:
-            function = function or study.prepared()
+            function = function or prepare(study)
             yield run_batch(function, batch)
 
 
@@ -94,7 +95,8 @@ def _results(
             if batch is None:
                 break
             try:
-                waiting[pool.submit(_run, batch)] = batch
+                with one_blas_thread_in_children():  # a library makes threads for all cores when it is loaded
+                    waiting[pool.submit(_run, batch)] = batch
             except BrokenProcessPool:
                 again.append(batch)
                 raise
@@ -116,7 +118,7 @@ def _begin(parent: int, study: Study[Any, Any]) -> None:
     if os.getppid() != parent:
         os._exit(1)
     global _function  # noqa: PLW0603 - the only place where a pool's worker can keep what it prepared
-    _function = study.prepared()
+    _function = prepare(study)
 
 
 def _run(batch: CaseBatch) -> BatchDone:

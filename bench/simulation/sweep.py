@@ -12,6 +12,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from time import perf_counter
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
+from bench.simulation.one_blas_thread import one_blas_thread
 from bench.simulation.sweep_store import SweepStore
 
 Case = TypeVar("Case")
@@ -64,10 +65,17 @@ class Engine(Protocol):
         ...
 
 
+def prepare(study: Study[Case, Result]) -> Callable[[Case], Result]:
+    """Return the function of a case, prepared as its cases are run: with one BLAS thread."""
+    with one_blas_thread():
+        return study.prepared()
+
+
 def run_batch(function: Callable[[Any], Any], batch: CaseBatch) -> BatchDone:
-    """Return what `function` makes of the cases of `batch`."""
+    """Return what `function` makes of the cases of `batch`, with one BLAS thread on any engine."""
     begin = perf_counter()
-    results = [function(case) for case in batch.cases]
+    with one_blas_thread():
+        results = [function(case) for case in batch.cases]
     return BatchDone(batch.number, results, perf_counter() - begin)
 
 

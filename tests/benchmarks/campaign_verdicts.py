@@ -2,9 +2,7 @@
 
 Shots are drawn, not swung: balls hit again, one ball of each, unequal scatter, missing cells, drift, looks
 before the end, three to ten levels, clubs that stay mounted (split-plots). Seeds are fixed: SEED, the row and
-the campaign's number. Options:
-`--campaigns N` of each row, `--rows WORD` for those whose name contains it. With OPENBLAS_NUM_THREADS=1 it is
-several times as fast: its matrices are small.
+the campaign's number. Options: `--campaigns N` of each row, `--rows WORD` for those whose name contains it.
 """
 
 from __future__ import annotations

@@ -57,6 +57,7 @@ _WHEELS = (
     "scipy",
     "shellingham",
     "sqlalchemy",
+    "threadpoolctl",
     "typer",
     "typing-extensions",
     "typing-inspection",

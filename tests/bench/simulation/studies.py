@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_info
 
 from bench.errors import Refused
 
@@ -50,6 +51,19 @@ class Slow:
             return walk(seed)
 
         return slowly
+
+
+@dataclass(frozen=True)
+class BlasThreads:
+    """A study of the threads of each BLAS library: greatest number while it is prepared, and in a case."""
+
+    def prepared(self) -> Callable[[int], tuple[int, int]]:
+        before = _blas_threads()
+        return lambda case: (before, _blas_threads())
+
+
+def _blas_threads() -> int:
+    return max(int(library["num_threads"]) for library in threadpool_info() if library["user_api"] == "blas")
 
 
 def as_dict(value: float) -> dict[str, Any]:

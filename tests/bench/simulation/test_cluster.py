@@ -20,7 +20,7 @@ from bench.simulation.cluster_engine import SharedStudy, connected, security_of
 from bench.simulation.local_engine import InProcess
 from bench.simulation.sweep import sweep
 from bench.simulation.sweep_store import SweepStore
-from tests.bench.simulation.studies import Draws, Slow, as_dict, as_float
+from tests.bench.simulation.studies import BlasThreads, Draws, Slow, as_dict, as_float
 from tests.running_cluster import killed_workers, running_cluster
 
 CASES = range(60)
@@ -32,6 +32,7 @@ def test_a_cluster_gives_the_results_of_one_process() -> None:
     with running_cluster(2) as (address, _), connected(address) as engine:
         assert engine.slots() == 2
         assert sweep(Draws(), CASES, engine) == alone
+        assert sweep(BlasThreads(), range(4), engine) == [(1, 1)] * 4
         with pytest.raises(Refused, match="found 3"):
             sweep(Draws(refused=3), CASES, engine)
 

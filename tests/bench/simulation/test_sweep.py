@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from bench.errors import BenchError, Refused
 from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
+from bench.simulation.one_blas_thread import one_blas_thread_in_children
 from bench.simulation.sweep import BATCH_TIME, BatchDone, CaseBatch, Study, sweep
 from bench.simulation.sweep_store import SweepStore
-from tests.bench.simulation.studies import Draws, as_dict, as_float
+from tests.bench.simulation.studies import BlasThreads, Draws, as_dict, as_float
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,25 @@ def test_processes_that_die_again_and_again_end_the_sweep() -> None:
 def test_what_a_case_raises_ends_the_sweep(engine: InProcess | LocalProcesses) -> None:
     with pytest.raises(Refused, match="found 3"):
         sweep(Draws(refused=3), range(6), engine)
+
+
+@pytest.mark.parametrize("engine", [InProcess(), LocalProcesses(2)], ids=["in process", "processes"])
+def test_cases_run_with_one_blas_thread(
+    engine: InProcess | LocalProcesses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
+    with threadpool_limits(3, "blas"):
+        assert sweep(BlasThreads(), range(4), engine) == [(1, 1)] * 4
+        before, _ = BlasThreads().prepared()(0)
+    assert before == 3
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "3"
+
+
+def test_processes_started_meanwhile_get_one_blas_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with one_blas_thread_in_children():
+        assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
 def test_one_case_or_one_process_needs_no_other_process() -> None:
