@@ -160,11 +160,11 @@ class BenchProcess:
                 self.process.wait()
 
 
-def write_configuration(folder: Path, name: str, text: str = "") -> Path:
-    """Write the configuration of a bench of its own in `folder`; `text` is appended."""
+def write_configuration(folder: Path, name: str, text: str = "", base: str = "shipped") -> Path:
+    """Write the configuration of a bench of its own in `folder`, on `base`; `text` is appended."""
     file = folder / f"{name}.toml"
     file.write_text(
-        f'base = "shipped"\n[bench]\nid = "{name}-{os.getpid()}"\ndata_dir = "{folder / "data"}"\n'
+        f'base = "{base}"\n[bench]\nid = "{name}-{os.getpid()}"\ndata_dir = "{folder / "data"}"\n'
         f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n{text}'
     )
     return file
