@@ -110,12 +110,8 @@ class LiveSwinger:
         self._client.correct(self._digest, weights.tolist() if np.any(weights) else [])
 
     def _swing(self, weights: Array) -> SwingRecord:
-        self.correct(weights)
         self._news.forget()
-        if self._with_ball and not tee_up(self._client, _pause):
-            raise self._refused("no ball came to the tee", "a ball", "Fill the feeder, then learn again.")
-        tick = self._client.status()["tick"]
-        self._client.swing()
+        tick = self._begin(weights)
         deadline = time.monotonic() + _SWING
         while self._client.status()["state"] in {"SWINGING", "RECOVERING"}:
             if time.monotonic() > deadline:
@@ -127,6 +123,23 @@ class LiveSwinger:
                 "no record of the swing", "its Parquet file", "Check the recorder: golfbench status."
             )
         return record
+
+    def _begin(self, weights: Array) -> int:
+        """Begin a swing as soon as the bench accepts it; return a tick before it."""
+        deadline = time.monotonic() + _READY
+        while True:
+            self.correct(weights)
+            if self._with_ball and not tee_up(self._client, _pause):
+                raise self._refused("no ball came to the tee", "a ball", "Fill the feeder, then learn again.")
+            tick = self._client.status()["tick"]
+            try:
+                self._client.swing()
+            except CommandRefused:  # after a re-arming it may move again: that passes, or the time does
+                if time.monotonic() > deadline:
+                    raise
+                _pause()
+            else:
+                return tick
 
     def _seen(self, record: SwingRecord) -> tuple[ObservedSwing, bool]:
         """Return the swing in `record`, and whether the record is complete up to the ball."""
