@@ -26,6 +26,7 @@ from bench.commands.launch_monitor import launch_monitor
 from bench.commands.learn import learn
 from bench.commands.nodes import nodes
 from bench.commands.operate import app as control_app
+from bench.commands.page import page
 from bench.commands.plain_help import show_plainly
 from bench.commands.run import run
 from bench.commands.session import Session
@@ -66,6 +67,7 @@ app.command()(learn)
 app.command()(identify)
 app.command()(tune)
 app.command()(view)
+app.command()(page)
 app.command()(export)
 app.command()(certificates)
 app.command()(cluster)

@@ -166,7 +166,7 @@ def test_the_wheel_holds_code_data_and_types(tmp_path: Path) -> None:
     expected = {str(path.relative_to(TOP)) for path in _sources()}
     for package in PACKAGES:
         expected.add(f"{package}/py.typed")
-        for pattern in ("*.toml", "*.j2", "*.eds", "*.json", "*.csv", "*.parquet"):
+        for pattern in ("*.toml", "*.j2", "*.eds", "*.json", "*.csv", "*.parquet", "static/*"):
             expected |= {str(path.relative_to(TOP)) for path in (TOP / package).rglob(pattern)}
     results = {"sim/FAULTS.json", "sim/FAULTS.md"}
     assert expected - names == {"sim/FAULTS.json"}

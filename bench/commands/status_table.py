@@ -14,6 +14,7 @@ from rich.text import Text
 
 from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus
 from bench.network.client import BenchClient
+from bench.network.status_words import StatusCondition, interlock_conditions, robot_conditions, vent_words
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
@@ -88,22 +89,12 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("cause", Text(f"{cause['name']}: {cause['text']}", "red") if cause else "none"),
         *([("then found", Text(f"{latest['name']}: {latest['text']}", "red"))] if latest else []),
         ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
-        (
-            "robot",
-            _flags(("homed", status["homed"], "not homed"), ("vented", status["vented"], "not vented")),
-        ),
-        (
-            "interlocks",
-            _flags(
-                ("e-stop clear", status["emergency_stop_clear"], "e-stop open"),
-                ("guard closed", status["guard_closed"], "guard open"),
-                ("guard locked", status["guard_locked"], "guard not locked"),
-            ),
-        ),
+        ("robot", _flags(robot_conditions(status))),
+        ("interlocks", _flags(interlock_conditions(status))),
         ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
         ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
-        ("vents", _vents(status["vents_open"])),
+        ("vents", vent_words(status["vents_open"])),
         ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
         ("drift", Text("\n".join(status["drift"]), "yellow") if status["drift"] else "none seen"),
         (
@@ -131,15 +122,9 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
 
 
-def _vents(positions: list[bool | None]) -> str:
-    """Return the positions of the vents."""
-    words = {True: "open", False: "shut", None: "no feedback"}
-    return ", ".join(f"{number} {words[position]}" for number, position in enumerate(positions, start=1))
-
-
-def _flags(*flags: tuple[str, bool, str]) -> Text:
-    """Return the words for conditions met and, in yellow, for those not met."""
-    return Text(", ").join(Text(yes) if holds else Text(no, "yellow") for yes, holds, no in flags)
+def _flags(conditions: list[StatusCondition]) -> Text:
+    """Return the words for `conditions`; in yellow, those not met."""
+    return Text(", ").join(Text(text, "" if holds else "yellow") for text, holds in conditions)
 
 
 def _processes(status: BenchStatus) -> Text:

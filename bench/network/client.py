@@ -141,7 +141,7 @@ class BenchClient:
 
     def status(self) -> BenchStatus:
         """Return the state of the bench."""
-        return _checked_status(self._ask(Verb.STATUS).content)
+        return checked_status(self._ask(Verb.STATUS).content)
 
     def states(self, timeout: float) -> Generator[ReceivedState | None, None, None]:
         """Yield each state that the bench publishes, and None whenever `timeout` s pass without one."""
@@ -349,13 +349,16 @@ class BenchClient:
 
     # Verbs ---------------------------------------------------------------------------------------
 
-    def home(self) -> CommandAnswer:
-        """Prove the encoders' zeros, once the robot rests."""
-        return self._ask_at_rest(Verb.HOME)
+    def home(self, patience: float | None = None) -> CommandAnswer:
+        """Prove the encoders' zeros, once the robot rests: asked again for `patience` (s)."""
+        return self._ask_at_rest(Verb.HOME, patience)
 
-    def arm(self) -> CommandAnswer:
-        """Warn, switch the air on, go to the address, once the robot rests."""
-        return self._ask_at_rest(Verb.ARM)
+    def arm(self, patience: float | None = None) -> CommandAnswer:
+        """Warn, switch the air on, go to the address, once the robot rests.
+
+        It is asked again for `patience` (s).
+        """
+        return self._ask_at_rest(Verb.ARM, patience)
 
     def disarm(self) -> CommandAnswer:
         """Disarm: vent if at rest, otherwise brake first; needs no lease."""
@@ -369,17 +372,20 @@ class BenchClient:
         """End the access: lock the guard."""
         return self._ask_keyed(Verb.SECURE)
 
-    def swing(self) -> CommandAnswer:
-        """Swing from the address, once its air is as the profile plans it."""
-        return self._ask_while(Verb.SWING, _FILLING, LONGEST_AIR)
+    def swing(self, patience: float | None = None) -> CommandAnswer:
+        """Swing from the address, once its air is as the profile plans it: asked again for `patience` (s)."""
+        return self._ask_while(Verb.SWING, _FILLING, LONGEST_AIR if patience is None else patience)
 
     def tee(self) -> CommandAnswer:
         """Raise the next ball."""
         return self._ask_keyed(Verb.TEE)
 
-    def reset(self) -> CommandAnswer:
-        """Leave ESTOP or FAULT once the cause is cleared and the robot rests; never moves the robot."""
-        return self._ask_at_rest(Verb.RESET)
+    def reset(self, patience: float | None = None) -> CommandAnswer:
+        """Leave ESTOP or FAULT once the cause is cleared and the robot rests; never moves the robot.
+
+        It is asked again for `patience` (s) while a joint moves.
+        """
+        return self._ask_at_rest(Verb.RESET, patience)
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply the correction `weights` of the profile with digest `profile` to the coming swings.
@@ -415,10 +421,10 @@ class BenchClient:
             held.sequence += 1
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
-    def _ask_at_rest(self, verb: Verb) -> CommandAnswer:
-        """Ask again while a joint still moves or a chamber vents, at most for LONGEST_SWAY."""
+    def _ask_at_rest(self, verb: Verb, patience: float | None) -> CommandAnswer:
+        """Ask again while a joint still moves or a chamber vents, at most for `patience` (s)."""
         passing = _SETTLING | _VENTING if verb is Verb.ARM else _SETTLING
-        return self._ask_while(verb, passing, LONGEST_SWAY)
+        return self._ask_while(verb, passing, LONGEST_SWAY if patience is None else patience)
 
     def _ask_while(self, verb: Verb, passing: frozenset[str], longest: float) -> CommandAnswer:
         """Ask again while the bench refuses for a reason that is `passing`, at most for `longest` (s)."""
@@ -427,7 +433,7 @@ class BenchClient:
             try:
                 return self._ask_keyed(verb)
             except CommandRefused as refused:
-                if refused.answer.reason not in passing or time.monotonic() > end:
+                if refused.answer.reason not in passing or time.monotonic() >= end:
                     raise
             time.sleep(_LOOK_FOR_REST)
 
@@ -470,11 +476,15 @@ def _read_status(payload: bytes) -> BenchStatus:
         read = json.loads(payload)
     except (ValueError, RecursionError):
         raise _not_understood(payload[:40]) from None
-    return _checked_status(read)
+    return checked_status(read)
 
 
-def _checked_status(read: Any) -> BenchStatus:
-    """Return `read` as a status if it is complete and of this version."""
+def checked_status(read: Any) -> BenchStatus:
+    """Return `read` as a status.
+
+    Raises:
+        BenchError: it is incomplete or of another version.
+    """
     if not isinstance(read, dict) or read.get("version") != STATUS_VERSION:
         raise _not_understood(read)
     if missing := BenchStatus.__required_keys__ - read.keys():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -66,8 +66,14 @@ class FeedCounts(NamedTuple):
 class Feed:
     """A subscription to all messages of a bench."""
 
-    def __init__(self, session: zenoh.Session, bench: str, clock: Callable[[], float]) -> None:
-        """Subscribe on `session`, which is closed with the feed; `clock` returns UTC (s since 1970)."""
+    def __init__(
+        self,
+        session: zenoh.Session,
+        bench: str,
+        clock: Callable[[], float],
+        topics: Sequence[str] = TOPICS,
+    ) -> None:
+        """Subscribe to `topics` on `session`, closed with the feed; `clock` returns UTC (s since 1970)."""
         self._session, self._clock = session, clock
         self._batches: deque[tuple[float, bytes]] = deque(maxlen=_MAX_BATCHES)
         self._others: deque[tuple[str, bytes]] = deque(maxlen=_MAX_OTHERS)
@@ -80,7 +86,7 @@ class Feed:
             session.declare_subscriber(
                 f"golfbench/{bench}/{topic}", zenoh.handlers.Callback(self._receiver(topic), indirect=False)
             )
-            for topic in TOPICS
+            for topic in topics
         ]
 
     @classmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -180,13 +180,13 @@ class GuestBench:
                 return
             if time.monotonic() > deadline:
                 raise RuntimeError(f"not at the address but {self.words()}")
-            ask = {
+            asks: dict[State, Callable[[], object]] = {
                 State.ESTOP: self.reset,
                 State.FAULT: self.reset,
                 State.SAFE: self.client.home,
                 State.READY: self.client.arm,
-            }.get(state)
-            if ask is not None:
+            }
+            if (ask := asks.get(state)) is not None:
                 with suppress(CommandRefused):  # not vented yet, not at rest
                     ask()
             time.sleep(0.1)

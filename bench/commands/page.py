@@ -1,0 +1,38 @@
+"""`golfbench page`: the bench in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bench.commands.session import Session
+
+
+def page(
+    context: typer.Context,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="IP address to listen at; 0.0.0.0: all of this machine.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8600,
+    identity: Annotated[
+        str, typer.Option(metavar="PATH", help="Certificate and key for TLS, without ending.")
+    ] = "",
+    tokens: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Tokens to sign in with, one a line: operator TOKEN."),
+    ] = None,
+) -> None:
+    """Serve the bench's page: its state, and its commands, in a browser.
+
+    On this machine only, unless --host names an address for others, which needs --identity. Ctrl-C ends it;
+    the bench does not notice.
+    """
+    from bench.page.page_server import PageAddress, serve_page
+
+    def say(url: str, _: Callable[[], None]) -> None:
+        typer.echo(f"{url}  Ctrl-C ends the page")
+
+    serve_page(context.ensure_object(Session).configuration(), PageAddress(host, port, identity, tokens), say)

@@ -1,0 +1,44 @@
+"""Words for parts of a bench's status, the same at the terminal and on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from bench.network.bench_service import BenchStatus
+
+
+class StatusCondition(NamedTuple):
+    """A condition of the bench."""
+
+    text: str
+    """Words for its present state."""
+    holds: bool
+    """Whether it is as it must be to move."""
+
+
+def robot_conditions(status: BenchStatus) -> list[StatusCondition]:
+    """Return the conditions of the robot."""
+    return [
+        _condition("homed", "not homed", status["homed"]),
+        _condition("vented", "not vented", status["vented"]),
+    ]
+
+
+def interlock_conditions(status: BenchStatus) -> list[StatusCondition]:
+    """Return the conditions of emergency stop circuit and guard."""
+    return [
+        _condition("e-stop clear", "e-stop open", status["emergency_stop_clear"]),
+        _condition("guard closed", "guard open", status["guard_closed"]),
+        _condition("guard locked", "guard not locked", status["guard_locked"]),
+    ]
+
+
+def vent_words(positions: Sequence[bool | None]) -> str:
+    """Return the positions of the vents; None: without feedback."""
+    words = {True: "open", False: "shut", None: "no feedback"}
+    return ", ".join(f"{number} {words[position]}" for number, position in enumerate(positions, start=1))
+
+
+def _condition(yes: str, no: str, holds: bool) -> StatusCondition:
+    return StatusCondition(yes if holds else no, holds)

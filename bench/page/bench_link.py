@@ -1,0 +1,156 @@
+"""The page's connection to its bench: retried until there is one, followed in threads of its own.
+
+It receives what the bench publishes and asks with `BenchClient`, so it can do what that client can and no
+more. Commands are sent once: after a lost connection nothing is repeated.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING, Any
+
+from bench.errors import BenchError
+from bench.network.client import BenchClient, checked_status
+from bench.network.zenoh_session import NoAnswer, open_client
+from bench.page.state_words import state_view
+from bench.viewer.feed import Feed
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from bench.config import NetworkSettings
+
+TOPICS = ("state", "event", "shot", "loop")
+"""Messages of the bench that the page shows; telemetry at 1 kHz is left to the viewer."""
+EVENTS = 30
+"""Number of events that are kept."""
+TIMEOUT = 1.5
+"""Time-out of the bench's answer to a command, s."""
+
+_RETRY = 0.5
+"""Time between two attempts to connect, s."""
+_TAKE = 0.25
+"""Max time without a look whether the link is to end, s."""
+_CAMPAIGNS = 1.0
+"""Period of the question for running campaigns, s."""
+
+_log = logging.getLogger("golfbench")
+
+
+class BenchLink:
+    """Follows one bench and passes on what it publishes; `close` ends its threads."""
+
+    def __init__(
+        self,
+        network: NetworkSettings,
+        bench: str,
+        publish: Callable[[str, Any], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Pass messages as topic and content to `publish`, which may be called from several threads."""
+        self.bench, self._network, self._publish, self._clock = bench, network, publish, clock
+        self._session: zenoh.Session | None = None
+        self._lock, self._ended = Lock(), Event()
+        self._heard_at = -float("inf")
+        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
+        self._shot_watchers: list[Callable[[dict[str, Any]], None]] = []
+        self._campaign_watchers: list[Callable[[list[dict[str, Any]]], None]] = []
+        self._threads = [
+            Thread(target=self._follow, name="page-bench", daemon=True),
+            Thread(target=self._ask_campaigns, name="page-campaigns", daemon=True),
+        ]
+
+    def start(self) -> None:
+        """Begin to connect and follow."""
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """End the connection and the threads."""
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+
+    def watch_shots(self, watcher: Callable[[dict[str, Any]], None]) -> None:
+        """Call `watcher` with each message about a shot, in the link's thread; before `start`."""
+        self._shot_watchers.append(watcher)
+
+    def watch_campaigns(self, watcher: Callable[[list[dict[str, Any]]], None]) -> None:
+        """Call `watcher` every second with the running campaigns, in a thread of the link; before `start`."""
+        self._campaign_watchers.append(watcher)
+
+    def silence(self) -> float:
+        """Return the time since the bench's newest state, s; infinite before the first."""
+        return self._clock() - self._heard_at
+
+    def client(self) -> BenchClient:
+        """Return a client without a lease on the open connection; not to be closed.
+
+        Raises:
+            NoAnswer: there is no connection.
+        """
+        with self._lock:
+            session = self._session
+        if session is None:
+            raise NoAnswer(self.bench, self._network.endpoint)
+        return BenchClient(session, self.bench, self._network, TIMEOUT)
+
+    def _follow(self) -> None:
+        while not self._ended.is_set():
+            try:
+                session = open_client(self._network, self.bench)
+            except BenchError:
+                self._ended.wait(_RETRY)
+                continue
+            with Feed(session, self.bench, time.time, TOPICS) as feed:
+                with self._lock:
+                    self._session = session
+                try:
+                    while not self._ended.is_set():
+                        for topic, content in feed.take(_TAKE).messages:
+                            self._receive(feed, topic, content)
+                finally:
+                    with self._lock:
+                        self._session = None
+
+    def _receive(self, feed: Feed, topic: str, content: dict[str, Any]) -> None:
+        """Pass on one message; an invalid one is counted."""
+        try:
+            if topic == "state":
+                view = state_view(checked_status(content))
+                self._heard_at = self._clock()
+                self._publish("state", view | {"seen": self._heard_at})
+            elif topic == "event":
+                self._events.append(content)
+                self._publish("events", list(self._events))
+            elif topic == "shot":
+                for watcher in self._shot_watchers:
+                    watcher(content)
+            else:
+                self._publish(topic, content)
+        except (BenchError, KeyError, TypeError, ValueError) as error:
+            feed.count_invalid(str(error))
+            _log.warning("page: invalid message on %s: %s", topic, error)
+
+    def _ask_campaigns(self) -> None:
+        while not self._ended.wait(_CAMPAIGNS):
+            try:
+                running = self.client().campaigns()
+            except BenchError:
+                continue
+            except Exception as error:  # zenoh's own, when the session closes meanwhile
+                _log.debug("page: campaigns: %s", error)
+                continue
+            for watcher in self._campaign_watchers:
+                watcher(running)
+
+
+def record_of(message: dict[str, Any]) -> Path | None:
+    """Return the path of the stored record that a `message` about a shot names first; None otherwise."""
+    record, outcome = message.get("record"), message.get("outcome")
+    return Path(record) if isinstance(record, str) and outcome is None else None

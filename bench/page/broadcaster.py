@@ -1,0 +1,108 @@
+"""Messages to the readers of the page: the newest of each topic, to a bounded number of readers.
+
+A reader that is too slow loses older messages, never the newest, and costs no more memory than one message a
+topic. Nothing waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+MAX_READERS = 32
+"""Max number of open pages."""
+
+
+class TooManyReaders(Exception):
+    """No further page can be served."""
+
+
+class PageReader:
+    """Waiting messages of one reader, to be used in the server's event loop."""
+
+    def __init__(self, newest: Mapping[str, bytes]) -> None:
+        """Start with the `newest` messages by topic."""
+        self._waiting, self._arrived, self._ended = dict(newest), asyncio.Event(), False
+        self._arrived.set()
+
+    def put(self, topic: str, message: bytes) -> None:
+        """Keep `message` in place of an older one of its topic."""
+        self._waiting[topic] = message
+        self._arrived.set()
+
+    def end(self) -> None:
+        """Let the reader end after the waiting messages."""
+        self._ended = True
+        self._arrived.set()
+
+    async def take(self) -> bytes | None:
+        """Return the waiting messages as one text, once there are any; None at the end."""
+        while not self._waiting:
+            if self._ended:
+                return None
+            self._arrived.clear()
+            await self._arrived.wait()
+        messages = b"".join(self._waiting.values())
+        self._waiting.clear()
+        return messages
+
+
+class PageBroadcaster:
+    """Passes messages from any thread to the readers."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, bytes] = {}
+        self._readers: set[PageReader] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._lock = Lock()
+
+    @property
+    def readers(self) -> int:
+        """Number of readers."""
+        return len(self._readers)
+
+    def attach(self, loop: asyncio.AbstractEventLoop | None) -> None:
+        """Serve readers in `loop` from now on; None: no longer."""
+        with self._lock:
+            self._loop = loop
+        if loop is None:
+            for reader in self._readers:
+                reader.end()
+
+    def publish(self, topic: str, content: Any) -> None:
+        """Publish `content`, valid as JSON, as the newest of `topic`; from any thread."""
+        message = event_text(topic, content)
+        with self._lock:
+            self._newest[topic] = message
+            if self._loop is not None and not self._loop.is_closed():
+                self._loop.call_soon_threadsafe(self._deliver, topic, message)
+
+    def _deliver(self, topic: str, message: bytes) -> None:
+        for reader in self._readers:
+            reader.put(topic, message)
+
+    @contextmanager
+    def reader(self) -> Iterator[PageReader]:
+        """Yield a reader with the newest messages.
+
+        Raises:
+            TooManyReaders: MAX_READERS are served.
+        """
+        if len(self._readers) >= MAX_READERS:
+            raise TooManyReaders
+        with self._lock:
+            reader = PageReader(self._newest)
+        self._readers.add(reader)
+        try:
+            yield reader
+        finally:
+            self._readers.discard(reader)
+
+
+def event_text(topic: str, content: Any) -> bytes:
+    """Return a server-sent event; JSON has no line breaks, whatever a name contains."""
+    return f"event: {topic}\ndata: {json.dumps(content, allow_nan=False)}\n\n".encode()

@@ -1,0 +1,145 @@
+"""What stands in front of every request: own host and origin only, small bodies in time, strict headers.
+
+A browser on this machine also shows other sites. They can send requests to the page's address, under another
+name too (DNS rebinding): the Host must be one of the page's own, and a request that changes something must
+come from the page's own origin as JSON, which no foreign form can send.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection, MutableMapping
+from typing import Any
+
+MAX_BODY = 4096
+"""Max size of a request's body, bytes."""
+MAX_HEAD = 16384
+"""Max size of a request's path and headers, bytes."""
+BODY_TIME = 5.0
+"""Max time for a body to arrive, s."""
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+CONTENT_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'; "
+    "trusted-types 'none'"
+)
+HEADERS = {
+    "content-security-policy": CONTENT_POLICY,
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+"""Headers of every response, where it has none of that name itself."""
+
+
+class Guard:
+    """An ASGI application in front of another one."""
+
+    def __init__(self, application: Application, scheme: str, hosts: Collection[str]) -> None:
+        """`hosts`: HOST:PORT of every name under which the page is reached."""
+        self._application, self._scheme = application, scheme
+        self._hosts = frozenset(host.lower() for host in hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse a request, or pass it on with its whole body."""
+        if scope["type"] != "http":
+            return
+        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+
+        async def answer(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                given = {name for name, _ in message["headers"]}
+                added = ((name.encode(), value.encode()) for name, value in HEADERS.items())
+                message["headers"] = [*message["headers"], *(one for one in added if one[0] not in given)]
+            await send(message)
+
+        size = (
+            len(scope["path"]) + len(scope["query_string"]) + sum(map(len, map(b"".join, scope["headers"])))
+        )
+        refusal = self._refusal(scope["method"], scope["path"], headers)
+        if size > MAX_HEAD:
+            refusal = 431, "The request is too long."
+        if refusal is None and scope["method"] == "POST":
+            try:
+                async with asyncio.timeout(BODY_TIME):
+                    body = await _read_body(receive)
+            except TimeoutError:
+                refusal = 408, "The request took too long."
+            else:
+                if body is None:
+                    return
+                if len(body) > MAX_BODY:
+                    refusal = 413, "The request is too long."
+                else:
+                    receive = _replay(body, receive)
+        if refusal is not None:
+            await _refuse(answer, *refusal)
+            return
+        await self._application(scope, receive, answer)
+
+    def _refusal(self, method: str, path: str, headers: dict[str, str]) -> tuple[int, str] | None:
+        """Return status and text for a request that is not the page's own; None for one that is."""
+        host = headers.get("host", "").lower()
+        if host not in self._hosts:
+            return 421, "This page has another name."
+        site = headers.get("sec-fetch-site", "same-origin")
+        if method in ("GET", "HEAD"):
+            # A link from elsewhere may open the page; nothing else of it is for other sites.
+            opened = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest"), path
+            own = site in ("same-origin", "none") or opened == ("navigate", "document", "/")
+            return None if own else (403, "Not for other sites.")
+        if method != "POST":
+            return 405, "GET or POST only."
+        if headers.get("origin", "").lower() != f"{self._scheme}://{host}" or site != "same-origin":
+            return 403, "Not from other sites."
+        if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
+            return 415, "JSON only."
+        length = headers.get("content-length", "0")
+        if not length.isascii() or not length.isdecimal() or int(length[:20]) > MAX_BODY:
+            return 413, "The request is too long."
+        return None
+
+
+async def _read_body(receive: Receive) -> bytes | None:
+    """Return the body, cut after MAX_BODY; None if the reader has gone."""
+    body = b""
+    while len(body) <= MAX_BODY:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return None
+        body += message.get("body", b"")
+        if not message.get("more_body"):
+            break
+    return body
+
+
+def _replay(body: bytes, receive: Receive) -> Receive:
+    """Return what delivers `body` first, then what `receive` does."""
+    waiting = [body]
+
+    async def deliver() -> Message:
+        if waiting:
+            return {"type": "http.request", "body": waiting.pop(), "more_body": False}
+        return await receive()
+
+    return deliver
+
+
+async def _refuse(send: Send, status: int, text: str) -> None:
+    content = text.encode()
+    headers = [
+        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"content-length", str(len(content)).encode()),
+        (b"connection", b"close"),
+    ]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": content})

@@ -1,0 +1,85 @@
+"""Commands of the page, each a method of `BenchClient`: sent once, from what was on the screen."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from threading import Lock
+from typing import NamedTuple
+
+from bench.errors import Refused
+from bench.network.client import BenchClient
+from bench.network.command import CommandAnswer
+
+PATIENCE = 2.0
+"""s for which a command is asked again while the bench refuses for a reason that passes by itself.
+
+Shorter than at the command line, which waits in front of the operator: nothing may move long after a click.
+"""
+MAX_AGE = 3.0
+"""Max age of the state that a command was given from, s."""
+MAX_NUMBERS = 1024
+"""Number of commands that are remembered to refuse their repetition."""
+
+
+class PageCommand(NamedTuple):
+    """One command."""
+
+    send: Callable[[BenchClient], CommandAnswer]
+    leased: bool
+    """Whether it needs the lease."""
+
+
+COMMANDS: Mapping[str, PageCommand] = {
+    "reset": PageCommand(lambda bench: bench.reset(PATIENCE), True),
+    "home": PageCommand(lambda bench: bench.home(PATIENCE), True),
+    "arm": PageCommand(lambda bench: bench.arm(PATIENCE), True),
+    "disarm": PageCommand(lambda bench: bench.disarm(), False),
+    "swing": PageCommand(lambda bench: bench.swing(PATIENCE), True),
+    "tee": PageCommand(lambda bench: bench.tee(), True),
+    "access": PageCommand(lambda bench: bench.access(), True),
+    "secure": PageCommand(lambda bench: bench.secure(), True),
+}
+"""Commands by name; the stops have ways of their own."""
+
+STOPS: Mapping[str, Callable[[BenchClient], CommandAnswer]] = {
+    "stop": lambda bench: bench.stop(),
+    "estop": lambda bench: bench.emergency_stop(),
+}
+
+
+class CommandNumbers:
+    """Numbers of received commands, so that one that arrives twice or late is refused.
+
+    A browser or a proxy may send a request again after a lost connection, and a slow network may deliver it
+    late: neither may move the robot.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._seen: OrderedDict[str, None] = OrderedDict()
+        self._lock = Lock()
+
+    def check(self, number: str, seen: float) -> None:
+        """Take command `number`, given from the state of time `seen` (s, the page's clock).
+
+        Raises:
+            Refused: it came before, or the state on the screen was too old.
+        """
+        with self._lock:
+            if number in self._seen:
+                raise Refused(
+                    "command", "received twice", "each click once", "Look at the state, then click."
+                )
+            self._seen[number] = None
+            while len(self._seen) > MAX_NUMBERS:
+                self._seen.popitem(last=False)
+        age = self._clock() - seen
+        if not 0.0 <= age <= MAX_AGE:
+            raise Refused(
+                "command",
+                f"given from a state that is {age:.0f} s old" if age > 0 else "given from an unknown state",
+                f"a state of the last {MAX_AGE:g} s",
+                "Wait until the page shows the present state, then click again.",
+            )

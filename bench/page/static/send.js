@@ -1,0 +1,26 @@
+// Requests that change something: sent once. Nothing is repeated after a lost connection.
+
+const TIME = 8000; // ms
+const UNKNOWN = {
+  what: "No answer: it is unknown whether the command arrived.",
+  cure: "Look at the robot. Nothing is sent again by itself.",
+};
+
+export async function send(path, body = {}, ticket = "") {
+  try {
+    const response = await fetch(path, {
+      method: "POST",
+      headers: { "content-type": "application/json", ...(ticket ? { "golfbench-ticket": ticket } : {}) },
+      body: JSON.stringify(body),
+      cache: "no-store",
+      redirect: "error",
+      signal: AbortSignal.timeout(TIME),
+    });
+    const answer = await response.json().catch(() => ({ what: "The answer is not readable.", cure: "Look at the robot." }));
+    return { ok: response.ok, status: response.status, ...answer };
+  } catch {
+    return { ok: false, status: 0, ...UNKNOWN };
+  }
+}
+
+export const say = (answer, done) => (answer.ok ? done : [answer.what, answer.cure].filter(Boolean).join(" "));

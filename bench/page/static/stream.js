@@ -1,0 +1,60 @@
+// Messages of the bench, and whether they are of now: a page that has lost its bench says so within 2 s.
+
+import { by, set } from "./dom.js";
+
+const SILENT = 1.5; // s
+const LOOK = 200; // ms
+const watchers = new Map();
+let source = null;
+let link = { silent: Infinity, at: -Infinity, before: false };
+let lostSince = null;
+
+export const on = (topic, action) => watchers.set(topic, action);
+export const isLive = () => !document.body.classList.contains("stale");
+
+export function startStream(topics) {
+  const open = () => {
+    source = new EventSource("/api/stream");
+    for (const topic of topics) source.addEventListener(topic, (event) => receive(topic, event.data));
+    source.addEventListener("error", () => {
+      // The server refused (not signed in, too many pages): ask again later. Else the browser reconnects itself.
+      if (source !== null && source.readyState === EventSource.CLOSED) { close(); setTimeout(reopen, 2000); }
+    });
+  };
+  const close = () => { source?.close(); source = null; };
+  const reopen = () => { if (source === null && !document.hidden) open(); };
+  // A hidden page takes no connection: a browser has six for one server, and a stop needs one.
+  document.addEventListener("visibilitychange", () => (document.hidden ? close() : reopen()));
+  setInterval(look, LOOK);
+  reopen();
+  return () => { close(); reopen(); };
+}
+
+function receive(topic, text) {
+  const content = JSON.parse(text);
+  if (topic === "link") {
+    link = { silent: content.silent_s ?? Infinity, at: performance.now(), before: content.silent_s !== null };
+    look();
+  }
+  watchers.get(topic)?.(content);
+}
+
+function look() {
+  const since = (performance.now() - link.at) / 1000;
+  const silence = link.silent + since;
+  const lost = !(silence < SILENT);
+  document.body.classList.toggle("stale", lost);
+  if (!lost) {
+    lostSince = null;
+    set("lost", "");
+    set("link", "connected");
+    return;
+  }
+  lostSince ??= new Date(Date.now() - (Number.isFinite(silence) ? 1000 * silence : 0));
+  const when = lostSince.toLocaleTimeString();
+  const place = since < SILENT ? "The bench is silent" : "This page has lost its server";
+  set("link", "not connected");
+  set(by("lost"), link.before
+    ? `${place} since ${when}. Grey figures are of then. Stop may not arrive: use the emergency stop.`
+    : `No bench has answered since ${when}. Start it: golfbench run.`);
+}

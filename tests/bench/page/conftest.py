@@ -1,0 +1,46 @@
+"""A bench without a robot that publishes its state as the daemon does, and its page."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.page.running_page import RunningPage, running_page
+
+
+@contextmanager
+def publishing(running: RunningPlane) -> Iterator[threading.Event]:
+    """Publish the state until the block's end; while the yielded event is clear, stay silent."""
+    ended, speaking = threading.Event(), threading.Event()
+    speaking.set()
+
+    def publish() -> None:
+        while not ended.wait(0.02):
+            if speaking.is_set():
+                running.plane.publish_state(running.desk.status())
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield speaking
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), loopback_configuration()) as running, publishing(running):
+        yield running
+
+
+@pytest.fixture(scope="module")
+def page(running: RunningPlane) -> Iterator[RunningPage]:
+    with running_page(running.configuration) as page:
+        with page.stream() as following:
+            following("state")  # it is connected
+        yield page

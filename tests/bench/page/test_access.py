@@ -1,0 +1,184 @@
+"""Who may do what on the page: certificates, tokens, and addresses that are refused."""
+
+from __future__ import annotations
+
+import ssl
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bench.errors import BenchError, Refused
+from bench.network.free_port import free_port
+from bench.page import page_service
+from bench.page.page_access import MAX_SESSIONS, SESSION, PageAccess, PageRole, read_tokens
+from bench.page.page_server import PageAddress, checked_address
+from tests.bench.certified import Folder
+from tests.bench.fake_bench_service import RunningPlane
+from tests.bench.page.running_page import RunningPage, running_page
+
+OPERATOR, VIEWER = "o" * 24, "v" * 24
+
+
+def token_file(folder: Path, text: str, mode: int = 0o600) -> Path:
+    file = folder / "tokens"
+    file.write_text(text)
+    file.chmod(mode)
+    return file
+
+
+def both(folder: Path) -> Path:
+    return token_file(folder, f"# who\noperator {OPERATOR}\n\nviewer {VIEWER}\n")
+
+
+# Addresses -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "fe80::1"])  # noqa: S104
+def test_an_address_for_others_needs_tls(host: str) -> None:
+    with pytest.raises(Refused, match="without TLS"):
+        checked_address(PageAddress(host))
+
+
+def test_a_token_does_not_replace_tls(tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="readable on the network"):
+        checked_address(PageAddress("192.0.2.1", tokens=both(tmp_path)))
+
+
+def test_a_name_is_no_address() -> None:
+    with pytest.raises(BenchError, match="an IP address"):
+        checked_address(PageAddress("localhost"))
+
+
+def test_a_clients_certificate_does_not_serve(tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "certificates")
+    identity = folder.add("bench1")
+    assert "127.0.0.1:8600" in checked_address(PageAddress("0.0.0.0", identity=identity))  # noqa: S104
+    with pytest.raises(BenchError, match=r"network\.identity"):
+        checked_address(PageAddress(identity=str(tmp_path / "none")))
+
+
+def test_the_pages_own_names() -> None:
+    assert checked_address(PageAddress(port=81)) == ("127.0.0.1:81", "[::1]:81", "localhost:81")
+    assert "localhost" in checked_address(PageAddress(port=80))
+    assert "[::1]:81" in checked_address(PageAddress("::1", 81))
+
+
+def test_an_address_in_use_is_said(running: RunningPlane, page: RunningPage) -> None:
+    with pytest.raises(AssertionError, match="in use"), running_page(running.configuration, page.address):
+        pass
+
+
+# Tokens ----------------------------------------------------------------------------------------------
+
+
+def test_tokens_are_read(tmp_path: Path) -> None:
+    assert read_tokens(both(tmp_path)) == {OPERATOR: PageRole.OPERATOR, VIEWER: PageRole.VIEWER}
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "found"),
+    [
+        (f"operator {OPERATOR}", 0o640, "mode 640"),
+        ("operator short", 0o600, "line 1"),
+        (f"admin {OPERATOR}", 0o600, "line 1"),
+        ("# nothing\n", 0o600, "no token"),
+    ],
+)
+def test_invalid_tokens_are_refused(tmp_path: Path, text: str, mode: int, found: str) -> None:
+    with pytest.raises(BenchError, match=found):
+        read_tokens(token_file(tmp_path, text, mode))
+
+
+def test_a_missing_file_of_tokens_is_said(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="FileNotFoundError"):
+        read_tokens(tmp_path / "none")
+
+
+def test_sessions_end_and_are_bounded() -> None:
+    now = [0.0]
+    access = PageAccess(tokens={OPERATOR: PageRole.OPERATOR}, clock=lambda: now[0])
+    assert access.role("", "") is None
+    assert access.sign_in("x" * 24) is None
+    first = access.sign_in(OPERATOR) or ""
+    assert access.role("", first) is PageRole.OPERATOR
+    now[0] = SESSION
+    assert access.role("", first) is None
+    sessions = [access.sign_in(OPERATOR) or "" for _ in range(MAX_SESSIONS + 1)]
+    assert access.role("", sessions[0]) is None
+    assert access.role("", sessions[-1]) is PageRole.OPERATOR
+
+
+def test_roles_by_certificate() -> None:
+    access = PageAccess(["vera"], ["otto"], closed=True)
+    assert [access.role(name, "") for name in ("vera", "otto", "nora", "")] == [
+        PageRole.VIEWER,
+        PageRole.OPERATOR,
+        PageRole.STOPPER,
+        None,
+    ]
+
+
+def test_a_token_opens_a_session(
+    running: RunningPlane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_service, "_GUESS_TIME", 0.01)
+    address = PageAddress(port=free_port(), tokens=both(tmp_path))
+    with running_page(running.configuration, address) as page:
+        assert page.ask("GET", "/").status == 200
+        assert page.ask("GET", "/api/stream").status == 401
+        assert page.post("/api/stop/stop", {}).status == 401
+        assert page.post("/api/sign-in", {"token": "guessed" * 5}).status == 401
+        roles, ticket, session = {}, "", ""
+        for token in (VIEWER, OPERATOR):
+            answer = page.post("/api/sign-in", {"token": token})
+            cookie = answer.headers["set-cookie"]
+            assert "HttpOnly" in cookie
+            assert "samesite=strict" in cookie.lower()
+            session = cookie.partition(";")[0]
+            with page.stream(cookie=session) as following:
+                roles[token] = following("you")["role"]
+            taken = page.post("/api/lease", {"action": "take", "holder": "Ann"}, cookie=session)
+            assert taken.status == (403 if token == VIEWER else 200), taken.body
+            assert page.post("/api/stop/stop", {}, cookie=session).status == 200
+            ticket = taken.content.get("ticket", "")
+        assert roles == {VIEWER: "viewer", OPERATOR: "operator"}
+        assert page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket).status == 401
+        page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket, cookie=session)
+
+
+# Certificates ----------------------------------------------------------------------------------------
+
+
+def client_context(folder: Folder, identity: str) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=str(folder.path / "authority.pem"))
+    if identity:
+        context.load_cert_chain(f"{identity}.pem", f"{identity}.key")
+    return context
+
+
+def test_a_certificate_gives_the_role(running: RunningPlane, tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "certificates")
+    stranger = Folder(tmp_path / "strange")
+    network = replace(running.configuration.network, viewers=("vera",), operators=("otto",))
+    configuration = replace(running.configuration, network=network)
+    address = PageAddress(port=free_port(), identity=folder.add("bench1"))
+    with running_page(configuration, address) as page:
+        roles = {}
+        for name in ("vera", "otto", "nora"):
+            page.tls = client_context(folder, folder.add(name))
+            roles[name] = page.ask("GET", "/api/you").content["role"]
+            stream = {"vera": 200, "otto": 200, "nora": 403}[name]
+            taken = page.post("/api/lease", {"action": "take", "holder": name})
+            assert taken.status == (200 if name == "otto" else 403), taken.body
+            if name == "otto":
+                ticket = taken.content["ticket"]
+                page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+            if stream == 403:
+                assert page.ask("GET", "/api/stream").status == 403
+            assert page.post("/api/stop/stop", {}).status == 200
+        assert roles == {"vera": "viewer", "otto": "operator", "nora": "stopper"}
+        for identity in ("", stranger.add("otto")):
+            page.tls = client_context(folder, identity)
+            with pytest.raises((ssl.SSLError, ConnectionError)):
+                page.ask("GET", "/")

@@ -1,0 +1,171 @@
+"""Requests that are not the page's own: refused, nothing moved, and a stop still gets through."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import NamedTuple
+
+import pytest
+
+from bench.lifecycle import State
+from bench.page import guard, http_protocol
+from bench.page.broadcaster import MAX_READERS
+from tests.bench.fake_bench_service import RunningPlane
+from tests.bench.page.running_page import HURRY, RunningPage
+
+GOOD = json.dumps({"number": "an-attack-01", "seen": 0.0}).encode()
+ARM = "/api/command/arm"
+SCRIPT = "<script>alert(1)</script>"
+
+
+class Attack(NamedTuple):
+    method: str
+    path: str
+    headers: dict[str, str | None]
+    """Beside the page's own; None: without it."""
+    body: bytes
+    status: set[int]
+
+
+ATTACKS = {
+    "another site's form": Attack("POST", "/api/stop/stop", {"origin": "http://evil.example"}, b"{}", {403}),
+    "no origin": Attack("POST", ARM, {"origin": None}, GOOD, {403}),
+    "origin null": Attack("POST", ARM, {"origin": "null"}, GOOD, {403}),
+    "origin with another port": Attack("POST", ARM, {"origin": "http://127.0.0.1:1"}, GOOD, {403}),
+    "origin of another scheme": Attack("POST", ARM, {"origin": "https://127.0.0.1"}, GOOD, {403}),
+    "rebound name": Attack(
+        "POST", ARM, {"host": "evil.example", "origin": "http://evil.example"}, GOOD, {421}
+    ),
+    "rebound name reads": Attack("GET", "/api/stream", {"host": "evil.example"}, b"", {421}),
+    "rebound name with our port": Attack("GET", "/api/stream", {"host": "evil.example:8600"}, b"", {421}),
+    "cross-site fetch": Attack("GET", "/api/stream", {"sec-fetch-site": "cross-site"}, b"", {403}),
+    "same site, other origin": Attack("POST", ARM, {"sec-fetch-site": "same-site"}, GOOD, {403}),
+    "cross-site frame": Attack(
+        "GET",
+        "/",
+        {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"},
+        b"",
+        {403},
+    ),
+    "a form's type": Attack("POST", "/api/stop/stop", {"content-type": "text/plain"}, b"{}", {415}),
+    "no type": Attack("POST", ARM, {"content-type": None}, GOOD, {415}),
+    "oversized": Attack("POST", ARM, {}, b" " * 5000, {413}),
+    "oversized by its word": Attack("POST", ARM, {"content-length": "9" * 30}, b"", {400, 413}),
+    "negative length": Attack("POST", ARM, {"content-length": "-1"}, b"", {400}),
+    "no JSON": Attack("POST", ARM, {}, b"\xff\x00{", {400}),
+    "no object": Attack("POST", ARM, {}, b"[1, 2]", {400}),
+    "deep": Attack("POST", ARM, {}, b"[" * 4000, {400}),
+    "no number": Attack("POST", ARM, {}, b"{}", {400}),
+    "a number of another type": Attack("POST", ARM, {}, b'{"number": 1, "seen": 1}', {400}),
+    "not a time": Attack("POST", ARM, {}, b'{"number": "12345678", "seen": NaN}', {400}),
+    "an infinite time": Attack("POST", ARM, {}, b'{"number": "12345678", "seen": 1e999}', {400}),
+    "no ticket": Attack("POST", ARM, {}, GOOD, {409}),
+    "a long ticket": Attack("POST", ARM, {"golfbench-ticket": "x" * 8000}, GOOD, {409}),
+    "an unknown command": Attack("POST", "/api/command/explode", {}, GOOD, {404}),
+    "a command by its Python name": Attack("POST", "/api/command/__class__", {}, GOOD, {404}),
+    "a command by GET": Attack("GET", "/api/command/arm", {}, b"", {405}),
+    "a stop by GET": Attack("GET", "/api/stop/stop", {}, b"", {405}),
+    "another method": Attack("DELETE", "/", {}, b"", {405}),
+    "preflight": Attack("OPTIONS", "/api/command/arm", {"origin": "http://evil.example"}, b"", {405}),
+    "a lease without a name": Attack("POST", "/api/lease", {}, b'{"action": "take"}', {400}),
+    "a lease with control characters": Attack(
+        "POST", "/api/lease", {}, b'{"action": "take", "holder": "a\\u0007b"}', {400}
+    ),
+    "a lease for a long name": Attack(
+        "POST", "/api/lease", {}, json.dumps({"action": "take", "holder": "x" * 65}).encode(), {400}
+    ),
+    "traversal": Attack("GET", "/static/../page_server.py", {}, b"", {404}),
+    "traversal, encoded": Attack("GET", "/static/..%2f..%2fpage_server.py", {}, b"", {404}),
+    "traversal, encoded twice": Attack("GET", "/static/%252e%252e%252fpage_server.py", {}, b"", {404}),
+    "traversal by backslash": Attack("GET", "/static/..\\page_server.py", {}, b"", {404}),
+    "an absolute path": Attack("GET", "//etc/passwd", {}, b"", {404}),
+    "a path with NUL": Attack("GET", "/static/main.js%00.html", {}, b"", {404}),
+    "script in a path": Attack("GET", f"/static/{SCRIPT.replace(' ', '')}", {}, b"", {404}),
+    "a head too long": Attack("GET", "/", {"x": "y" * 40000}, b"", {400, 431}),
+    "an upgrade": Attack("GET", "/nothing", {"connection": "upgrade", "upgrade": "websocket"}, b"", {404}),
+    "sign-in without tokens": Attack("POST", "/api/sign-in", {}, b'{"token": "guess"}', {401}),
+}
+
+
+@pytest.fixture(autouse=True)
+def nothing_moves(running: RunningPlane, page: RunningPage) -> Iterator[None]:
+    running.desk.state = State.READY
+    running.desk.requests.clear()
+    running.desk.stops.clear()
+    yield
+    assert running.desk.requests == []
+    assert running.plane.lease() is None
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_is_refused(page: RunningPage, running: RunningPlane, name: str) -> None:
+    attack = ATTACKS[name]
+    given = page.own() if attack.method == "POST" else {}
+    headers = {n: v for n, v in (given | attack.headers).items() if v is not None}
+    answer = page.ask(attack.method, attack.path, attack.body, headers)
+    assert answer.status in attack.status, answer.body
+    assert SCRIPT.encode() not in answer.body
+    assert "access-control-allow-origin" not in answer.headers
+    assert running.desk.stops == []
+
+
+def raw(page: RunningPage, text: bytes) -> socket.socket:
+    one = socket.create_connection((page.address.host, page.address.port), timeout=HURRY)
+    one.sendall(text)
+    return one
+
+
+def test_a_hundred_slow_readers_slow_nothing(page: RunningPage, running: RunningPlane) -> None:
+    head = f"GET /api/stream HTTP/1.1\r\nHost: {page.host}\r\n\r\n".encode()
+    with ExitStack() as stack:
+        readers = [stack.enter_context(raw(page, head)) for _ in range(100)]
+        statuses = [one.recv(12).split()[1] for one in readers]
+        assert statuses.count(b"200") <= MAX_READERS
+        assert set(statuses) == {b"200", b"503"}
+        assert page.post("/api/stop/stop", {}).status == 200
+        assert [what for what, _ in running.desk.stops] == ["stop"]
+    deadline = time.monotonic() + HURRY
+    while page.ask("GET", "/api/you").status == 200:  # their places are free again
+        one = raw(page, head)
+        status = one.recv(12).split()[1]
+        one.close()
+        if status == b"200":
+            return
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_a_head_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_protocol, "HEAD_TIME", 0.2)
+    for text in (b"", b"GET / HTTP/1.1\r\nHost: "):
+        with raw(page, text) as one:
+            try:
+                assert one.recv(100) == b""
+            except ConnectionResetError:
+                pass
+
+
+def test_a_body_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(guard, "BODY_TIME", 0.2)
+    head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
+    text = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Content-Length: 100\r\n\r\n{{"
+    with raw(page, text.encode()) as one:
+        assert one.recv(12).split()[1] == b"408"
+
+
+def test_an_endless_body_in_chunks_is_refused(page: RunningPage) -> None:
+    head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
+    text = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Transfer-Encoding: chunked\r\n\r\n"
+    with raw(page, text.encode() + (b"1000\r\n" + b" " * 0x1000 + b"\r\n") * 2) as one:
+        assert one.recv(12).split()[1] == b"413"
+
+
+def test_a_name_with_line_breaks_makes_no_event_of_its_own(page: RunningPage) -> None:
+    from bench.page.broadcaster import event_text
+
+    text = event_text("state", {"club": "x\n\nevent: you\ndata: {}\n\n"}).decode()
+    assert text.count("\n") == 3

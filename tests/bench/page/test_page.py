@@ -1,0 +1,185 @@
+"""The page of a bench: what it sends to a browser, and the commands it takes."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from bench.lifecycle import Request, State
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.page.conftest import publishing
+from tests.bench.page.running_page import HURRY, RunningPage, running_page
+
+NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
+
+
+@pytest.fixture(autouse=True)
+def begin(running: RunningPlane) -> Iterator[None]:
+    """Begin in ESTOP, with nothing asked before, and leave nobody holding the lease."""
+    running.desk.state = State.ESTOP
+    running.desk.requests.clear()
+    running.desk.stops.clear()
+    yield
+    deadline = time.monotonic() + HURRY
+    while running.plane.lease() is not None:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_files_are_served_with_strict_headers(page: RunningPage, name: str) -> None:
+    answer = page.ask("GET", f"/static/{name}")
+    assert answer.status == 200
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "http" not in policy
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_page_loads_nothing_from_elsewhere_and_is_light(page: RunningPage) -> None:
+    index = page.ask("GET", "/").body.decode()
+    assert "<script>" not in index
+    assert "style=" not in index
+    assert not re.findall(r" on[a-z]+=", index)
+    waiting, seen = re.findall(r'(?:src|href)="(/static/[^"]+)"', index), {"/"}
+    weight = len(index)
+    while waiting:
+        if (path := waiting.pop()) in seen:
+            continue
+        seen.add(path)
+        answer = page.ask("GET", path)
+        assert answer.status == 200, path
+        weight += len(answer.body)
+        text = answer.body.decode()
+        assert not re.findall(r"https?://(?!www\.w3\.org/2000/svg)", text), path
+        assert not re.findall(r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\b", text), path
+        waiting += [f"/static/{name}" for name in re.findall(r'from "\./([^"]+)"', text)]
+    assert weight < 300_000
+    assert len(seen) > 8
+
+
+def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: RunningPlane) -> None:
+    with page.stream() as following:
+        assert following("you") == {"role": "operator", "sign_in": False, "bench": "bench1"}
+        state = following("state")
+        assert state["words"] == "Stopped and latched"
+        assert state["cause"]["cure"] == "Reset to begin."
+        assert state["accepts"] == ["access", "reset", "secure"]
+        assert following("link")["silent_s"] < HURRY
+
+
+def test_a_change_of_state_reaches_the_page(page: RunningPage, running: RunningPlane) -> None:
+    with page.stream() as following:
+        following("state")
+        running.desk.state = State.READY
+        while following("state")["state"] != "READY":
+            pass
+
+
+def test_a_session_of_an_operator(page: RunningPage, running: RunningPlane) -> None:
+    ticket = page.take_lease()
+    for name in ("reset", "home", "arm", "tee", "swing"):
+        answer = page.command(name, ticket)
+        assert answer.status == 200, answer.body
+    asked = [Request.RESET, Request.HOME, Request.ARM, Request.TEE, Request.SWING]
+    assert running.desk.requests == asked
+    assert page.post("/api/lease", {"action": "renew"}, golfbench_ticket=ticket).content == {"seconds": 15.0}
+    released = page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+    assert released.content == {"seconds": 0.0}
+    assert page.command("home", ticket).status == 409
+
+
+def test_a_refusal_comes_in_the_operators_words(page: RunningPage) -> None:
+    ticket = page.take_lease()
+    answer = page.command("arm", ticket)
+    assert answer.status == 409
+    assert answer.content["what"] == "Not possible in this state."
+    assert answer.content["cure"]
+    page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+
+
+def test_a_lease_belongs_to_the_tab_that_took_it(page: RunningPage, running: RunningPlane) -> None:
+    ticket = page.take_lease("Ann")
+    for other in ("", "guessed", ticket[:-1], ticket + "x"):
+        assert page.command("reset", other).status == 409
+    taken = page.post("/api/lease", {"action": "take", "holder": "Bob"})
+    assert taken.status == 409
+    assert "Ann" in taken.content["what"]
+    assert running.desk.requests == []
+    page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+
+
+def test_stop_needs_no_lease_no_number_and_no_valid_body(page: RunningPage, running: RunningPlane) -> None:
+    for name, body in (("stop", b"{}"), ("stop", b""), ("estop", b"\xff{[")):
+        answer = page.ask("POST", f"/api/stop/{name}", body, page.own())
+        assert answer.status == 200, answer.body
+    assert [what for what, _ in running.desk.stops] == ["stop", "stop", "estop"]
+
+
+def test_a_stop_overtakes_a_command_that_waits(running: RunningPlane, page: RunningPage) -> None:
+    ticket = page.take_lease()
+    running.desk.free.clear()
+    connection = page.connection()
+    try:
+        headers = page.own() | {"golfbench-ticket": ticket}
+        body = f'{{"number": "waiting-1", "seen": {time.monotonic()}}}'
+        connection.request("POST", "/api/command/reset", body, headers)
+        deadline = time.monotonic() + HURRY
+        while not running.desk.requests:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert page.post("/api/stop/stop", {}).status == 200
+        assert len(running.desk.stops) == 1
+    finally:
+        running.desk.free.set()
+        connection.getresponse().read()
+        connection.close()
+    page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+
+
+def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
+    page: RunningPage, running: RunningPlane
+) -> None:
+    ticket = page.take_lease()
+    content = {"number": "the-same-click", "seen": time.monotonic()}
+    assert page.post("/api/command/reset", content, golfbench_ticket=ticket).status == 200
+    again = page.post("/api/command/reset", content, golfbench_ticket=ticket)
+    assert (again.status, again.content["what"]) == (
+        409,
+        "Command: received twice; expected each click once.",
+    )
+    for seen in (time.monotonic() - 60.0, time.monotonic() + 60.0):
+        assert page.command("home", ticket, seen=seen).status == 409
+    assert running.desk.requests == [Request.RESET]
+    page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+
+
+def test_a_silent_bench_is_said_within_two_seconds() -> None:
+    with (
+        running_plane(FakeDesk(), loopback_configuration()) as running,
+        publishing(running) as speaking,
+        running_page(running.configuration) as page,
+        page.stream() as following,
+    ):
+        following("state")
+        speaking.clear()
+        silences = [following("link")["silent_s"] for _ in range(5)]
+        assert max(s for s in silences if s is not None) > 1.5
+
+
+def test_the_page_waits_for_a_bench_that_starts_later() -> None:
+    configuration = loopback_configuration()
+    with running_page(configuration) as page:
+        with page.stream() as following:
+            assert following("link") == {"silent_s": None}
+        answer = page.post("/api/stop/stop", {})
+        assert answer.status == 504
+        assert "does not answer" in answer.content["what"]
+        with running_plane(FakeDesk(), configuration) as running, publishing(running):
+            with page.stream() as following:
+                assert following("state")["state"] == "ESTOP"
+            assert page.post("/api/stop/stop", {}).status == 200
