@@ -29,6 +29,7 @@ from bench.commands.operate import app as control_app
 from bench.commands.page import page
 from bench.commands.plain_help import show_plainly
 from bench.commands.run import run
+from bench.commands.schema import schema
 from bench.commands.session import Session
 from bench.commands.swing import app as swing_app
 from bench.commands.tune import tune
@@ -69,6 +70,7 @@ app.command()(tune)
 app.command()(view)
 app.command()(page)
 app.command()(export)
+app.command()(schema)
 app.command()(certificates)
 app.command()(cluster)
 swing_app.command()(compare)

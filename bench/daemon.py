@@ -42,7 +42,7 @@ from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, status_of
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.shot_join import ShotJoin
-from bench.shot.shot_message import SHOT_VERSION
+from bench.shot.shot_message import shot_publication
 from bench.swing.correction import basis_of, digest_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -477,12 +477,11 @@ class Daemon:
             _log.warning("swing %s: %s", event["number"], text)
         if self._plane is None:
             return
-        path, shot = os.path.abspath(event["path"]), event["shot_id"]
-        if shot is not None:
-            self._shots.note_record(shot, path)
-        facts = {name: event[name] for name in ("number", "lost_records", "complete", "replayable", "cause")}
-        message = {"version": SHOT_VERSION, "shot_id": shot, "shot": None, "record": path, **facts}
-        self._plane.publish_shot(message)
+        known = ("number", "lost_records", "complete", "replayable", "cause")
+        facts = {name: event[name] for name in known} | {"record": os.path.abspath(event["path"])}
+        if (shot := event["shot_id"]) is not None:
+            self._shots.note_record(shot, facts)
+        self._plane.publish_shot(shot_publication(shot_id=shot, **facts))
 
     def _note_launch(self, event: dict[str, Any]) -> None:
         """Store the launch monitor's status, or queue the outcome of a swing or launch for publishing."""

@@ -13,31 +13,13 @@ from bench.campaign.course import is_settled
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials, is_mounted, sections
+from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignEntry, CampaignState
 
-VERSION = 1
-"""Version of the message."""
 _LAST = 11
 """Number of last shots whose times give the pace."""
-_FIGURES = (
-    "shot",
-    "block",
-    "role",
-    "ball",
-    "sample",
-    "club",
-    "swing",
-    "status",
-    "reason",
-    "club_speed_mps",
-    "attack_angle_deg",
-    "ball_speed_mps",
-    "launch_angle_deg",
-    "spin_rpm",
-    "carry_m",
-    "carry_source",
-)
+_FIGURES = tuple(name for name in LastShot.__annotations__ if name != "time_utc")
 
 
 class CampaignProgress(Watcher):
@@ -59,7 +41,7 @@ class CampaignProgress(Watcher):
         for trial in trials:
             balls[trial.arm.ball]["planned"] += 1
         self.message: dict[str, Any] = {
-            "version": VERSION,
+            "version": CAMPAIGN_VERSION,
             "campaign": entry.id,
             "name": entry.name,
             "state": CampaignState.RUNNING,

@@ -17,7 +17,8 @@ from rich.text import Text
 from bench.commands.progress import progress_bar
 from bench.errors import BenchError
 from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
-from bench.telemetry.recorder import ENUMERATIONS, read_swing
+from bench.telemetry.enumerations import ENUMERATIONS
+from bench.telemetry.recorder import read_swing
 
 
 def replay_command(path: Path, tolerance: float, json_: bool) -> bool:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import json
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
-from itertools import pairwise
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from bench.config.defaults import keys_of, plain
+from bench.config.field_docs import field_docs
 from bench.config.settings import Configuration
 from bench.from_toml import expected, suffixes
 from drivers.base.ranges import short
@@ -137,19 +136,3 @@ def _written(value: Any) -> str:
 
 def _first_line(kind: Any) -> str:
     return (inspect.getdoc(kind) or "").split("\n", 1)[0]
-
-
-def field_docs(kind: Any) -> dict[str, str]:
-    """Return the docstrings of the fields of dataclass `kind`, which stand below them in its source."""
-    names = {f.name for f in fields(kind)}
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    found = {}
-    body = getattr(definition, "body", [])
-    for node, below in pairwise(body):
-        match node, below:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str() as text)),
-            ) if name in names:
-                found[name] = text
-    return found

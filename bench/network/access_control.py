@@ -15,8 +15,9 @@ _ALL = "golfbench/**"
 _COMMANDS = "golfbench/*/command/**"
 _CAMPAIGNS = "golfbench/*/campaign/**"
 _STATUS = "golfbench/*/command/status"
+_SCHEMA = "golfbench/*/schema"
 _STOPS = ("golfbench/*/command/stop", "golfbench/*/command/estop")
-_READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered")
+_READS = ("reads", "hears", "campaign", "campaign answered", "campaign offered", "schema", "schema answered")
 """Rules of every role."""
 _MESSAGES = (
     "put",
@@ -47,6 +48,7 @@ def access_control(
         *_asks("command", _COMMANDS),
         *_asks("stop", *_STOPS),
         *_asks("campaign", _CAMPAIGNS),
+        *_asks("schema", _SCHEMA),
         _allow("campaign told", "ingress", ("put", "declare_queryable", "reply"), _CAMPAIGNS),
         _allow("campaign offered", "egress", ("query", "declare_queryable"), _CAMPAIGNS),
         # A client asks without knowing whether somebody answers; a router passes on what it knows of.

@@ -7,9 +7,11 @@ The supervisor implements it; tests have their own. `golfbench status --json` pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import Annotated, NamedTuple, NotRequired, Protocol, TypedDict
 
-from bench.lifecycle import Request
+from annotated_types import Len
+
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
 
 STATUS_VERSION = 1
 """Version of `BenchStatus`."""
@@ -28,8 +30,7 @@ class Reply(NamedTuple):
 class CauseStatus(TypedDict):
     """Why the bench stopped."""
 
-    name: str
-    """Name of the `Cause`."""
+    name: Annotated[str, Cause]
     text: str
 
 
@@ -125,15 +126,55 @@ class DeviceStatus(TypedDict):
     """Counters of its driver since its start, of frames and errors."""
 
 
+class SettingStatus(TypedDict):
+    """A real-time setting, requested and granted."""
+
+    name: str
+    asked: str
+    granted: str
+    """Value read back."""
+    held: bool
+    """Whether the requested value is in force."""
+    reason: NotRequired[str]
+    """Why it is not in force."""
+    cure: NotRequired[str]
+    """Action to get it granted."""
+    required: NotRequired[bool]
+    """Whether mode `require` needs it; the others only reduce jitter."""
+
+
+class RealTimeStatus(TypedDict):
+    """Real-time settings of the loop."""
+
+    mode: str
+    """require, prefer or off."""
+    held: bool
+    """Whether all required settings are in force."""
+    settings: dict[str, SettingStatus]
+
+
+class StopStatus(TypedDict):
+    """A stop of this run or of one before."""
+
+    cause: str
+    text: NotRequired[str]
+    state: NotRequired[str]
+    """State in which it happened."""
+    phase: NotRequired[str]
+    time_utc: NotRequired[str]
+    """Time of the stop, ISO 8601; missing if only the start of its run is known."""
+    run_started_utc: NotRequired[str | None]
+
+
 class BenchStatus(TypedDict):
     """A snapshot of the bench, valid as JSON: no NaN, None for missing values."""
 
     version: int
     bench: str
     """Id of the bench."""
-    state: str
-    phase: str
-    reaction: str
+    state: Annotated[str, State]
+    phase: Annotated[str, Phase]
+    reaction: Annotated[str, Reaction]
     cause: CauseStatus | None
     """First cause of a stop."""
     latest_cause: CauseStatus | None
@@ -155,16 +196,16 @@ class BenchStatus(TypedDict):
     """Club that the bench was started with."""
     series: bool
     """Whether it holds the address after a swing for the next one; otherwise it vents."""
-    joints_deg: list[float | None]
+    joints_deg: Annotated[list[float | None], Len(3, 3)]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None
-    chamber_pressure_pa: list[float | None]
+    chamber_pressure_pa: Annotated[list[float | None], Len(6, 6)]
     """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
     air_faults: list[str]
     """Texts of the pressure sensors, vents, manifold and guard's lock that fail."""
     drift: list[str]
     """Warnings of the latest swing's record: speed or strike has drifted from that of the first swings."""
-    vents_open: list[bool | None]
+    vents_open: Annotated[list[bool | None], Len(2, 2)]
     """Position of each of the two vents; None without feedback."""
     emergency_stop_clear: bool
     guard_closed: bool
@@ -178,12 +219,11 @@ class BenchStatus(TypedDict):
     processes: dict[str, ProcessStatus]
     device: DeviceStatus
     loop: LoopStatus
-    real_time: dict[str, Any]
-    """Real-time settings, requested and granted."""
+    real_time: RealTimeStatus
     counts: CountStatus
     """Filled in by the command plane."""
-    last_stop: dict[str, Any] | None
-    """The stop before this start, or the newest one: cause, time."""
+    last_stop: StopStatus | None
+    """The stop before this start, or the newest one."""
     uptime: float
     """Time since the supervisor's start, s."""
 

@@ -12,11 +12,11 @@ import re
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from math import isfinite
-from typing import Any, NamedTuple, NoReturn
+from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.errors import BenchError
-from bench.lifecycle import Request
-from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_duration, is_holder
+from bench.lifecycle import Request, State
+from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
 from bench.swing.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 
 VERSION = 1
@@ -125,7 +125,9 @@ class _Value(NamedTuple):
     """Check of a key's value."""
 
     expected: str
-    holds: Callable[[Any], bool]
+    schema: Mapping[str, Any]
+    """JSON Schema; what it does not say, `holds` does."""
+    holds: Callable[[Any], bool] = lambda _: True
     secret: bool = False
 
 
@@ -137,33 +139,60 @@ def _is_number(value: Any) -> bool:
     return _is_whole(value) or isinstance(value, float)
 
 
+_KINDS: Mapping[str, Callable[[Any], bool]] = {
+    "integer": _is_whole,
+    "number": _is_number,
+    "string": lambda value: isinstance(value, str),
+    "array": lambda value: isinstance(value, list),
+}
+
+
+def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
+    """Return whether `value` is what `schema` says, with the words of it that `_VALUES` uses."""
+    if not _KINDS[schema["type"]](value):
+        return False
+    match schema["type"]:
+        case "string":
+            length = schema.get("minLength", 0) <= len(value) <= schema.get("maxLength", LONGEST_MESSAGE)
+            return length and re.fullmatch(schema.get("pattern", "(?s:.*)"), value) is not None
+        case "array":
+            return len(value) <= schema["maxItems"] and all(_fits(item, schema["items"]) for item in value)
+    return bool(schema["minimum"] <= value <= schema["maximum"])
+
+
 _VALUES: Mapping[str, _Value] = {
-    "version": _Value(f"{VERSION}, a whole number", lambda v: _is_whole(v) and v == VERSION),
+    "version": _Value(
+        f"{VERSION}, a whole number", {"type": "integer", "minimum": VERSION, "maximum": VERSION}
+    ),
     "key": _Value(
         "the key that came with the lease, 22 characters",
-        lambda v: isinstance(v, str) and re.fullmatch(r"[A-Za-z0-9_-]{22}", v) is not None,
+        {"type": "string", "pattern": "^[A-Za-z0-9_-]{22}$", "maxLength": 22},
         secret=True,
     ),
     "sequence": _Value(
-        "a whole number from 1 to 2^53 - 1", lambda v: _is_whole(v) and 1 <= v <= LAST_SEQUENCE
+        "a whole number from 1 to 2^53 - 1", {"type": "integer", "minimum": 1, "maximum": LAST_SEQUENCE}
     ),
     "holder": _Value(
         f"a name of 1 to {LONGEST_HOLDER} printable characters, no space at its ends",
-        lambda v: isinstance(v, str) and is_holder(v),
+        {"type": "string", "minLength": 1, "maxLength": LONGEST_HOLDER},
+        is_holder,
     ),
     "profile": _Value(
         "the digest of a profile, 16 hexadecimal characters",
-        lambda v: isinstance(v, str) and re.fullmatch(r"[0-9a-f]{16}", v) is not None,
+        {"type": "string", "pattern": "^[0-9a-f]{16}$", "maxLength": 16},
     ),
     "weights": _Value(
         f"at most {MOST_WEIGHTS} numbers from -{GREATEST_WEIGHT:g} to {GREATEST_WEIGHT:g}",
-        lambda v: (
-            isinstance(v, list)
-            and len(v) <= MOST_WEIGHTS
-            and all(_is_number(w) and abs(w) <= GREATEST_WEIGHT for w in v)
-        ),
+        {
+            "type": "array",
+            "maxItems": MOST_WEIGHTS,
+            "items": {"type": "number", "minimum": -GREATEST_WEIGHT, "maximum": GREATEST_WEIGHT},
+        },
     ),
-    "seconds": _Value(f"{SHORTEST:g} to {LONGEST:g} s, a number", lambda v: _is_number(v) and is_duration(v)),
+    "seconds": _Value(
+        f"{SHORTEST:g} to {LONGEST:g} s, a number",
+        {"type": "number", "minimum": SHORTEST, "maximum": LONGEST},
+    ),
 }
 
 _PLAIN_FORM = (("version",), ())
@@ -177,6 +206,19 @@ FORMS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "lease release": (("version", "action", "key", "sequence"), ()),
 }
 """Keys that a message must have and those it may have, by verb; for the lease by verb and action."""
+
+
+def form_schema(form: str) -> dict[str, Any]:
+    """Return the JSON Schema of the messages of a form of `FORMS`."""
+    needed, allowed = FORMS[form]
+    values = {name: {**value.schema, "description": value.expected} for name, value in _VALUES.items()}
+    values["action"] = {"const": form.partition(" ")[2]}
+    return {
+        "type": "object",
+        "properties": {name: values[name] for name in (*needed, *allowed)},
+        "required": list(needed),
+        "additionalProperties": False,
+    }
 
 
 def parse_command(verb: str, payload: bytes) -> Command:
@@ -233,7 +275,7 @@ def _check_keys(
         if name == "action":
             continue
         wanted = _VALUES[name]
-        if not wanted.holds(value):
+        if not (_fits(value, wanted.schema) and wanted.holds(value)):
             found = "something else, not repeated here" if wanted.secret else _shown(value)
             raise _fault(f"{place}: {name}", found, wanted.expected, "Correct it.")
 
@@ -291,14 +333,32 @@ def _shown(value: Any) -> str:
 # Answers ---------------------------------------------------------------------------------------------
 
 
+class LeaseContent(TypedDict):
+    """Content of the answer to who takes or renews the lease."""
+
+    holder: str
+    seconds_left: float
+    key: NotRequired[str]
+    """Of a lease that was taken now: every keyed command carries it."""
+
+
+class ErrorParts(TypedDict):
+    """Parts of an error in a message."""
+
+    place: str
+    found: str
+    expected: str
+    cure: str
+
+
 class CommandAnswer(NamedTuple):
     """The bench's answer to a valid command."""
 
     accepted: bool
-    state: str
-    """Name of the `State` after the answer."""
+    state: Annotated[str, State]
+    """State after the answer."""
     reason: str = ""
-    """Why it was refused, and what to do."""
+    """Why it was refused, and what to do; empty when accepted."""
     note: str = ""
     """Further information for the operator."""
     content: Mapping[str, Any] = {}
@@ -316,7 +376,7 @@ def encode_answer(answer: CommandAnswer) -> bytes:
 
 def encode_error(error: BenchError) -> bytes:
     """Return `error` as the message that `parse_error` reads."""
-    parts = {name: getattr(error, name) for name in ("place", "found", "expected", "cure")}
+    parts = {name: getattr(error, name) for name in ErrorParts.__annotations__}
     return json.dumps({"version": VERSION, "error": parts}).encode()
 
 

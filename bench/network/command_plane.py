@@ -32,6 +32,7 @@ from bench.network.command import (
     CommandAnswer,
     Correct,
     Keyed,
+    LeaseContent,
     Plain,
     ReleaseLease,
     RenewLease,
@@ -43,6 +44,7 @@ from bench.network.command import (
     too_long,
 )
 from bench.network.lease import Lease, LeaseBook, LeaseRefused
+from bench.network.wire_contract import wire_contract
 
 QUEUE = 64
 """Max messages waiting in a lane."""
@@ -180,6 +182,10 @@ class CommandPlane:
         self._queryable = session.declare_queryable(
             f"{self._root}/command/**", zenoh.handlers.Callback(self._receive, indirect=False)
         )
+        self._contract = json.dumps(wire_contract(bench)).encode()
+        self._schema = session.declare_queryable(
+            f"{self._root}/schema", zenoh.handlers.Callback(self._send_contract, indirect=False)
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -192,6 +198,7 @@ class CommandPlane:
         self._closing = True
         with suppress(zenoh.ZError):  # the session may be gone
             self._queryable.undeclare()
+            self._schema.undeclare()
         lanes = (self._stops, self._requests, self._lookups)
         for lane in lanes:
             lane.close()
@@ -267,6 +274,10 @@ class CommandPlane:
         except Exception:  # whatever it was, zenoh's thread has to go on
             with self._count_lock:
                 self._counts["dropped"] += 1
+
+    def _send_contract(self, query: zenoh.Query) -> None:
+        with suppress(zenoh.ZError), query:
+            query.reply(f"{self._root}/schema", self._contract, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _verb(self, key: str) -> str:
         """Return the part of `key` after `command/`, also if it names several benches."""
@@ -361,8 +372,8 @@ class CommandPlane:
         )
 
     def _of_lease(self, lease: Lease, **more: str) -> CommandAnswer:
-        content = {"holder": lease.holder, "seconds_left": lease.expiry - self._clock(), **more}
-        return CommandAnswer(True, self._state_now(), content=content)
+        content = LeaseContent(holder=lease.holder, seconds_left=lease.expiry - self._clock())
+        return CommandAnswer(True, self._state_now(), content={**content, **more})
 
     def _state_now(self) -> str:
         try:

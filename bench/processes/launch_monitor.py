@@ -37,7 +37,7 @@ from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.shot.arming_watch import ArmingWatch
 from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
 from bench.shot.shot_matcher import LaunchBook, Told
-from bench.shot.shot_message import SHOT_VERSION, launch_to_json, shortened
+from bench.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
 from bench.shot.swing_watch import SwingWatch
 from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
@@ -190,17 +190,15 @@ class LaunchMonitorService:
         )
 
 
-def message_of(told: Told) -> dict[str, Any]:
+def message_of(told: Told) -> ShotPublication:
     """Return the message of a settled outcome; the supervisor adds its record."""
-    return {
-        "version": SHOT_VERSION,
-        "shot_id": told.shot_id or None,
-        "record": None,
-        "shot": None if told.shot is None else shot_to_json(told.shot),
-        "outcome": str(told.outcome),
-        "launch": None if told.launch is None else launch_to_json(told.launch),
-        "reason": shortened(told.reason),
-    }
+    return shot_publication(
+        shot_id=told.shot_id or None,
+        shot=None if told.shot is None else shot_to_json(told.shot),
+        outcome=told.outcome,
+        launch=None if told.launch is None else launch_to_json(told.launch),
+        reason=shortened(told.reason),
+    )
 
 
 def main() -> int:

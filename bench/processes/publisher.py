@@ -28,6 +28,7 @@ import zenoh
 
 from bench.config import NetworkSettings
 from bench.errors import BenchError, ExitCode
+from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import open_client
 from bench.processes.child_process import (
     Condition,
@@ -38,14 +39,13 @@ from bench.processes.child_process import (
     send_failure,
 )
 from bench.processes.tick_timing import TimingReader, summary
-from bench.telemetry.batches import LONGEST_BATCH, encode_batch
+from bench.telemetry.batches import encode_batch
+from bench.telemetry.cycle_record import LONGEST_BATCH
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedMemoryError
 
 PERIOD = 0.02
 """Period of the batches, s."""
-LOOP_VERSION = 1
-"""Version of the JSON on `golfbench/<id>/loop`."""
 
 _STATISTICS = 1.0
 """Period of the messages on `loop`, s."""

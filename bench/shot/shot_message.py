@@ -1,13 +1,6 @@
 """Messages of `golfbench/<id>/shot`: their keys, writing and reading.
 
-JSON with `version` and, as far as they are known when it is sent:
-
-`shot_id`   the shot's id, also in the metadata of its record; null for a launch that no swing made
-`record`    path of the swing's record on the bench's machine; null while it is not stored
-`shot`      the shot as a row of the shot table, null while nothing is known of the ball
-`outcome`   null until it is settled, then one of `drivers.launch_monitor.matching.MatchOutcome`
-`launch`    launch from the monitor (SI, see `launch_to_json`), null without one
-`reason`    objection to the launch, or why it is missing; empty without objection
+JSON of the keys of `ShotPublication`, always all of them: null is what is not known when it is sent.
 
 A bench without a launch monitor sends one message a swing, when its record is stored, and knows nothing of
 the ball. With one it sends a second message with the outcome, and one for every launch that belongs to no
@@ -21,9 +14,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypedDict, cast
 
 from bench.errors import BenchError
+from bench.lifecycle import Cause
+from bench.shot.shot import Shot
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import SOURCE, ClubFigures, LaunchRecord
 
@@ -33,6 +28,47 @@ _LONGEST_TEXT = 300
 """Max length of a reason, characters."""
 _PLAIN = ("speed", "launch_angle", "direction", "spin", "spin_axis", "carry")
 _CURE = "Use the same golfbench for bench and command line."
+
+
+class ShotPublication(TypedDict):
+    """A swing, or a launch that belongs to none."""
+
+    version: int
+    shot_id: str | None
+    """Id of the shot, also in the metadata of its record; null for a launch that no swing made."""
+    record: str | None
+    """Path of the swing's record on the bench's machine; null while it is not stored."""
+    number: int | None
+    """Number of the record in the bench's run; this and the next four are null while it is not stored."""
+    lost_records: int | None
+    """Cycles that the record lacks."""
+    complete: bool | None
+    """Every tick from first to last is in the record, and the robot stood at its end."""
+    replayable: bool | None
+    cause: Annotated[str, Cause] | None
+    """First cause of a stop in the record; NONE without one."""
+    shot: Annotated[dict[str, Any], Shot] | None
+    """Row of the shot table; null while nothing is known of the ball."""
+    outcome: MatchOutcome | None
+    """Null until it is settled."""
+    launch: Annotated[dict[str, Any], LaunchRecord] | None
+    """Launch from the monitor: m/s, rad, rad/s, m, s; null without one."""
+    reason: str
+    """Objection to the launch, or why it is missing; empty without objection."""
+
+
+def shot_publication(**known: Any) -> ShotPublication:
+    """Return the message with what is `known`, null elsewhere.
+
+    Raises:
+        KeyError: `known` has a key that the message does not have.
+    """
+    message: dict[str, Any] = {**dict.fromkeys(ShotPublication.__annotations__), "version": SHOT_VERSION}
+    for name, value in ({"reason": ""} | known).items():
+        if name not in message:
+            raise KeyError(name)
+        message[name] = value
+    return cast(ShotPublication, message)
 
 
 class ShotMessage(NamedTuple):
@@ -52,7 +88,7 @@ def launch_to_json(launch: LaunchRecord) -> dict[str, Any]:
         "device": launch.device,
         "number": launch.number,
         **{name: getattr(launch, name) for name in _PLAIN},
-        "club": {name: value for name, value in launch.club._asdict().items() if value is not None},
+        "club": launch.club._asdict(),
         "absent": [[name, shortened(why)] for name, why in launch.absent],
         "doubts": [shortened(doubt) for doubt in launch.doubts],
         "source": launch.source,

@@ -15,10 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from bench.errors import BenchError
-from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, arrow_schema, from_arrow
-
-LONGEST_BATCH = 64
-"""Cycles in one message: with the schema it stays below 64 kB, which zenoh sends in one piece."""
+from bench.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, arrow_schema, from_arrow
 
 _LONGEST_MESSAGE = 1 << 20
 _VERSION_KEY = b"golfbench_schema"

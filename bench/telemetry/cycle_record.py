@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bench.telemetry.enumerations import ENUMERATIONS
 from drivers.base import CHAMBERS, JOINTS
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 3
 """Version of FIELDS; stored in every file and message."""
+
+LONGEST_BATCH = 64
+"""Max cycles in a telemetry message: with the schema it stays below 64 kB, which zenoh sends in one piece."""
 
 READABLE_VERSIONS = (2, SCHEMA_VERSION)
 """Versions of files that can be read: a field that they do not have yet has its `before`."""
@@ -43,6 +47,8 @@ class Field(NamedTuple):
     """Names of the components of a vector; empty for a scalar."""
     before: float | None = None
     """Value in records of versions that did not have the field; None: every readable version has it."""
+    names: str = ""
+    """Enumeration of its codes, see `bench.telemetry.enumerations`; empty for a field without names."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -61,21 +67,33 @@ FIELDS = (
     Field("measured_step", "f8", "s", "measured time since the tick before"),
     Field("wake_latency", "f8", "s", "how late the tick began on its grid; 0 on a virtual clock"),
     Field("work_time", "f8", "s", "time the tick before took; 0 on a virtual clock"),
-    Field("state", "u1", "1", "state of the bench, see enumeration 'state'"),
-    Field("request", "u1", "1", "request put to this tick, see enumeration 'request'"),
+    Field("state", "u1", "1", "state of the bench, see enumeration 'state'", names="state"),
+    Field("request", "u1", "1", "request put to this tick, see enumeration 'request'", names="request"),
     Field("request_number", "i8", "1", "number of the request answered last"),
     Field("answer", "u1", "1", "answer to it: 1 accepted, 2 refused"),
-    Field("refusal", "u1", "1", "why it was refused, see enumeration 'refusal'"),
+    Field("refusal", "u1", "1", "why it was refused, see enumeration 'refusal'", names="refusal"),
     Field("lease_held", "?", "1", "somebody holds the bench"),
     Field("support_ready", "?", "1", "recorder and publisher are running"),
     Field("supervisor_alive", "?", "1", "the supervisor's heart beats"),
     Field("device_operational", "?", "1", "the device has not gone passive by itself"),
     Field("homed", "?", "1", "encoders' zeros are proven"),
     Field("vented", "?", "1", "chambers are proven empty"),
-    Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'"),
-    Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'"),
-    Field("trip", "i4", "1", "cause that tripped the envelope, see enumeration 'trip'; 0 when none"),
-    Field("latest_cause", "i4", "1", "newest cause, also after `trip`, see enumeration 'trip'; 0 when none"),
+    Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'", names="phase"),
+    Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'", names="reaction"),
+    Field(
+        "trip",
+        "i4",
+        "1",
+        "cause that tripped the envelope, see enumeration 'trip'; 0 when none",
+        names="trip",
+    ),
+    Field(
+        "latest_cause",
+        "i4",
+        "1",
+        "newest cause, also after `trip`, see enumeration 'trip'; 0 when none",
+        names="trip",
+    ),
     Field("encoder_count", "i8", "1", "encoder reading in counts", JOINTS),
     Field("encoder_valid", "u1", "1", "1 when the encoder reading is valid", JOINTS),
     Field("encoder_age", "f8", "s", "age of the encoder reading at this tick", JOINTS),
@@ -156,7 +174,7 @@ def arrow_schema() -> pa.Schema:
                 column,
                 pa.from_numpy_dtype(np.dtype(field.dtype)),
                 nullable=False,
-                metadata={"unit": _unit(field, index), "description": field.text},
+                metadata={"unit": unit_of(field, index), "description": field.text},
             )
             for field in FIELDS
             for index, column in enumerate(field.columns)
@@ -175,6 +193,25 @@ def to_arrow(cycles: np.ndarray[Any, Any]) -> pa.Table:
         for values in np.atleast_2d(cycles[field.name].T)
     ]
     return pa.Table.from_arrays(columns, schema=arrow_schema())
+
+
+def name_columns(cycles: np.ndarray[Any, Any]) -> dict[str, pa.DictionaryArray]:
+    """Return the names of the codes in `cycles` by column ("phase_name" …); null for an unknown code."""
+    import pyarrow as pa
+
+    columns = {}
+    for field in FIELDS:
+        if field.names:
+            codes = [int(code) for code in ENUMERATIONS[field.names]]
+            place = np.full(max(codes) + 1, -1)
+            place[codes] = np.arange(len(codes))
+            found = cycles[field.name].astype(int)
+            known = (found >= 0) & (found < len(place))
+            index = np.where(known, place[np.where(known, found, 0)], -1)
+            columns[f"{field.name}_name"] = pa.DictionaryArray.from_arrays(
+                pa.array(index.astype("i1"), mask=index < 0), pa.array(ENUMERATIONS[field.names].values())
+            )
+    return columns
 
 
 def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
@@ -196,7 +233,7 @@ def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
     return cycles
 
 
-def _unit(field: Field, index: int) -> str:
+def unit_of(field: Field, index: int) -> str:
     """Return the unit of one component: efforts differ by actuator and list theirs."""
     units = field.unit.split(", ")
     return units[index] if len(units) > 1 else units[0]

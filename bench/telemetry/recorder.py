@@ -10,29 +10,20 @@ from typing import Any
 import numpy as np
 
 from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.telemetry.cycle_record import (
     CYCLE,
     FIELDS,
     READABLE_VERSIONS,
     SCHEMA_VERSION,
     from_arrow,
+    name_columns,
     to_arrow,
 )
+from bench.telemetry.enumerations import ENUMERATIONS
 from bench.telemetry.whole_file import whole_file
 
 METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
 """Keys of the JSON texts in the Parquet file's key-value metadata."""
-
-ENUMERATIONS: dict[str, dict[str, str]] = {
-    "state": {str(state.value): state.name for state in State},
-    "request": {str(request.value): request.name for request in Request},
-    "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
-    "phase": {str(phase.value): phase.name for phase in Phase},
-    "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
-    "trip": {str(cause.value): cause.name for cause in Cause},
-}
-"""Names of the coded fields as stored in the metadata; JSON keys are text."""
 
 # Neighbouring samples of a float share their upper bytes: splitting the bytes into streams lets zstd
 # see that. Codes and switches stay constant for long: a dictionary holds them in a few bytes.
@@ -45,18 +36,23 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
 
     `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
     version and the names of phases, reactions and causes are added; units stand in each column's metadata,
-    and all together as JSON in the file's own (`units`), which is what DuckDB and polars show.
+    and all together as JSON in the file's own (`units`), which is what DuckDB and polars show. Beside each
+    code stands its name ("phase", "phase_name"); readers of cycles take the code.
     Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
     metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
     """
-    import pyarrow.parquet as pq  # 29 MB, and needed for files only
+    import pyarrow as pa  # 29 MB, and needed for files only
+    import pyarrow.parquet as pq
 
     if cycles.dtype != CYCLE:
         raise TypeError(f"cycles have dtype {cycles.dtype}, expected CYCLE")
     text = json.dumps(
         {"schema_version": SCHEMA_VERSION, "enumerations": ENUMERATIONS, **metadata}, allow_nan=False
     )
-    table = to_arrow(cycles)
+    table, names = to_arrow(cycles), name_columns(cycles)
+    for name, column in names.items():
+        about = {"unit": "1", "description": f"name of the code in {name.removesuffix('_name')}"}
+        table = table.append_column(pa.field(name, column.type, metadata=about), column)
     units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in table.schema})
     of_file = {METADATA_KEY: text.encode(), UNITS_KEY: units.encode()}
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), **of_file})
@@ -65,7 +61,7 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
             table,
             stream,
             compression="zstd",
-            use_dictionary=_REPEATED,
+            use_dictionary=[*_REPEATED, *names],
             column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
         )
 

@@ -153,7 +153,7 @@ class FakeDesk:
                 },
             },
             counts=CountStatus(commands=0, refused=0, malformed=0, dropped=0),
-            last_stop={"cause": "POWER_UP", "time": 0.0},
+            last_stop={"cause": "POWER_UP", "text": "", "time_utc": "2026-11-21T12:00:00+00:00"},
             uptime=12.5,
         )
 

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numba
 import pytest
+import zenoh
+from jsonschema import Draft202012Validator
 
+from bench.config import Configuration
+from bench.network.wire_contract import wire_contract
+from bench.network.zenoh_session import open_client
+from bench.telemetry.cycle_record import arrow_schema
 from drivers.base import PASSIVE, Command, Driver
 from drivers.registry import GROUP, BrokenDriver, choose_driver, find_drivers
 from tests.running_bench import running_bench, write_configuration
@@ -61,14 +71,58 @@ def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
 @pytest.mark.live
 @pytest.mark.timeout(600)
 def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
+    """And of a program that does not import the bench; what the bench said is as its contract says."""
     file = write_configuration(tmp_path, "example")
-    with running_bench(file) as bench:
-        printed = _python(str(EXAMPLES / "one_swing.py"), str(file))
+    output = tmp_path / "subscriber.txt"
+    with running_bench(file) as bench, _subscriber(bench.configuration, output):
+        id_, network = bench.configuration.bench.id, bench.configuration.network
+        with open_client(network, id_) as session:
+            said: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(10_000)
+            listening = session.declare_subscriber(f"golfbench/{id_}/*", said)
+            printed = _python(str(EXAMPLES / "one_swing.py"), str(file))
+            samples = list(iter(listening.try_recv, None))
         (record,) = bench.records
+    _check_contract(id_, samples)
+    rows = output.read_text().splitlines()
+    assert rows[0] == f"{id_}: {len(arrow_schema())} columns, wrist in rad"
+    assert {"DOWNSWING", "FOLLOW_THROUGH"} <= {row.split()[3] for row in rows[1:-1]}, rows[-5:]
     figures = dict(row.split(maxsplit=2)[::2] for row in printed.splitlines()[1:3])
     assert printed.splitlines()[0].split() == ["record", str(record)]
     assert 40.0 < float(figures["club"].split()[0]) < 46.0
     assert 55.0 < float(figures["ball"].split()[0]) < 67.0
+
+
+@contextmanager
+def _subscriber(configuration: Configuration, output: Path) -> Iterator[None]:
+    """Run the example that does not import the bench, with its `output` in a file, for the block."""
+    arguments = (configuration.bench.id, configuration.network.endpoint)
+    with (
+        output.open("w") as stream,
+        subprocess.Popen(
+            [sys.executable, str(EXAMPLES / "subscriber.py"), *arguments], stdout=stream
+        ) as process,
+    ):
+        try:
+            deadline = time.monotonic() + 60.0
+            while "wrist in rad\n" not in output.read_text() and time.monotonic() < deadline:
+                time.sleep(0.05)
+            yield
+        finally:
+            process.kill()
+
+
+def _check_contract(bench: str, samples: list[zenoh.Sample]) -> None:
+    """Assert that all messages on JSON keys are as the contract of `bench` describes them."""
+    rows = {row["key"]: row for row in wire_contract(bench)["published"] if "schema" in row}
+    seen = set()
+    for sample in samples:
+        key = str(sample.key_expr)
+        if key in rows:
+            message = json.loads(sample.payload.to_bytes())
+            Draft202012Validator(rows[key]["schema"]).validate(message)
+            assert message.keys() <= rows[key]["schema"].get("properties", message).keys()
+            seen.add(key.rpartition("/")[2])
+    assert seen == {"state", "event", "shot", "loop"}
 
 
 def test_the_driver_plug_in(monkeypatch: pytest.MonkeyPatch) -> None:

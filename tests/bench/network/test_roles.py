@@ -162,6 +162,9 @@ def test_a_certificate_that_expires_ends_the_connection(
 def test_viewers_read(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
     viewer = come_as("anna")
     assert viewer.status()["version"]
+    with open_client(viewer._network, "bench1") as session:
+        (reply,) = session.get("golfbench/bench1/schema", timeout=5.0)
+        assert reply.ok is not None
     network = bench.configuration.network
     with open_client(network, "bench1") as publisher:  # on the loopback, as the publisher is
         beyond = client_of(network.beyond, str(folder.path / "anna")).network

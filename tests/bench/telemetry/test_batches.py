@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.telemetry.batches import LONGEST_BATCH, decode_batch, encode_batch, wire_schema
-from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema
+from bench.telemetry.batches import decode_batch, encode_batch, wire_schema
+from bench.telemetry.cycle_record import CYCLE, FIELDS, LONGEST_BATCH, arrow_schema
 
 
 def some_cycles(count: int, seed: int = 0) -> np.ndarray[Any, Any]:

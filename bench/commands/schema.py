@@ -1,0 +1,20 @@
+"""`golfbench schema`: the wire contract, without a running bench."""
+
+from __future__ import annotations
+
+import typer
+
+from bench.commands.session import Session
+
+
+def schema(context: typer.Context) -> None:
+    """Print the messages of a bench for other programs: keys, JSON Schemas, columns, units; as JSON.
+
+    A running bench answers the same on golfbench/BENCH/schema.
+    """
+    import json
+
+    from bench.network.wire_contract import wire_contract
+
+    bench = context.ensure_object(Session).configuration().bench.id
+    typer.echo(json.dumps(wire_contract(bench), indent=2))
