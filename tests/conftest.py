@@ -67,6 +67,7 @@ def _nspawn() -> str | None:
 TOOLS: dict[str, Callable[[], str | None]] = {
     "chromium": _program("chromium", "chromium-browser", "google-chrome"),
     "cyclictest": _program("cyclictest"),
+    "octave": _program("octave-cli", "octave"),
     "postgres": _postgres,
     "qemu": _program("qemu-system-x86_64"),
     "systemd": _systemd,

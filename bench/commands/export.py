@@ -21,6 +21,7 @@ class Format(StrEnum):
     RRD = "rrd"
     MCAP = "mcap"
     MAT = "mat"
+    MF4 = "mf4"
 
 
 def export(
@@ -39,7 +40,8 @@ def export(
 ) -> None:
     """Write records of swings for other programs, with the unit of every column.
 
-    csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove, mat for MATLAB.
+    csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (its layout is
+    written beside it), mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
     from bench.commands.progress import progress_bar
     from bench.export.record import read_record
@@ -108,3 +110,7 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
             from bench.export.mat_file import write_mat
 
             return write_mat
+        case Format.MF4:
+            from bench.export.mf4_file import write_mf4
+
+            return write_mf4

@@ -2,25 +2,36 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import asammdf
+import duckdb
 import numpy as np
+import polars
 import pyarrow.csv as pc
 import pytest
 from mcap.reader import make_reader
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
+from bench.errors import BenchError
+from bench.export.changes import changes
 from bench.export.csv_table import write_csv
 from bench.export.mat_file import write_mat
-from bench.export.mcap_file import write_mcap
+from bench.export.mcap_file import json_schema, write_mcap
+from bench.export.mf4_file import write_mf4
 from bench.export.record import ExportRecord, columns, read_record
 from bench.export.rrd_file import write_rrd
+from bench.lifecycle import Phase, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.whole_file import NotStored
+from sim.robot import Club
 
 Cycles = np.ndarray[Any, Any]
 BEGIN = "2026-11-01T09:30:00+00:00"
@@ -81,32 +92,147 @@ def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord
     assert json.loads(read["metadata"]) == record.metadata
 
 
-def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
-    (path,) = write_mcap(tmp_path / "007.mcap", record)
-    back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
+def read_mcap(path: Path) -> dict[str, list[tuple[Any, Any, Any]]]:
+    """Return schema, message and its contents by topic, by the `mcap` package."""
+    found: dict[str, list[tuple[Any, Any, Any]]] = {}
     with path.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        for n, (schema, channel, message) in enumerate(reader.iter_messages()):
+        for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             assert schema is not None
-            assert (schema.encoding, channel.message_encoding, channel.topic) == (
-                "jsonschema",
-                "json",
-                "/cycle",
-            )
-            row, properties = json.loads(message.data), json.loads(schema.data)["properties"]
-            for field in FIELDS:
-                found = row[field.name] if field.components else row
-                numbers = [found.get(name, np.nan) for name in field.components or (field.name,)]
-                back[field.name][n] = numbers if field.components else numbers[0]
-            times.append(message.log_time)
-        (metadata,) = reader.iter_metadata()
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            row = schema, message, json.loads(message.data)
+            found.setdefault(channel.topic, []).append(row)
+    return found
+
+
+def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
+    path, _ = write_mcap(tmp_path / "007.mcap", record)
+    back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
+    for n, (schema, message, row) in enumerate(read_mcap(path)["/cycle"]):
+        properties = json.loads(schema.data)["properties"]
+        for field in FIELDS:
+            found = row[field.name] if field.components else row
+            numbers = [found.get(name, np.nan) for name in field.components or (field.name,)]
+            back[field.name][n] = numbers if field.components else numbers[0]
+        times.append(message.log_time)
+    with path.open("rb") as stream:
+        (metadata,) = make_reader(stream).iter_metadata()
     assert equal(back, record.cycles)
     assert properties["angle"]["properties"]["wrist"]["unit"] == "rad"
     assert [properties["plant_effort"]["properties"][j]["unit"] for j in ("shoulder", "arm")] == ["N m", "N"]
+    assert {"title": "DOWNSWING", "const": int(Phase.DOWNSWING)} in properties["phase"]["oneOf"]
     assert {key: json.loads(value) for key, value in metadata.metadata.items()} == record.metadata
     assert times[0] == 1793525400 * 10**9
     steps = np.diff(times) - np.round(np.diff(record.cycles["time"]) * 1e9)
     assert np.abs(steps).max() <= 1
+
+
+def test_mcap_has_frames_shapes_and_a_log_for_viewers(tmp_path: Path, record: ExportRecord) -> None:
+    """The head that the frames place is where the estimate has it; each shape is in a frame that exists."""
+    path, _ = write_mcap(tmp_path / "007.mcap", record)
+    topics = read_mcap(path)
+    names = {topic: rows[0][0].name for topic, rows in topics.items()}
+    assert names["/tf"] == "foxglove.FrameTransforms"
+    assert names["/scene"] == "foxglove.SceneUpdate"
+    assert names["/log"] == "foxglove.Log"
+    frames = {one["child_frame_id"]: one for _, _, row in topics["/tf"] for one in row["transforms"]}
+    assert {one["parent_frame_id"] for one in frames.values()} == {"world", "golf", "plane"}
+    (shapes,) = (row["entities"] for _, _, row in topics["/scene"])
+    assert {shape["frame_id"] for shape in shapes} <= frames.keys()
+    last = topics["/tf"][-1]
+    club, length = frames["club"], Club.thesis().length_to_face
+    at = [row for _, message, row in topics["/cycle"] if message.log_time == last[1].log_time]
+    turn = 2 * np.arctan2(club["rotation"]["z"], club["rotation"]["w"])
+    head = [
+        club["translation"]["x"] + length * np.cos(turn),
+        club["translation"]["y"] + length * np.sin(turn),
+    ]
+    assert [at[0]["head_position"][axis] for axis in "xy"] == pytest.approx(head, abs=1e-3)
+    assert topics["/log"][0][2]["level"] == 2
+    assert len(topics["/log"]) == len(list(changes(record.cycles)))
+
+
+def test_the_layout_names_what_is_in_the_file(tmp_path: Path, record: ExportRecord) -> None:
+    path, layout = write_mcap(tmp_path / "007.mcap", record)
+    read, topics = json.loads(layout.read_text()), read_mcap(path)
+    panels = read["configById"]
+
+    def leaves(part: Any) -> list[str]:
+        return [part] if isinstance(part, str) else leaves(part["first"]) + leaves(part["second"])
+
+    assert sorted(leaves(read["layout"])) == sorted(panels)
+    schema = json_schema()
+    plotted = [p["value"] for panel in panels.values() for p in panel.get("paths", ())]
+    assert len(plotted) == 14
+    for name in plotted:
+        topic, *parts = name.removeprefix("/").split(".")
+        part = schema
+        for key in parts:
+            part = part["properties"][key]
+        assert (topic, "type" in part or "oneOf" in part) == ("cycle", True)
+    assert panels["RosOut!log"]["topicToRender"] in topics
+    assert panels["3D!swing"]["topics"].keys() <= topics.keys()
+
+
+def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record: ExportRecord) -> None:
+    (path,) = write_mf4(tmp_path / "007.mf4", record)
+    cycles = record.cycles
+    with asammdf.MDF(path) as file:
+        wrist, phase = file.get("angle_wrist"), file.get("phase")
+        assert np.array_equal(wrist.samples, cycles["angle"][:, 2])
+        assert np.array_equal(wrist.timestamps, cycles["time"] - cycles["time"][0])
+        assert [wrist.unit, file.get("plant_effort_arm").unit, file.get("tick").unit] == ["rad", "N", ""]
+        assert np.array_equal(file.get("phase", raw=True).samples, cycles["phase"])
+        assert {text.decode() for text in phase.samples} == {Phase(code).name for code in cycles["phase"]}
+        assert "chamber_pressure_shoulder_a" not in file.channels_db  # not fitted
+        found = [(event.name, round(event.value, 9)) for event in file.events]
+        text, name, _ = file.extract_attachment(0)
+        assert file.start_time == datetime.fromisoformat(BEGIN)
+    begin = cycles["time"][0]
+    assert found == [(c.text, round(float(cycles["time"][c.row] - begin), 9)) for c in changes(cycles)]
+    assert (json.loads(text), name.name) == (record.metadata, "golfbench.json")
+
+
+def test_mf4_without_asammdf_names_the_package(
+    tmp_path: Path, record: ExportRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(BenchError, match="golfbench\\[mdf\\]"):
+        write_mf4(tmp_path / "007.mf4", record)
+
+
+def test_the_record_itself_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
+    """Names beside numbers, and units in the file's own metadata."""
+    path, phases = record.path, record.cycles["phase"]
+    with duckdb.connect() as connection:
+        rows = connection.execute(
+            "select phase_name, count(*), max(phase) from read_parquet(?) group by 1", [str(path)]
+        ).fetchall()
+        facts = connection.execute(
+            "select decode(value) from parquet_kv_metadata(?) where decode(key) = 'units'", [str(path)]
+        ).fetchone()
+    names = {Phase(int(code)).name: (int(np.sum(phases == code)), int(code)) for code in np.unique(phases)}
+    assert {name: (count, code) for name, count, code in rows} == names
+    assert facts is not None
+    assert json.loads(facts[0])["angle_wrist"] == "rad"
+    frame = polars.read_parquet(path)
+    assert frame["state_name"].to_list() == [State(int(code)).name for code in record.cycles["state"]]
+    assert np.array_equal(frame["angle_wrist"].to_numpy(), record.cycles["angle"][:, 2])
+    assert json.loads(polars.read_parquet_metadata(path)["units"])["velocity_arm"] == "rad/s"
+
+
+@pytest.mark.requires("octave")
+def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callable[[str], str]) -> None:
+    (path,) = write_mat(tmp_path / "007.mat", record)
+    script = f"load('{path}'); printf('%s %.17g', units.angle, cycles.angle(2, 1))"
+    done = subprocess.run(
+        [tool("octave"), "--eval", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+    )
+    unit, value = done.stdout.split()
+    assert (unit, float(value)) == ("rad", record.cycles["angle"][1, 0])
 
 
 def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -> None:
@@ -136,9 +262,13 @@ def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -
 
 def assert_readable(schema: dict[str, Any], value: Any) -> None:
     """Hold a schema and a value against the rules of Foxglove's schema parser: one type a property."""
+    assert not {"anyOf", "allOf", "$ref", "enum"} & schema.keys()
+    if "oneOf" in schema:  # an enumeration: number constants with titles
+        assert all(type(one["const"]) is int and one["title"] for one in schema["oneOf"])
+        assert value in [one["const"] for one in schema["oneOf"]]
+        return
     kind = schema["type"]
-    assert kind in {"boolean", "string", "number", "integer", "object"}
-    assert not {"anyOf", "oneOf", "allOf", "$ref"} & schema.keys()
+    assert kind in {"boolean", "string", "number", "integer", "object", "array"}
     if kind == "object":
         assert isinstance(value, dict)
         assert value.keys() <= schema["properties"].keys()
@@ -148,6 +278,9 @@ def assert_readable(schema: dict[str, Any], value: Any) -> None:
                 assert_readable(part, value[name])
             else:
                 assert part["type"] == "number", name
+    elif kind == "array":
+        for item in value:
+            assert_readable(schema["items"], item)
     else:
         python = {"boolean": bool, "string": str, "number": float, "integer": int}[kind]
         assert type(value) is python
@@ -156,14 +289,13 @@ def assert_readable(schema: dict[str, Any], value: Any) -> None:
 def test_mcap_is_readable_by_viewers_that_take_one_type_a_property(
     tmp_path: Path, record: ExportRecord
 ) -> None:
-    (path,) = write_mcap(tmp_path / "007.mcap", record)
-    with path.open("rb") as stream:
-        for schema, _, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            assert_readable(json.loads(schema.data), json.loads(message.data))
+    path, _ = write_mcap(tmp_path / "007.mcap", record)
+    for rows in read_mcap(path).values():
+        for schema, _, content in rows:
+            assert_readable(json.loads(schema.data), content)
 
 
-@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
+@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_a_folder_that_is_not_there_is_told(
     write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord
 ) -> None:
@@ -171,7 +303,7 @@ def test_a_folder_that_is_not_there_is_told(
         write(Path("/nonexistent/x"), record)
 
 
-@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_rrd])
+@pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
 def test_a_record_without_cycles_can_be_exported(
     write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord, tmp_path: Path
 ) -> None:

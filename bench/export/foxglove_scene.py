@@ -1,0 +1,147 @@
+"""Robot, ball and ground as messages of Foxglove's 3D panel: frames that move, and shapes fixed in them.
+
+Frames: `world`, Z up, X along the target line, on the ground below the point of impact; in it `golf`, the
+frame of `sim/impact.py`; in it `plane`, the swing plane's; in it the bodies'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from bench.viewer.scene import ball_at_rest, body_poses, plane_to_golf
+from sim.plant import PlantParameters
+from sim.robot import RobotParameters
+
+Message = dict[str, Any]
+
+_STEEL, _ALUMINIUM, _BLUE = (0.36, 0.41, 0.47), (0.77, 0.80, 0.83), (0.15, 0.44, 0.70)
+_DARK, _RED, _WHITE, _GRASS = (0.16, 0.16, 0.18), (0.67, 0.13, 0.16), (1.0, 1.0, 1.0), (0.38, 0.56, 0.32)
+_UPRIGHT, _ALONG_X = (1 / sqrt(2), 0.0, 0.0, 1 / sqrt(2)), (0.0, 1 / sqrt(2), 0.0, 1 / sqrt(2))
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+_HEAD = (0.1, 0.1, 0.06)
+
+
+def stamp(nanoseconds: int) -> Message:
+    """Return a time since 1970 as messages have it."""
+    return {"sec": nanoseconds // 10**9, "nsec": nanoseconds % 10**9}
+
+
+def fixed_frames(plant: PlantParameters, at: int) -> Message:
+    """Return the frames that do not move, at `at` (ns)."""
+    axes, origin = plane_to_golf(plant.robot, plant.site)
+    # The swing plane's axes are the golf frame's, turned about X.
+    half = np.arctan2(axes[2, 1], axes[1, 1]) / 2
+    turn = (float(np.sin(half)), 0.0, 0.0, float(np.cos(half)))
+    return {
+        "transforms": [
+            _transform(at, "world", "golf", (0.0, 0.0, 0.0), _UPRIGHT),
+            _transform(at, "golf", "plane", origin, turn),
+        ]
+    }
+
+
+def moving_frames(robot: RobotParameters, angle: np.ndarray, times: Iterable[int]) -> Iterable[Message]:
+    """Yield the bodies' frames for joint angles (n, 3) rad at `times` (ns)."""
+    poses = body_poses(robot, angle)
+    for row, at in enumerate(times):
+        yield {
+            "transforms": [
+                _transform(at, "plane", name, translation[row], quaternion[row])
+                for name, (translation, quaternion) in poses.items()
+            ]
+        }
+
+
+def scene(plant: PlantParameters, at: int) -> Message:
+    """Return all shapes, at `at` (ns); they stay until the end and move with their frames."""
+    robot, club = plant.robot, plant.robot.club
+    rest = ball_at_rest(robot, plant.site, plant.ball.radius)
+    shapes: Mapping[str, tuple[str, Message]] = {
+        "shoulder_link": _cube((0.43, 0.05, 0.02), (robot.l62 / 2 - robot.l16, 0.0, 0.0), _STEEL),
+        "left_arm": _cube((0.62, 0.04, 0.02), (robot.l23 / 2, 0.0, 0.03), _ALUMINIUM),
+        "right_arm_rod": _rod(0.36, 0.009, _WHITE),
+        "right_arm_cylinder": _rod(robot.l56, 0.0225, _BLUE),
+        "club": _rod(club.shaft_length, club.shaft_radius, _DARK),
+    }
+    entities = [_entity(at, name, name, {kind: [shape]}) for name, (kind, shape) in shapes.items()]
+    kind, head = _cube(_HEAD, (club.length_to_face, -_HEAD[1] / 2, 0.0), _RED)
+    entities.append(_entity(at, "club", "head", {kind: [head]}))
+    kind, ground = _cube((12.0, 0.02, 8.0), (2.0, -0.012, 0.0), _GRASS)
+    entities.append(_entity(at, "golf", "ground", {kind: [ground]}))
+    size = _vector((2 * plant.ball.radius,) * 3)
+    ball = {"pose": _pose(rest, _NO_TURN), "size": size, "color": _colour(_WHITE)}
+    entities.append(_entity(at, "golf", "ball", {"spheres": [ball]}))
+    entities.append(_entity(at, "golf", "target line", {"lines": [_target_line()]}))
+    return {"deletions": [], "entities": entities}
+
+
+def _entity(at: int, frame: str, name: str, shapes: Mapping[str, list[Message]]) -> Message:
+    entity = {
+        "timestamp": stamp(at),
+        "frame_id": frame,
+        "id": name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": True,
+        "metadata": [],
+    }
+    return entity | {kind: shapes.get(kind, []) for kind in ("cubes", "spheres", "cylinders", "lines")}
+
+
+def _transform(at: int, parent: str, child: str, translation: Any, rotation: Any) -> Message:
+    return {
+        "timestamp": stamp(at),
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": _vector(translation),
+        "rotation": _quaternion(rotation),
+    }
+
+
+def _cube(
+    size: tuple[float, ...], centre: tuple[float, ...], colour: tuple[float, ...]
+) -> tuple[str, Message]:
+    return "cubes", {"pose": _pose(centre, _NO_TURN), "size": _vector(size), "color": _colour(colour)}
+
+
+def _rod(length: float, radius: float, colour: tuple[float, ...]) -> tuple[str, Message]:
+    """Return a cylinder along x that begins at the frame's origin."""
+    return "cylinders", {
+        "pose": _pose((length / 2, 0.0, 0.0), _ALONG_X),
+        "size": _vector((2 * radius, 2 * radius, length)),
+        "bottom_scale": 1.0,
+        "top_scale": 1.0,
+        "color": _colour(colour),
+    }
+
+
+def _target_line() -> Message:
+    return {
+        "type": 0,
+        "pose": _pose((0.0, 0.002, 0.0), _NO_TURN),
+        "thickness": 0.01,
+        "scale_invariant": False,
+        "points": [_vector((x, 0.0, 0.0)) for x in (-1.3, 8.0)],
+        "color": _colour(_WHITE),
+        "colors": [],
+        "indices": [],
+    }
+
+
+def _pose(position: Any, orientation: Any) -> Message:
+    return {"position": _vector(position), "orientation": _quaternion(orientation)}
+
+
+def _vector(values: Any) -> Message:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _quaternion(values: Any) -> Message:
+    return dict(zip("xyzw", map(float, values), strict=True))
+
+
+def _colour(values: tuple[float, ...]) -> Message:
+    return dict(zip("rgba", (*values, 1.0), strict=True))
