@@ -21,7 +21,7 @@ class ShotJoin:
         self._waiting: list[tuple[float, ShotPublication]] = []
 
     def note_record(self, shot_id: str, facts: Mapping[str, Any]) -> None:
-        """Add what is known of a shot's record."""
+        """Add the known keys of a shot's record."""
         self._records[shot_id] = facts
         for old in list(self._records)[:-_MOST]:
             del self._records[old]

@@ -1,6 +1,6 @@
 """Messages of `golfbench/<id>/shot`: their keys, writing and reading.
 
-JSON of the keys of `ShotPublication`, always all of them: null is what is not known when it is sent.
+JSON of the keys of `ShotPublication`, always all of them; an unknown value is null.
 
 A bench without a launch monitor sends one message a swing, when its record is stored, and knows nothing of
 the ball. With one it sends a second message with the outcome, and one for every launch that belongs to no
@@ -58,7 +58,7 @@ class ShotPublication(TypedDict):
 
 
 def shot_publication(**known: Any) -> ShotPublication:
-    """Return the message with what is `known`, null elsewhere.
+    """Return the message with the `known` keys, null elsewhere.
 
     Raises:
         KeyError: `known` has a key that the message does not have.
