@@ -106,7 +106,7 @@ class LastShot(TypedDict):
     """ISO 8601."""
 
 
-class HandWork(TypedDict):
+class ComingWork(TypedDict):
     """Work by hand that comes next."""
 
     shots: int
@@ -148,5 +148,5 @@ class CampaignMessage(TypedDict):
     seconds_left: float | None
     """Expected time to the end, s; None while the pace is not known."""
     last_shot: LastShot | None
-    next_work: HandWork | None
+    next_work: ComingWork | None
     event: CampaignNews | None
