@@ -34,6 +34,18 @@ def running_cluster(workers: int, config: Path | None = None) -> Iterator[tuple[
             process.wait(_ENDING)
 
 
+def kill_worker(cluster: psutil.Process) -> list[int]:
+    """Kill the worker of `cluster` that has done most; return its process id, or nothing if there is none."""
+    with suppress(psutil.NoSuchProcess):
+        below = cluster.children(recursive=True)
+        workers = [child for child in below if "spawn_main" in " ".join(child.cmdline())]
+        if workers:
+            worker = max(workers, key=lambda process: process.cpu_times().user)
+            worker.kill()
+            return [worker.pid]
+    return []
+
+
 @contextmanager
 def killed_workers(cluster: psutil.Process, every: float, at_most: int) -> Iterator[list[int]]:
     """Kill a worker of `cluster` in every `every` s of the block; yield the list of those killed."""
@@ -41,12 +53,7 @@ def killed_workers(cluster: psutil.Process, every: float, at_most: int) -> Itera
 
     def kill() -> None:
         while len(killed) < at_most and not stop.wait(every):
-            with suppress(psutil.NoSuchProcess):
-                below = cluster.children(recursive=True)
-                workers = [child for child in below if "spawn_main" in " ".join(child.cmdline())]
-                if workers:
-                    workers[0].kill()
-                    killed.append(workers[0].pid)
+            killed.extend(kill_worker(cluster))
 
     killer = Thread(target=kill)
     killer.start()

@@ -1,14 +1,14 @@
 """Ten thousand campaigns with known truth: coverage, false positives, and power as the plan foretold.
 
 Statistics only: shots are drawn from the model of a campaign, not swung. Seeds are fixed beforehand: SEED and
-the number of the campaign. Options: `--campaigns N` a case.
+the number of the campaign. Options: `--campaigns N` a case, and those of the engine.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import combinations
 from math import sqrt
@@ -24,6 +24,7 @@ from bench.campaign.series import foreseen
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import Sweeper, add_engine_options, in_this_process, sweeper
 
 SEED = 20261121
 CAMPAIGNS = 10_000
@@ -97,25 +98,35 @@ class Tally:
     campaigns: int = 0
 
 
-def _tally(plan: CampaignPlan, truth: Truth, campaigns: int, first_seed: int) -> Tally:
-    tally = Tally()
-    names = levels(plan)
-    true = {(one, two): truth.difference * (one == names[0]) for one, two in combinations(names, 2)}
-    for number in range(campaigns):
-        result = analyse(plan, campaign_shots(plan, truth, first_seed + number), 1, "").confirmatory
+@dataclass(frozen=True)
+class KnownCampaigns:
+    """Campaigns by a plan with a known truth, by seed."""
+
+    plan: CampaignPlan
+    truth: Truth
+
+    def prepared(self) -> Callable[[int], Tally]:
+        """Return the function of a seed."""
+        return self._judged
+
+    def _judged(self, seed: int) -> Tally:
+        names = levels(self.plan)
+        true = {pair: self.truth.difference * (pair[0] == names[0]) for pair in combinations(names, 2)}
+        result = analyse(self.plan, campaign_shots(self.plan, self.truth, seed), 1, "").confirmatory
         if result is None:
             raise RuntimeError("a complete campaign without an answer")
         verdicts = [pair.verdict in {"different", "both"} for pair in result.pairs]
         null = [
             v for pair, v in zip(result.pairs, verdicts, strict=True) if not true[pair.first, pair.second]
         ]
-        tally.covered += sum(pair.low <= true[pair.first, pair.second] <= pair.high for pair in result.pairs)
-        tally.found += verdicts[0]
-        tally.any_found += any(null)
-        tally.same += result.pairs[0].verdict in {"same", "both"}
-        tally.pairs += len(result.pairs)
-        tally.campaigns += 1
-    return tally
+        return Tally(
+            covered=sum(pair.low <= true[pair.first, pair.second] <= pair.high for pair in result.pairs),
+            found=int(verdicts[0]),
+            any_found=int(any(null)),
+            same=int(result.pairs[0].verdict in {"same", "both"}),
+            pairs=len(result.pairs),
+            campaigns=1,
+        )
 
 
 def plans() -> tuple[CampaignPlan, CampaignPlan]:
@@ -138,7 +149,7 @@ def plans() -> tuple[CampaignPlan, CampaignPlan]:
     return two, four
 
 
-def survey(campaigns: int) -> list[Row]:
+def survey(campaigns: int, swept: Sweeper = in_this_process) -> list[Row]:
     """Return what `campaigns` campaigns a case give; three standard errors, or 5 points for power."""
     two, four = plans()
     rows: list[Row] = []
@@ -154,7 +165,12 @@ def survey(campaigns: int) -> list[Row]:
         note = f"of {of}, foretold {power:.4f}"
         rows.append(Row("campaign statistics", name, count / of, "", note, power - half, power + half))
 
-    null = _tally(two, drifting, campaigns, 0)
+    def tally(plan: CampaignPlan, truth: Truth, first_seed: int) -> Tally:
+        seeds = range(first_seed, first_seed + campaigns)
+        tallies = swept(KnownCampaigns(plan, truth), seeds, f"{len(levels(plan))} balls")
+        return Tally(*(sum(column) for column in zip(*(astuple(one) for one in tallies), strict=True)))
+
+    null = tally(two, drifting, 0)
     rate("two balls, equal: interval covers the truth", null.covered, null.pairs, 0.95)
     rate("two balls, equal: called different", null.found, null.campaigns, 0.05)
     a = two.analysis
@@ -163,15 +179,15 @@ def survey(campaigns: int) -> list[Row]:
         raise RuntimeError("nothing is foreseen")
     same = ahead.same(a.margin, 0.05)
     foretold("two balls, equal: called the same (TOST)", null.same, null.campaigns, same)
-    real = _tally(two, replace(drifting, difference=a.difference), campaigns, campaigns)
+    real = tally(two, replace(drifting, difference=a.difference), campaigns)
     rate("two balls, different: interval covers the truth", real.covered, real.pairs, 0.95)
     power = ahead.power(a.difference)
     foretold("two balls, different: found", real.found, real.campaigns, power)
     rate("two balls, at the margin: called the same", real.same, real.campaigns, 0.05)
     raw = replace(two, analysis=replace(two.analysis, drift="none"))
-    plain = _tally(raw, Truth(drift=0.0), campaigns, 2 * campaigns)
+    plain = tally(raw, Truth(drift=0.0), 2 * campaigns)
     rate("two balls, raw: interval covers the truth", plain.covered, plain.pairs, 0.95)
-    many = _tally(four, Truth(), campaigns, 3 * campaigns)
+    many = tally(four, Truth(), 3 * campaigns)
     # Pairs of one campaign share its shots: their errors are counted by campaigns, not by pairs.
     rate("four balls, equal: interval covers the truth", many.covered, many.pairs, 0.95, errors=campaigns)
     error = Row(
@@ -191,4 +207,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Run all cases; takes some minutes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="a case")
-    return survey(parser.parse_args(arguments).campaigns)
+    add_engine_options(parser)
+    options = parser.parse_args(arguments)
+    return survey(options.campaigns, sweeper(options))

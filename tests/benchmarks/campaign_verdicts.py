@@ -28,10 +28,8 @@ from bench.campaign.sequence import Role, block_trials, sections
 from bench.campaign.series import foreseen, series_needed
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
-from bench.simulation.local_engine import InProcess
-from bench.simulation.sweep import sweep
 from tests.benchmarks.row import Row
-from tests.benchmarks.swept import add_engine_options, swept
+from tests.benchmarks.swept import Sweeper, add_engine_options, in_this_process, sweeper
 
 SEED = 20261122
 CAMPAIGNS = 10_000
@@ -207,15 +205,6 @@ class Campaigns:
         return lambda number: tally(self.case, self.difference, 1, number, by_shots=self.by_shots)
 
 
-Sweeper = Callable[[Campaigns, range], list[Counts]]
-"""Runs campaigns of the numbers."""
-
-
-def one_by_one(study: Campaigns, numbers: range) -> list[Counts]:
-    """Run the campaigns in this process."""
-    return sweep(study, numbers, InProcess())
-
-
 def _sum(counts: Sequence[Counts]) -> Counts:
     return Counts(*(sum(column) for column in zip(*(astuple(c) for c in counts), strict=True)))
 
@@ -288,12 +277,12 @@ def _split_cases() -> list[Case]:
     ]
 
 
-def rows_of(case: Case, campaigns: int, slack: float = 2.0, sweeper: Sweeper = one_by_one) -> list[Row]:
+def rows_of(case: Case, campaigns: int, slack: float = 2.0, swept: Sweeper = in_this_process) -> list[Row]:
     """Return a row's figures; `slack` binomial standard errors are allowed beyond the promise."""
     plan, known = case.plan, case.known
 
     def counted(difference: float, numbers: range, *, by_shots: bool = False) -> Counts:
-        return _sum(sweeper(Campaigns(case, difference, by_shots), numbers))
+        return _sum(swept(Campaigns(case, difference, by_shots), numbers, case.name))
 
     several = len(levels(plan)) > 2
 
@@ -371,12 +360,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--rows", default="", help="part of a row's name")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
-
-    def sweeper(study: Campaigns, numbers: range) -> list[Counts]:
-        return swept(options, study, numbers, study.case.name)
-
     wanted: Callable[[Case], bool] = lambda case: options.rows in case.name  # noqa: E731
-    rows = [
-        row for case in filter(wanted, cases()) for row in rows_of(case, options.campaigns, sweeper=sweeper)
-    ]
+    chosen = filter(wanted, cases())
+    rows = [row for case in chosen for row in rows_of(case, options.campaigns, swept=sweeper(options))]
     return [*rows, *_covariate_rows()]

@@ -1,22 +1,25 @@
 """Carry and rules: coverage of the errors of fitted aerodynamics, risks of decisions by rules.
 
 Synthetic flights of a ball with known drag and lift, measured with scatter and calibration errors; synthetic
-series of balls at the limit of the distance standard. Seeds are fixed. Options: `--fits N`, `--series N`.
+series of balls at the limit of the distance standard. Seeds are fixed. Options: `--fits N`, `--series N`, and
+those of the engine.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import pi, radians, sqrt
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.calibration.aerodynamics_fit import FlightUncertainty, MeasuredFlight, fit_aerodynamics
 from bench.campaign.carry import ShotCarry
+from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.ruling import Decision, judge_rules
 from bench.config import load_configuration
@@ -26,6 +29,9 @@ from sim.ball import Ball
 from sim.flight import Launch, Wind, fly
 from sim.turf import Turf
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import Sweeper, add_engine_options, sweeper
+
+Array = NDArray[np.float64]
 
 SEED = 20261122
 MASS, RADIUS, DRAG, LIFT = 0.04593, 0.021335, 1.04, 0.95
@@ -60,20 +66,34 @@ def _flights(
     return found
 
 
-def _fit_rows(title: str, fits: int, count: int, common: FlightUncertainty, points: int = 0) -> list[Row]:
-    true = fly(JUDGED, ball=BALL)
-    covered, errors = np.zeros(3), np.zeros(3)
-    for number in range(fits):
-        random = np.random.default_rng((SEED, count, points, number))
-        values = fit_aerodynamics(
-            "x", _flights(count, random, common, points), SCATTER, common, mass=MASS, radius=RADIUS
-        )
-        flown = fly(JUDGED, ball=values.as_flown)
+@dataclass(frozen=True)
+class FittedFlights:
+    """Aerodynamics fitted to drawn flights, by number: what is off, and its stated standard error."""
+
+    count: int
+    common: FlightUncertainty
+    points: int
+
+    def prepared(self) -> Callable[[int], tuple[Array, Array]]:
+        """Return the function of a number; both results: drag factor, lift factor, carry (m)."""
+        return self._fit
+
+    def _fit(self, number: int) -> tuple[Array, Array]:
+        random = np.random.default_rng((SEED, self.count, self.points, number))
+        flights = _flights(self.count, random, self.common, self.points)
+        values = fit_aerodynamics("x", flights, SCATTER, self.common, mass=MASS, radius=RADIUS)
+        true, flown = fly(JUDGED, ball=BALL), fly(JUDGED, ball=values.as_flown)
         usual = FlightConditions()
         stated = np.array(
             [values.drag_error, values.lift_error, values.carry_error(JUDGED, usual.air, Wind(), Turf())]
         )
         off = np.array([values.drag_factor - DRAG, values.lift_factor - LIFT, flown.carry - true.carry])
+        return off, stated
+
+
+def _fit_rows(title: str, fits: int, study: FittedFlights, swept: Sweeper) -> list[Row]:
+    covered, errors = np.zeros(3), np.zeros(3)
+    for off, stated in swept(study, range(fits), title):
         covered += np.abs(off) <= 1.96 * stated
         errors += stated
     half = 3 * sqrt(0.95 * 0.05 / fits)
@@ -119,17 +139,35 @@ def _series(
     return shots
 
 
-def _rule_rows(series: int) -> list[Row]:
+@dataclass(frozen=True)
+class RuledSeries:
+    """Decisions by rules on series of shots around a mean total (yd), by number."""
+
+    plan: CampaignPlan
+    mean: float
+    balls: int
+    hits: int
+    deviation: float
+
+    def prepared(self) -> Callable[[int], Decision]:
+        """Return the function of a number."""
+        return self._decide
+
+    def _decide(self, number: int) -> Decision:
+        random = np.random.default_rng((SEED, self.balls, self.hits, number))
+        (found,) = judge_rules(self.plan, _series(random, self.mean, self.balls, self.hits, self.deviation))
+        return found.decision
+
+
+def _rule_rows(series: int, swept: Sweeper) -> list[Row]:
     plan = load_plan(Path("distance"), load_configuration(Path("shipped")))
     plan = replace(plan, rules=replace(plan.rules, apply=("ods",), uncertainty={"total_m": 0.0}))
     rows = []
     for balls, hits, deviation in ((12, 1, 2.0), (12, 3, 2.0), (6, 6, 1.0)):
-        for mean, wrong in ((320.0, Decision.CONFORMS), (320.0, Decision.FAILS)):
-            count = 0
-            for number in range(series):
-                random = np.random.default_rng((SEED, balls, hits, number))
-                (found,) = judge_rules(plan, _series(random, mean, balls, hits, deviation))
-                count += found.decision is wrong
+        study = RuledSeries(plan, 320.0, balls, hits, deviation)
+        decisions = swept(study, range(series), f"{balls} balls x {hits}")
+        for wrong in (Decision.CONFORMS, Decision.FAILS):
+            count = decisions.count(wrong)
             half = 3 * sqrt(0.0228 * 0.9772 / series)
             title = f"{balls} balls x {hits} at the limit: {wrong}"
             rows.append(
@@ -171,11 +209,13 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fits", type=int, default=1000, help="fits a case")
     parser.add_argument("--series", type=int, default=10_000, help="series a case")
+    add_engine_options(parser)
     given = parser.parse_args(arguments)
+    swept = sweeper(given)
     return [
         *_launch_rows(),
-        *_fit_rows("8 flights, carry, apex, time", given.fits, 8, NONE),
-        *_fit_rows("20 flights, device off", given.fits, 20, CALIBRATION),
-        *_fit_rows("20 flights of an indoor range, 6 points", given.fits, 20, NONE, 6),
-        *_rule_rows(given.series),
+        *_fit_rows("8 flights, carry, apex, time", given.fits, FittedFlights(8, NONE, 0), swept),
+        *_fit_rows("20 flights, device off", given.fits, FittedFlights(20, CALIBRATION, 0), swept),
+        *_fit_rows("20 flights of an indoor range, 6 points", given.fits, FittedFlights(20, NONE, 6), swept),
+        *_rule_rows(given.series, swept),
     ]

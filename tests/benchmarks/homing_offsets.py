@@ -4,21 +4,20 @@
 
 Each case turns the zeros of one joint, or of all three at once, by an offset of either sign, on absolute
 encoders and on incremental ones with an index; then it homes, arms and swings. All is judged by the plant.
-`--spread` draws the robot within so many times its tolerances.
+`--spread` draws the robot within so many times its tolerances; `--processes`, `--cluster` choose the engine.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.records import new_control_state
@@ -36,6 +35,7 @@ from sim.driver import hanging_pose
 from sim.plant import build_plant
 from tests.benchmarks.healthy_swings import counting
 from tests.benchmarks.row import Row
+from tests.benchmarks.swept import add_engine_options, swept
 
 FOUND_FROM = 0.05
 """rad, from which on an offset of one joint must be found."""
@@ -108,6 +108,27 @@ def home_and_swing(
     return Ending(Cause.NONE, seconds, swung, loads.lowest_clearance, unsafe)
 
 
+@dataclass(frozen=True)
+class WrongZeros:
+    """Homing and a swing with zeros that are wrong, by offsets (rad) and whether encoders are incremental."""
+
+    configuration: Configuration
+    profile: Profile
+    seed: int
+    spread: float
+
+    def prepared(self) -> Callable[[tuple[tuple[float, float, float], bool]], Ending]:
+        """Return the function of offsets and kind of encoder."""
+        return lambda case: home_and_swing(
+            self.configuration,
+            self.profile,
+            case[0],
+            incremental=case[1],
+            seed=self.seed,
+            spread=self.spread,
+        )
+
+
 def cases(offsets: Sequence[float]) -> Iterator[tuple[str, float, tuple[float, float, float]]]:
     """Yield name, size and offsets (rad) of each case: every joint alone, and all together in all signs."""
     for size in offsets:
@@ -127,6 +148,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--profile", default="", help="Name or path; else the configuration's.")
     parser.add_argument("--seed", type=int, default=0, help="Of the robot; 0 is the nominal one.")
     parser.add_argument("--spread", type=float, default=1.0, help="Times the tolerances.")
+    add_engine_options(parser)
     options = parser.parse_args(arguments)
     c = load_configuration(shipped_configuration())
     profile = load_profile(find_profile(options.profile or c.swing.profile))
@@ -134,10 +156,9 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     console = Console(stderr=True)
     table = [(*case, incremental) for case in cases(sizes) for incremental in (False, True)]
     ends: list[tuple[float, bool, bool, Ending]] = []
-    for name, size, offset, incremental in track(table, "homing", console=console, transient=True):
-        end = home_and_swing(
-            c, profile, offset, incremental=incremental, seed=options.seed, spread=options.spread
-        )
+    study = WrongZeros(c, profile, options.seed, options.spread)
+    endings = swept(options, study, [(offset, incremental) for *_, offset, incremental in table], "homing", c)
+    for (name, size, _, incremental), end in zip(table, endings, strict=True):
         kind = "index" if incremental else "absolute"
         text = f"{kind}, {name} rad: " + (
             end.cause.name if end.cause else f"READY, swung {end.swung}, {1e3 * end.clearance:.1f} mm"

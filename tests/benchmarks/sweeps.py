@@ -28,7 +28,7 @@ from bench.simulation.cluster_engine import connected
 from bench.simulation.local_engine import InProcess, LocalProcesses
 from bench.simulation.sweep import BATCH_TIME, Engine, sweep
 from tests.benchmarks.row import Row
-from tests.running_cluster import killed_workers, running_cluster
+from tests.running_cluster import kill_worker, running_cluster
 
 NAME = "sweeps"
 _EMPTY = 2000
@@ -82,7 +82,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--signal", default="", help="Faults with this in their name only.")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--kills", type=int, default=0, help="Kill so many workers, one in 3 s, and compare.")
+    parser.add_argument("--kills", type=int, default=0, help="Kill so many workers on the way, and compare.")
     parser.add_argument("--equal", action="store_true", help="Compare outcomes of 1, 2 and 4 workers only.")
     options = parser.parse_args(arguments)
     c = load_configuration(shipped_configuration())
@@ -114,15 +114,17 @@ def _killed(plan: MatrixPlan, study: FaultStudy, kills: int, count: int) -> Row:
     with TemporaryDirectory() as folder:
         alone, path = matrix_store(Path(folder) / "alone.jsonl", study), Path(folder) / "killed.jsonl"
         expected = run_matrix(plan, study, alone, LocalProcesses(count))
-        with (
-            running_cluster(count) as (address, cluster),
-            connected(address) as remote,
-            killed_workers(cluster, every=3.0, at_most=kills) as killed,
-        ):
-            found = run_matrix(plan, study, matrix_store(path, study), remote)
+        killed = list[int]()
+        with running_cluster(count) as (address, cluster), connected(address) as remote:
+
+            def kill(done: int) -> None:
+                if len(killed) < kills and done * (kills + 1) >= len(plan.cases) * (len(killed) + 1):
+                    killed.extend(kill_worker(cluster))
+
+            found = run_matrix(plan, study, matrix_store(path, study), remote, progress=kill)
         twice = path.read_text().count('"case"') - len(plan.cases)
     differing = sum(one != other for one, other in zip(expected, found, strict=True))
-    note = f"{len(killed)} workers killed, {len(plan.cases)} cases, {twice} stored twice"
+    note = f"{len(set(killed))} workers killed, {len(plan.cases)} cases, {twice} stored twice"
     return Row(NAME, "outcomes that differ", differing + twice, "", note, at_most=0)
 
 

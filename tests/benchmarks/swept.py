@@ -4,15 +4,39 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Hashable, Sequence
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from bench.commands.progress import progress_bar
 from bench.commands.sweep_engine import sweep_engine
 from bench.config import Configuration, load_configuration
+from bench.simulation.local_engine import InProcess
 from bench.simulation.sweep import Study, sweep
+from bench.simulation.sweep_store import SweepStore
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
+
+
+class Sweeper(Protocol):
+    """Runs a study's cases on an engine that was chosen."""
+
+    def __call__(self, study: Study[Case, Result], cases: Sequence[Case], what: str) -> list[Result]:
+        """Return the results of `cases` in their order; `what` names them on the bar of progress."""
+        ...
+
+
+def in_this_process(study: Study[Case, Result], cases: Sequence[Case], what: str = "") -> list[Result]:
+    """Run `cases` one after the other here: a `Sweeper`."""
+    return sweep(study, cases, InProcess())
+
+
+def sweeper(options: argparse.Namespace) -> Sweeper:
+    """Return the sweeper of the engine of `options`."""
+
+    def run(study: Study[Case, Result], cases: Sequence[Case], what: str) -> list[Result]:
+        return swept(options, study, cases, what)
+
+    return run
 
 
 def add_engine_options(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +52,10 @@ def swept(
     what: str,
     configuration: Configuration | None = None,
     group: Callable[[Case], Hashable] = lambda case: None,
+    store: SweepStore[Result] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> list[Result]:
-    """Return what `study` makes of `cases`, on the engine of `options`."""
+    """Return what `study` makes of `cases`, on the engine of `options`; those so far on `stop`."""
     c = configuration or load_configuration()
     with sweep_engine(c, options.processes, options.cluster, len(cases)) as engine, progress_bar() as bar:
         task = bar.add_task(what, total=len(cases))
@@ -37,4 +63,4 @@ def swept(
         def show(done: int) -> None:
             bar.update(task, completed=done)
 
-        return sweep(study, cases, engine, group=group, progress=show)
+        return sweep(study, cases, engine, store=store, group=group, progress=show, stop=stop)
