@@ -1,6 +1,6 @@
 """Make one swing on a running bench and print what the club and the ball did.
 
-.venv/bin/golfbench run --time paced              # terminal 1: a bench with the simulated robot
+.venv/bin/golfbench run                           # terminal 1: a bench with the simulated robot
 .venv/bin/python tests/examples/one_swing.py      # terminal 2; with a configuration: one_swing.py bench.toml
 """
 
