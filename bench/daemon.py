@@ -24,7 +24,7 @@ from bench.config import Configuration
 from bench.design.validate import beyond_range
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import StopFlag, stop_on_signals
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, Request, State
+from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply
 from bench.network.command_plane import CommandPlane
 from bench.network.zenoh_session import open_daemon
@@ -38,7 +38,8 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
-from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, status_of
+from bench.processes.stall import stall_note
+from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, cause_text, status_of
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.shot_join import ShotJoin
@@ -121,6 +122,7 @@ class Daemon:
         self._statistics: LoopStatus = NO_STATISTICS
         self._device = DeviceStatus(trouble="", counters={})
         self._swings = 0
+        self._stall = ""
         self._ending = False
         self._started = time.monotonic()
 
@@ -184,6 +186,7 @@ class Daemon:
             real_time=self._real_time,
             last_stop=self._marker.last_stop,
             uptime=time.monotonic() - self._started,
+            stall=self._stall,
         )
 
     @property
@@ -443,6 +446,11 @@ class Daemon:
                 Cause(codes[3]),
             )
             self._before = state, phase, reaction, cause
+            if cause is not old[3]:
+                envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
+                self._stall = stall_note(cycles[: k + 1], cause, envelope.lost_time, period)
+                if self._stall:
+                    _log.warning("%s: %s", cause.name, self._stall)
             if state is State.SWINGING and old[0] is not State.SWINGING:
                 self._swings += 1
             if state is not old[0] or cause is not old[3] or reaction is not old[2]:
@@ -457,7 +465,9 @@ class Daemon:
                 | tick,
             )
             if state in _LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
-                self._marker.note_stop(self._stop_entry(cause.name, CAUSE_TEXT[cause], old[0], old[1]))
+                self._marker.note_stop(
+                    self._stop_entry(cause.name, cause_text(cause, self._stall), old[0], old[1])
+                )
 
     def _stop_entry(self, cause: str, text: str, state: State, phase: Phase) -> dict[str, Any]:
         return {

@@ -71,7 +71,7 @@ class DriverSettings:
     """Driver: "sim", the simulated plant; "canopen", "daq", hardware; "mock", whose valves move the joints at
     once; or the name of a plug-in."""
     time: Literal["wall", "paced"]
-    """Time of "sim": "paced", the plant in step with the ticks; "wall", on its own clock in its own process."""
+    """Time of "sim": "paced", the plant in step with the ticks; "wall", on its own clock in a process."""
     watchdog: Annotated[float, Range(0.005, 0.5, "s")]
     """Silence after which the device goes passive by itself (s)."""
 

@@ -43,12 +43,13 @@ def status_of(
     newest: Cycles | None,
     children: Mapping[str, Child],
     notes: Mapping[str, str],
+    stall: str = "",
     **beside: Any,
 ) -> BenchStatus:
     """Return the status from the loop's `newest` record (None if it has not run yet).
 
-    `notes` are remarks on the `children`; `beside` are the keys of the status not in the record. The command
-    plane adds lease and counts.
+    `notes` are remarks on the `children`; `stall` is what `stall_note` found at the stop; `beside` are the
+    keys of the status not in the record. The command plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
     cause, latest = Cause(int(r["trip"])), Cause(int(r["latest_cause"]))
@@ -57,7 +58,7 @@ def status_of(
         "state": State(int(r["state"])).name,
         "phase": Phase(int(r["phase"])).name,
         "reaction": Reaction(int(r["reaction"])).name,
-        "cause": _cause(cause),
+        "cause": _cause(cause, stall),
         "latest_cause": _cause(latest) if latest != cause else None,
         "homed": bool(r["homed"]),
         "vented": bool(r["vented"]),
@@ -83,8 +84,14 @@ def status_of(
     return cast(BenchStatus, status)
 
 
-def _cause(cause: Cause) -> CauseStatus | None:
-    return CauseStatus(name=cause.name, text=CAUSE_TEXT[cause]) if cause else None
+def cause_text(cause: Cause, stall: str) -> str:
+    """Return the operator's text for `cause`; with a stall in place of its cure, if there was one."""
+    text = CAUSE_TEXT[cause]
+    return f"{text.partition(':')[0]}: {stall}" if stall else text
+
+
+def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
+    return CauseStatus(name=cause.name, text=cause_text(cause, stall)) if cause else None
 
 
 def _air_faults(bits: int) -> list[Cause]:
