@@ -7,6 +7,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 from bench.page.answers import InvalidBody, json_answer
+from bench.page.campaign_service import CampaignService
 from bench.page.guard import Application, Guard
 from bench.page.page_service import PageService
 
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger("golfbench")
 
 
-def page_application(service: PageService, scheme: str, hosts: Collection[str]) -> Application:
-    """Return the application of `service`, reached by `scheme` under `hosts` (HOST:PORT)."""
+def page_application(
+    service: PageService, campaigns: CampaignService, scheme: str, hosts: Collection[str]
+) -> Application:
+    """Return the application of `service` and `campaigns`, reached by `scheme` under `hosts` (HOST:PORT)."""
     from starlette.applications import Starlette
     from starlette.routing import Route
 
@@ -31,6 +34,11 @@ def page_application(service: PageService, scheme: str, hosts: Collection[str]) 
         Route("/api/lease", service.lease, methods=["POST"]),
         Route("/api/stop/{name}", service.stop, methods=["POST"]),
         Route("/api/command/{name}", service.command, methods=["POST"]),
+        Route("/api/archive", campaigns.archive),
+        Route("/api/campaign/{campaign}", campaigns.detail),
+        Route("/api/campaign/{campaign}/{name}", campaigns.change, methods=["POST"]),
+        Route("/report/{campaign}", campaigns.report),
+        Route("/record/{name}", campaigns.record),
     ]
     application = Starlette(routes=routes, exception_handlers={InvalidBody: _invalid, Exception: _failed})
     return Guard(application, scheme, hosts)

@@ -10,6 +10,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
@@ -126,7 +127,9 @@ class BenchLink:
                 self._heard_at = self._clock()
                 self._publish("state", view | {"seen": self._heard_at})
             elif topic == "event":
-                self._events.append(content)
+                self._events.append(
+                    content | {"at_utc": datetime.now(UTC).isoformat(timespec="milliseconds")}
+                )
                 self._publish("events", list(self._events))
             elif topic == "shot":
                 for watcher in self._shot_watchers:

@@ -61,8 +61,8 @@ class CommandNumbers:
         self._seen: OrderedDict[str, None] = OrderedDict()
         self._lock = Lock()
 
-    def check(self, number: str, seen: float) -> None:
-        """Take command `number`, given from the state of time `seen` (s, the page's clock).
+    def check(self, number: str, seen: float | None) -> None:
+        """Take command `number`, given from the state of time `seen` (s, the page's clock); None: any.
 
         Raises:
             Refused: it came before, or the state on the screen was too old.
@@ -75,6 +75,8 @@ class CommandNumbers:
             self._seen[number] = None
             while len(self._seen) > MAX_NUMBERS:
                 self._seen.popitem(last=False)
+        if seen is None:
+            return
         age = self._clock() - seen
         if not 0.0 <= age <= MAX_AGE:
             raise Refused(

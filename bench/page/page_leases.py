@@ -83,7 +83,7 @@ class PageLeases:
         """Return the client that holds the lease of `ticket`.
 
         Raises:
-            Refused: there is none, or it has expired.
+            Refused: no lease, or it has expired.
         """
         with self._lock:
             held = self._held.get(ticket)

@@ -1,4 +1,4 @@
-"""The page's web server: where it listens, with which certificate, and how it ends."""
+"""The page's web server: its parts, its socket, how it begins and ends."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ import signal
 import socket
 import ssl
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from ipaddress import ip_address
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from bench.config.identity_files import identity_files
-from bench.errors import BenchError, Refused
+from bench.errors import BenchError
 from bench.page.application import page_application
-from bench.page.bench_link import BenchLink
+from bench.page.bench_link import BenchLink, record_of
 from bench.page.broadcaster import PageBroadcaster
+from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
+from bench.page.campaign_service import CampaignService
+from bench.page.downloads import Downloads
+from bench.page.guard import Application
 from bench.page.http_protocol import http_protocol
-from bench.page.page_access import PageAccess, PageRole, read_tokens
+from bench.page.last_swing import SwingReader
+from bench.page.page_address import PageAddress, checked_address, page_access
 from bench.page.page_service import PageService
 
 if TYPE_CHECKING:
@@ -26,82 +30,10 @@ if TYPE_CHECKING:
 
     from bench.config import Configuration
 
-PORT = 8600
-"""Port of the page unless another one is given."""
 DEAD_PEER = 20_000
 """Time after which the kernel ends a connection whose peer takes nothing, ms."""
 _BEAT = 0.5
 """Period of the message that the page's own server is alive, s."""
-
-
-class PageAddress(NamedTuple):
-    """Where the page is reached, and by whom."""
-
-    host: str = "127.0.0.1"
-    """IP address to listen at."""
-    port: int = PORT
-    identity: str = ""
-    """Path, without ending, of certificate and key; empty: no TLS, on the loopback only."""
-    tokens: Path | None = None
-    """File of tokens; None: none."""
-
-    @property
-    def scheme(self) -> str:
-        """Scheme of the page's URL."""
-        return "https" if self.identity else "http"
-
-
-def checked_address(address: PageAddress) -> tuple[str, ...]:
-    """Return HOST:PORT of all names under which the page is reached.
-
-    Raises:
-        BenchError: the host is no IP address; the certificate or its key is invalid.
-        Refused: beyond the loopback without TLS.
-    """
-    try:
-        ip = ip_address(address.host)
-    except ValueError:
-        expected = "an IP address of this machine, or 0.0.0.0 for all"
-        raise BenchError("--host", repr(address.host), expected, "Correct it.") from None
-    if not ip.is_loopback and not address.identity:
-        raise Refused(
-            f"--host {address.host}",
-            "an address for other machines without TLS",
-            "a certificate for this machine: commands and tokens must not be readable on the network",
-            "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME.",
-        )
-    names = {"127.0.0.1", "localhost", "[::1]"} if ip.is_loopback else set[str]()
-    if not ip.is_unspecified:
-        names.add(f"[{ip}]" if ip.version == 6 else str(ip))
-    if address.identity:
-        names |= _certified_names(identity_files(address.identity).certificate)
-    default = 443 if address.identity else 80
-    return tuple(
-        sorted({f"{n}:{address.port}" for n in names} | (names if address.port == default else set()))
-    )
-
-
-def _certified_names(file: Path) -> set[str]:
-    """Return host names and addresses in the certificate `file`, as a URL has them."""
-    from cryptography import x509
-
-    certificate = x509.load_pem_x509_certificate(file.read_bytes())
-    try:
-        found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        cure = "Make one with golfbench certificates DIR NAME --address HOST."
-        raise BenchError(str(file), "a client's certificate", "one with addresses", cure) from None
-    addresses = found.get_values_for_type(x509.IPAddress)
-    return set(found.get_values_for_type(x509.DNSName)) | {
-        f"[{ip}]" if ip.version == 6 else str(ip) for ip in addresses
-    }
-
-
-def page_access(address: PageAddress, configuration: Configuration) -> PageAccess:
-    """Return who may do what at `address`; raises as `read_tokens`."""
-    tokens: dict[str, PageRole] = read_tokens(address.tokens) if address.tokens else {}
-    network = configuration.network
-    return PageAccess(network.viewers, network.operators, tokens, closed=bool(address.identity))
 
 
 def serve_page(
@@ -117,16 +49,47 @@ def serve_page(
     """
     hosts, access = checked_address(address), page_access(address, configuration)
     _require_packages()
-    broadcaster = PageBroadcaster()
-    link = BenchLink(configuration.network, configuration.bench.id, broadcaster.publish)
-    with _listening(address) as listener:
+    with _listening(address) as listener, ExitStack() as stack:
+        broadcaster = PageBroadcaster()
+        link = BenchLink(configuration.network, configuration.bench.id, broadcaster.publish)
         service = PageService(link, broadcaster, access, secure=bool(address.identity))
+        stack.callback(service.close)
+        archive = CampaignArchive(configuration)
+        settings = configuration.bench
+        downloads = Downloads(settings.data_dir, settings.id)
+        campaigns = CampaignService(service, archive, downloads)
+        reader = SwingReader(broadcaster.publish, configuration.plant)
+        reader.start()
+        stack.callback(reader.close)
+        _watch_swings(reader, downloads.newest(), link)
+        _watch_campaigns(archive, link, broadcaster)
         link.start()
-        try:
-            asyncio.run(_serve(service, link, broadcaster, address, hosts, listener, ready))
-        finally:
-            service.close()
-            link.close()
+        stack.callback(link.close)
+        application = page_application(service, campaigns, address.scheme, hosts)
+        asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
+
+
+def _watch_swings(reader: SwingReader, newest: Path | None, link: BenchLink) -> None:
+    """Read the `newest` record, and each following one as soon as it is stored."""
+    if newest is not None:
+        reader.offer(newest)
+
+    def note(message: dict[str, Any]) -> None:
+        if (path := record_of(message)) is not None and path.is_file():
+            reader.offer(path)
+
+    link.watch_shots(note)
+
+
+def _watch_campaigns(archive: CampaignArchive, link: BenchLink, broadcaster: PageBroadcaster) -> None:
+    """Publish the running campaigns whenever they change."""
+    running = RunningCampaigns(archive)
+
+    def note(messages: list[dict[str, Any]]) -> None:
+        if (shown := running.changed(messages)) is not None:
+            broadcaster.publish("campaigns", shown)
+
+    link.watch_campaigns(note)
 
 
 def _require_packages() -> None:
@@ -158,11 +121,10 @@ def _listening(address: PageAddress) -> Iterator[socket.socket]:
 
 
 async def _serve(
-    service: PageService,
+    application: Application,
     link: BenchLink,
     broadcaster: PageBroadcaster,
     address: PageAddress,
-    hosts: tuple[str, ...],
     listener: socket.socket,
     ready: Callable[[str, Callable[[], None]], None],
 ) -> None:
@@ -170,7 +132,7 @@ async def _serve(
 
     files = identity_files(address.identity) if address.identity else None
     config = uvicorn.Config(
-        page_application(service, address.scheme, hosts),
+        application,
         http=http_protocol(),
         ws="none",
         lifespan="off",

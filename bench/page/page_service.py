@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from threading import Barrier
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.errors import BenchError
 from bench.network.client import BenchClient
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+T = TypeVar("T")
 TICKET = "golfbench-ticket"
 """Header with the ticket of a lease."""
 _GUESS_TIME = 1.0
@@ -39,16 +40,17 @@ class PageService:
     ) -> None:
         """`secure`: reached by TLS."""
         self._link, self._broadcaster, self._access, self._secure = link, broadcaster, access, secure
-        self._leases, self._numbers = PageLeases(link.client), CommandNumbers()
+        self._leases, self.numbers = PageLeases(link.client), CommandNumbers()
         self._files = static_files()
         self._work = _started_pool(8, "page-command")
+        self._lookups = _started_pool(2, "page-lookup")
         self._stops = _started_pool(4, "page-stop")
         """Of their own: a stop waits behind nothing."""
         self._signing_in = asyncio.Lock()
 
     def close(self) -> None:
         """End the threads of commands."""
-        for pool in (self._work, self._stops):
+        for pool in (self._work, self._lookups, self._stops):
             pool.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -120,7 +122,7 @@ class PageService:
         number, seen = text_in(body, "number", 64, 8), number_in(body, "seen")
 
         def send() -> CommandAnswer:
-            self._numbers.check(number, seen)
+            self.numbers.check(number, seen)
             client: BenchClient = self._leases.client(ticket) if command.leased else self._link.client()
             return command.send(client)
 
@@ -149,6 +151,14 @@ class PageService:
         return await self.answered(pool, work)
 
     # Helpers -------------------------------------------------------------------------------------
+
+    async def worked(self, work: Callable[[], Any]) -> Response:
+        """Return the outcome of `work`, done beside the commands, or why it was refused."""
+        return await self.answered(self._lookups, work)
+
+    async def looked_up(self, work: Callable[[], T]) -> T:
+        """Return the outcome of `work`, done beside the commands."""
+        return await asyncio.get_running_loop().run_in_executor(self._lookups, work)
 
     async def answered(self, pool: Executor, work: Callable[[], Any]) -> Response:
         """Return the outcome of `work`, done in `pool`, or why it was refused."""

@@ -1,14 +1,20 @@
+import { loadArchive } from "./archive.js";
+import { onEnd, setSeen, showCampaigns } from "./campaign.js";
 import { by } from "./dom.js";
 import { keep, startTheme } from "./keep.js";
 import { showLease, showYou, startOperate } from "./operate.js";
 import { showEvents, showState } from "./state.js";
 import { on, startStream } from "./stream.js";
+import { showSwing } from "./swing.js";
 import { startUnits } from "./units.js";
 
 startTheme(by("theme"));
 startUnits(by("units"), keep);
-on("you", showYou);
-on("state", (view) => { showState(view); showLease(view); });
+on("you", (you) => { showYou(you); loadArchive(); });
+on("state", (view) => { setSeen(view.seen); showState(view); showLease(view); });
 on("events", showEvents);
-startOperate(startStream(["link", "you", "state", "events"]));
+on("swing", (view) => { showSwing(view); loadArchive(); });
+on("campaigns", showCampaigns);
+onEnd(loadArchive);
+startOperate(startStream(["link", "you", "state", "events", "swing", "campaigns"]));
 fetch("/api/you").then((response) => response.json()).then(showYou).catch(() => {});

@@ -62,7 +62,7 @@ export function showEvents(events) {
     const known = event.event === "change"
       ? [event.state, event.phase, event.reaction === "NONE" ? "" : event.reaction, event.cause === "NONE" ? "" : event.cause]
       : [event.event, event.text ?? ""];
-    return [typeof event.time === "number" ? `${number(event.time, 1)} s` : "", known.filter(Boolean).join(", ")];
+    return [new Date(event.at_utc).toLocaleTimeString(), known.filter(Boolean).join(", ")];
   });
   rows("events", lines.reverse(), ([at, text]) => make("li", {}, make("time", {}, at), " ", text));
 }

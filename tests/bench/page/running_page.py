@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from bench.config import Configuration
 from bench.network.free_port import free_port
-from bench.page.page_server import PageAddress, serve_page
+from bench.page.page_address import PageAddress
+from bench.page.page_server import serve_page
 
 HURRY = 30.0
 

@@ -158,6 +158,7 @@ def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
+@pytest.mark.slow
 def test_a_silent_bench_is_said_within_two_seconds() -> None:
     with (
         running_plane(FakeDesk(), loopback_configuration()) as running,

@@ -1,0 +1,84 @@
+// Campaigns of before with their reports and landing points, and records to download.
+
+import { by, make } from "./dom.js";
+import { chart } from "./campaign.js";
+import { curve, dot, frame } from "./plot.js";
+import { figure } from "./swing.js";
+import { onUnits, quantity, scale } from "./units.js";
+
+const POINTS = 60;
+let content = null;
+let opened = null;
+
+export async function loadArchive() {
+  const response = await fetch("/api/archive", { cache: "no-store" }).catch(() => null);
+  if (!response?.ok) return;
+  content = await response.json();
+  redraw();
+}
+
+async function open(campaign) {
+  const response = await fetch(`/api/campaign/${encodeURIComponent(campaign)}`, { cache: "no-store" }).catch(() => null);
+  opened = response?.ok ? await response.json() : null;
+  redraw();
+}
+
+function redraw() {
+  if (content === null) return;
+  by("archive-card").hidden = content.campaigns.length + content.records.length === 0;
+  by("archive").replaceChildren(campaigns(), detail(), records());
+}
+
+function campaigns() {
+  if (!content.campaigns.length) return make("p", { class: "muted" }, "No campaigns yet. Start one: golfbench campaign run PLAN");
+  const head = ["Campaign", "begun", "state", "shots", "valid", ""].map((text) => make("th", { scope: "col" }, text));
+  const body = content.campaigns.map((one) => make("tr", {},
+    make("td", {}, one.title, make("br"), make("span", { class: "muted" }, one.id)),
+    make("td", {}, new Date(one.date).toLocaleString()), make("td", {}, one.state), make("td", {}, one.shots), make("td", {}, one.valid),
+    make("td", {}, make("button", { type: "button", on: { click: () => open(one.id) }, "aria-label": `Figures of ${one.id}` }, "Figures"), " ",
+      one.report ? make("a", { href: `/report/${encodeURIComponent(one.id)}`, target: "_blank", rel: "noopener" }, "Report") : "")));
+  return make("div", { class: "scroll" }, make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body)));
+}
+
+function detail() {
+  if (opened === null) return "";
+  const part = make("div", {}, make("h3", {}, opened.title), make("div", { class: "plots" }));
+  part.lastChild.append(...opened.charts.map(chart), ...(opened.landing ?? []).filter((one) => one.points.length).map(landing));
+  if (opened.landing === null) part.append(make("p", { class: "muted" }, "Landing points appear at the end: each look before costs confidence."));
+  part.append(make("p", { class: "muted" }, `Report: golfbench campaign report ${opened.campaign}`));
+  return part;
+}
+
+function landing({ section, points, ellipses }) {
+  const [factor, unit] = scale("distance");
+  const names = [...new Set(points.map((one) => one.level))];
+  const kind = (name) => 1 + (names.indexOf(name) % 3);
+  const outlines = ellipses.map((one) => [one.level, outline(one).map(([x, y]) => [factor * x, factor * y])]);
+  const spots = points.map((one) => [one.level, [factor * one.side, factor * one.carry]]);
+  const all = [...spots.map(([, at]) => at), ...outlines.flatMap(([, line]) => line)];
+  const plot = frame({ x: all.map(([x]) => x), y: all.map(([, y]) => y), height: 300, equal: true, label: "Landing points and 95 % ellipses", xName: `offline, ${unit}`, yName: `carry, ${unit}` });
+  outlines.forEach(([name, line]) => curve(plot, line, `l${kind(name)}`));
+  spots.forEach(([name, at]) => dot(plot, at, `l${kind(name)}`, 3));
+  const key = names.map((name) => {
+    const found = ellipses.find((one) => one.level === name);
+    return [`k${kind(name)}`, found ? `${name}: ${quantity("distance", found.long)} × ${quantity("distance", found.short)}` : name];
+  });
+  return figure(plot, `Landing points${section ? `, ${section}` : ""}; ellipses hold 95 %`, key);
+}
+
+// Half the long axis lies `tilt` to the right of the target line.
+function outline({ centre, long, short, tilt }) {
+  return Array.from({ length: POINTS + 1 }, (_, index) => {
+    const angle = (2 * Math.PI * index) / POINTS;
+    const [a, b] = [(long / 2) * Math.cos(angle), (short / 2) * Math.sin(angle)];
+    return [centre[0] + a * Math.sin(tilt) + b * Math.cos(tilt), centre[1] + a * Math.cos(tilt) - b * Math.sin(tilt)];
+  });
+}
+
+function records() {
+  if (!content.records.length) return "";
+  const list = content.records.map((one) => make("li", {}, make("a", { href: `/record/${encodeURIComponent(one.name)}`, download: one.name }, one.name), ` ${(one.bytes / 1e6).toFixed(1)} MB`));
+  return make("div", {}, make("h3", {}, "Records of swings"), make("ul", { class: "events" }, ...list));
+}
+
+onUnits(redraw);

@@ -1,0 +1,68 @@
+// The last swing: figures, club path, head speed, tracking.
+
+import { by, make, pair } from "./dom.js";
+import { curve, dot, frame } from "./plot.js";
+import { degrees, number, onUnits, quantity, scale } from "./units.js";
+
+let view = null;
+
+export function showSwing(content) {
+  view = content;
+  redraw();
+}
+
+function redraw() {
+  if (view === null) return;
+  by("swing-card").hidden = false;
+  const f = view.figures;
+  const facts = make("dl", { class: "big" }, ...[
+    ["Club speed", quantity("speed", f.club_speed_mps)],
+    ["Attack", degrees(f.attack_angle_deg, 2)],
+    ["Strike, toe / up", `${number(f.strike_x_mm, 1)} / ${number(f.strike_y_mm, 1)} mm`],
+    ["Ball speed", quantity("speed", f.ball_speed_mps)],
+    ["Launch", degrees(f.launch_angle_deg)],
+    ["Spin", `${number(f.spin_rpm, 0)} rpm`],
+    ["Carry", quantity("distance", f.carry_m)],
+  ].map(pair));
+  const when = view.time_utc ? new Date(view.time_utc).toLocaleString() : "";
+  const source = view.sources.launch ? `launch: ${view.sources.launch}, carry: ${view.sources.carry}` : "";
+  const line = make("p", { class: "muted" }, [`Swing ${view.number ?? "–"}`, when, view.club, view.ball, view.reason, source].filter(Boolean).join("; "));
+  const plots = make("div", { class: "plots" });
+  if (view.path.length) plots.append(path(), speed(), tracking());
+  by("swing").replaceChildren(line, facts, plots);
+}
+
+function path() {
+  const all = [...view.path, view.ball_at];
+  const plot = frame({
+    x: all.map(([x]) => x), y: all.map(([, y]) => y), height: 300, equal: true,
+    label: "Path of the club head in the swing plane", xName: "m", yName: "m",
+  });
+  curve(plot, view.path, "l1");
+  if (view.down.length) curve(plot, view.down, "l2");
+  dot(plot, view.ball_at, "l3", 5);
+  return figure(plot, "Club head in the swing plane", [["k1", "whole swing"], ["k2", "downswing"], ["k3", "ball"]]);
+}
+
+function speed() {
+  const [factor, unit] = scale("speed");
+  const points = view.speed.curve.map((value, index) => [view.time[index], factor * value]);
+  const plot = frame({ x: view.time, y: points.map(([, v]) => v), height: 300, label: "Speed of the club head over time", xName: "s", yName: unit });
+  curve(plot, points, "l1");
+  return figure(plot, `Club head speed, at most ${quantity("speed", view.speed.max_mps)}`, []);
+}
+
+function tracking() {
+  const all = view.tracking.flatMap((joint) => joint.error_deg);
+  const plot = frame({ x: view.time, y: all, height: 300, label: "Tracking error of the joints over time", xName: "s", yName: "°" });
+  view.tracking.forEach((joint, index) => curve(plot, joint.error_deg.map((e, at) => [view.time[at], e]), `l${index + 1}`));
+  const key = view.tracking.map((joint, index) => [`k${index + 1}`, `${joint.name}: at most ${degrees(joint.max_deg, 2)} to the ball`]);
+  return figure(plot, "Tracking: actual − reference", key);
+}
+
+export function figure({ plot }, title, key) {
+  return make("figure", {}, plot, make("figcaption", {}, title),
+    make("div", { class: "key" }, ...key.map(([kind, text]) => make("span", { class: kind }, "━ ", text))));
+}
+
+onUnits(redraw);

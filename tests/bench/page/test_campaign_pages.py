@@ -1,0 +1,226 @@
+"""Campaigns, reports and records on the page: shown from the database, changed as at the command line."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.campaign.operate import runner_lock
+from bench.config import Configuration, database_url
+from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
+from bench.page.last_swing import SwingReader, swing_view
+from bench.store.campaigns import CampaignState, CampaignStore, Prompt, StoredShot
+from bench.store.database import open_database
+from tests.bench.campaign.test_campaign_report import NOW, _record
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.page.conftest import publishing
+from tests.bench.page.running_page import HURRY, RunningPage, running_page
+from tests.benchmarks.campaign_statistics import Truth
+
+RECORDS = Path(__file__).parents[2] / "replay"
+SCRIPT = "<script>alert(1)</script>"
+OPEN, ENDED = "open-1", "ended-1"
+RECORD = "20260101T000000000000Z-7.parquet"
+PROMPT = Prompt(1, 9, "balls", f"Fill the feeder {SCRIPT}", {"balls": [["tour", 1], ["range", 2]]}, NOW)
+
+
+@pytest.fixture(scope="module")
+def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
+    """Return the configuration of a bench with two campaigns, a report and a record."""
+    folder, given = tmp_path_factory.mktemp("data"), loopback_configuration()
+    taken = _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    with open_database(database_url("", folder), NOW) as engine:
+        store = CampaignStore(engine)
+        for name, state in ((OPEN, CampaignState.WAITING), (ENDED, CampaignState.FINISHED)):
+            entry = replace(taken.entry, id=name, title=f"Campaign {SCRIPT}")
+            store.begin(entry)
+            store.add(entry, [StoredShot(shot) for shot in taken.shots])
+            store.change(name, state=state)
+        store.ask(OPEN, PROMPT)
+    report = folder / "campaigns" / ENDED / "report.html"
+    report.parent.mkdir(parents=True)
+    report.write_text(f"<p>report</p>{SCRIPT}")
+    records = folder / "swings" / given.bench.id
+    records.mkdir(parents=True)
+    (records / RECORD).write_bytes((RECORDS / "swing.parquet").read_bytes())
+    (records / "20260101T000000000000Z-8.parquet").symlink_to("/etc/passwd")
+    (folder / "secret").write_text("secret")
+    return replace(given, bench=replace(given.bench, data_dir=folder))
+
+
+@pytest.fixture(scope="module")
+def page(configuration: Configuration) -> Iterator[RunningPage]:
+    with ExitStack() as stack:
+        running = stack.enter_context(running_plane(FakeDesk(), configuration))
+        stack.enter_context(publishing(running))
+        page = stack.enter_context(running_page(configuration))
+        with page.stream() as following:
+            following("state")
+        yield page
+
+
+def change(page: RunningPage, path: str, seen: float | None = None, **content: Any) -> tuple[int, Any]:
+    page.numbers += 1
+    at = time.monotonic() if seen is None else seen
+    given = {"number": f"campaign-{page.numbers}", "seen": at, "by": "Ann"} | content
+    answer = page.post(f"/api/campaign/{path}", given)
+    return answer.status, answer.content
+
+
+def test_campaigns_and_records_are_listed(page: RunningPage) -> None:
+    found = page.ask("GET", "/api/archive").content
+    listed = [(one["id"], one["state"], one["report"]) for one in found["campaigns"]]
+    assert listed == [(ENDED, "finished", True), (OPEN, "waiting", False)]
+    assert [one["name"] for one in found["records"]] == [RECORD]
+
+
+def test_landing_points_wait_for_the_end(page: RunningPage) -> None:
+    unfinished = page.ask("GET", f"/api/campaign/{OPEN}").content
+    assert unfinished["landing"] is None
+    assert unfinished["prompt"]["places"] == ["1. tour 1", "2. range 2"]
+    ended = page.ask("GET", f"/api/campaign/{ENDED}").content
+    (section,) = ended["landing"]
+    assert len(section["points"]) > 10
+    assert ended["prompt"] is None
+    assert page.ask("GET", "/api/campaign/none").status == 409
+
+
+def test_a_report_runs_no_script(page: RunningPage) -> None:
+    answer = page.ask("GET", f"/report/{ENDED}")
+    assert answer.status == 200
+    policy = answer.headers["content-security-policy"]
+    assert policy.endswith("sandbox")
+    assert "script-src" not in policy
+    assert "default-src 'none'" in policy
+
+
+def test_a_record_is_downloaded_whole(page: RunningPage) -> None:
+    answer = page.ask("GET", f"/record/{RECORD}")
+    assert answer.status == 200
+    assert answer.body == (RECORDS / "swing.parquet").read_bytes()
+    assert answer.headers["content-disposition"].startswith("attachment")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/record/20260101T000000000000Z-8.parquet",  # a link out of the folder
+        "/record/..%2f..%2fsecret",
+        "/record/%2fetc%2fpasswd",
+        "/record/../../secret",
+        f"/record/{RECORD}%00",
+        f"/record/{RECORD}/../../../secret",
+        "/report/..",
+        "/report/..%2f..%2fsecret",
+        f"/report/{OPEN}",
+        "/report/%2e%2e",
+    ],
+)
+def test_no_other_file_is_served(page: RunningPage, path: str) -> None:
+    answer = page.ask("GET", path)
+    assert answer.status == 404
+    assert b"secret" not in answer.body
+    assert b"root" not in answer.body
+
+
+def test_a_runner_gets_requests(page: RunningPage, configuration: Configuration) -> None:
+    archive, settings = CampaignArchive(configuration), configuration.bench
+    assert change(page, f"{OPEN}/pause")[0] == 409  # no runner
+    with runner_lock(settings.data_dir, OPEN):
+        for name, wanted in (("pause", "pause by Ann"), ("resume", ""), ("stop", "stop by Ann")):
+            status, content = change(page, f"{OPEN}/{name}")
+            assert status == 200, content
+            with archive._store() as store:
+                assert store.standing(OPEN).requested == wanted
+        assert archive.detail(OPEN)["runner"]
+        status, content = change(page, f"{OPEN}/resume", seen=time.monotonic() - 60.0)
+        assert status == 409  # what moves the robot needs a fresh screen
+        assert change(page, f"{OPEN}/pause", seen=time.monotonic() - 60.0)[0] == 200
+    assert change(page, f"{ENDED}/stop")[0] == 409
+
+
+def test_an_answer_is_to_the_prompt_on_the_screen(page: RunningPage, configuration: Configuration) -> None:
+    assert change(page, f"{OPEN}/answer", prompt=2)[0] == 409
+    assert change(page, f"{OPEN}/answer", prompt=1, balls=3)[0] == 409
+    assert change(page, f"{OPEN}/answer", prompt=1, balls=1.5)[0] == 400
+    status, content = change(page, f"{OPEN}/answer", prompt=1, balls=2)
+    assert (status, content["note"]) == (200, f"Done: {PROMPT.text}")
+    assert change(page, f"{OPEN}/answer", prompt=1)[0] == 409
+    with CampaignArchive(configuration)._store() as store:
+        assert store.prompts(OPEN)[0].by == "Ann"
+
+
+def test_a_shot_is_marked(page: RunningPage, configuration: Configuration) -> None:
+    status, content = change(page, f"{OPEN}/mark", shot=3, comment=SCRIPT)
+    assert status == 200, content
+    assert change(page, f"{OPEN}/mark", shot=3, comment="x" * 201)[0] == 400
+    assert change(page, f"{OPEN}/mark", shot=10**9)[0] == 400
+    assert change(page, f"{OPEN}/mark", shot=10**9, comment="")[0] == 409
+    assert change(page, f"{OPEN}/mark", shot=1, comment="", by="")[0] == 400
+    assert change(page, f"{OPEN}/delete")[0] == 404
+    with CampaignArchive(configuration)._store() as store:
+        assert [(note.shot, note.by, note.text) for note in store.notes(OPEN)] == [(3, "Ann", SCRIPT)]
+
+
+def test_running_campaigns_are_published_when_they_change(configuration: Configuration) -> None:
+    running = RunningCampaigns(CampaignArchive(configuration))
+    message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
+    shown = running.changed([message])
+    assert shown is not None
+    assert shown[0]["detail"]["campaign"] == OPEN
+    assert running.changed([message]) is None
+    elsewhere = running.changed([message, message | {"campaign": "elsewhere"}])
+    assert elsewhere is not None
+    assert elsewhere[1]["detail"] is None
+    assert running.changed([]) == []
+
+
+def test_a_bench_without_a_database_has_no_campaigns(tmp_path: Path) -> None:
+    given = loopback_configuration()
+    archive = CampaignArchive(replace(given, bench=replace(given.bench, data_dir=tmp_path)))
+    assert archive.listed() == []
+    assert list(tmp_path.iterdir()) == []
+
+
+# The last swing --------------------------------------------------------------------------------------
+
+
+def test_a_record_becomes_figures_and_curves() -> None:
+    view = swing_view(RECORDS / "swing.parquet")
+    json.dumps(view, allow_nan=False)
+    assert 40.0 < view["figures"]["club_speed_mps"] < 50.0
+    assert abs(view["speed"]["max_mps"] - view["figures"]["club_speed_mps"]) < 1.0
+    assert len(view["path"]) == len(view["time"]) <= 160
+    assert [one["name"] for one in view["tracking"]] == ["shoulder", "arm", "wrist"]
+    stopped = swing_view(RECORDS / "stop.parquet")
+    assert stopped["figures"]["club_speed_mps"] is None
+    assert stopped["reason"]
+
+
+def test_the_newest_record_is_shown_at_the_start(page: RunningPage) -> None:
+    with page.stream() as following:
+        assert following("swing")["name"] == RECORD
+
+
+def test_a_record_that_cannot_be_read_is_passed_over(tmp_path: Path, configuration: Configuration) -> None:
+    shown: list[tuple[str, Any]] = []
+    reader = SwingReader(lambda topic, view: shown.append((topic, view)), configuration.plant)
+    reader.start()
+    try:
+        (tmp_path / "damaged.parquet").write_text("damaged")
+        reader.offer(tmp_path / "damaged.parquet")
+        deadline = time.monotonic() + HURRY
+        while not shown:
+            assert time.monotonic() < deadline
+            reader.offer(RECORDS / "swing.parquet")
+            time.sleep(0.1)
+    finally:
+        reader.close()
+    assert shown[0][0] == "swing"

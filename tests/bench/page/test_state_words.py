@@ -1,0 +1,44 @@
+"""The state in words: each state, phase and reaction has some, and each cause its cure."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from bench.lifecycle import CAUSE_TEXT, Phase, Reaction, State
+from bench.network.bench_service import CauseStatus
+from bench.page.state_words import PHASE_WORDS, REACTION_WORDS, STATE_WORDS, accepted_commands, state_view
+from tests.bench.fake_bench_service import FakeDesk
+
+
+def test_everything_has_words() -> None:
+    assert set(STATE_WORDS) == set(State)
+    assert set(PHASE_WORDS) == set(Phase)
+    assert set(REACTION_WORDS) == set(Reaction)
+
+
+@pytest.mark.parametrize("state", State)
+def test_each_state_is_shown(state: State) -> None:
+    status = FakeDesk(state).status() | {"lease": None}
+    for cause, text in CAUSE_TEXT.items():
+        status["cause"] = CauseStatus(name=cause.name, text=text)
+        view = state_view(status)
+        assert view["cause"]["what"]
+        json.dumps(view, allow_nan=False)
+    assert not {"stop", "estop"} & set(accepted_commands(state))
+
+
+def test_what_needs_attention_is_named() -> None:
+    status = FakeDesk().status()
+    status["read_only"], status["support_ready"] = True, False
+    status["air_faults"], status["drift"] = ["vent 1 does not follow"], ["speed has drifted"]
+    warnings = state_view(status)["warnings"]
+    assert warnings == [
+        "vent 1 does not follow",
+        "speed has drifted",
+        "device: node 10 (valves and interlocks) has restarted",
+        "process recorder is not running: killed by signal 9",
+        "nothing is armed without recorder and publisher",
+        "read only: the bench observes and sends nothing but safe outputs",
+    ]
