@@ -224,6 +224,8 @@ class Runner:
         self._interrupted: Callable[[], bool] = lambda: False
         self._locked_for = 0.0
         """Time waited for the database since the last shot, s."""
+        self._locked_as = ""
+        """State of the database for which it waited."""
         self._pending: list[_Pending] = []
         self._hits: Counter[Hit] = Counter()
         self.taken = self.valid = 0
@@ -288,14 +290,14 @@ class Runner:
         """Store an interruption at once, with its time."""
         self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
 
-    def _wait_for_database(self, waited: float) -> None:
+    def _wait_for_database(self, trouble: DatabaseLocked) -> None:
         """Give up waiting for the database after some time or when interrupted."""
         if not self._locked_for:
-            self._watcher.say("The database is locked by another process: waiting for it.")
-        self._locked_for = waited
-        if waited > _DATABASE_PATIENCE or self._interrupted():
+            self._watcher.say(f"The database is {trouble.state.rstrip(',')}: waiting for it.")
+        self._locked_for, self._locked_as = trouble.waited, trouble.state.partition(",")[0]
+        if trouble.waited > _DATABASE_PATIENCE or self._interrupted():
             self._store.waiting = None  # what follows tries once
-            raise DatabaseLocked(str(self._store.database.url.database), waited)
+            raise trouble
 
     def _replay(self, course: Course) -> Step | Ending:
         """Send the stored shots to the course and return what comes next."""
@@ -685,7 +687,8 @@ class Runner:
                     self._pending = pending
                     raise
                 if self._locked_for:
-                    text = f"the database was locked for {duration_text(self._locked_for)}; waited for it"
+                    waited = duration_text(self._locked_for)
+                    text = f"the database was {self._locked_as} for {waited}; waited for it"
                     self._note_event("database", text)
                     self._locked_for = 0.0
                 for one in pending[: len(shots)]:

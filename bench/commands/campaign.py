@@ -702,8 +702,18 @@ def air(
 
 
 @app.command("list")
-def list_campaigns(context: typer.Context, json_: Json = False) -> None:
-    """Show the campaigns of this bench, the newest first."""
+def list_campaigns(
+    context: typer.Context,
+    bench: Annotated[
+        str | None,
+        typer.Option(metavar="ID", help="Campaigns of this bench only.", show_default="all in the database"),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Show the campaigns in the database, the newest first.
+
+    Excluded: hit outside the delivery's bounds, or excluded by hand.
+    """
     import json
 
     from rich.console import Console
@@ -711,14 +721,14 @@ def list_campaigns(context: typer.Context, json_: Json = False) -> None:
     from bench.commands.campaign_screen import listing, listing_record
 
     with _store(context.ensure_object(Session).configuration()) as store:
-        found = store.entries()
+        found = [one for one in store.entries() if bench in (None, one[0].bench)]
     if json_:
         typer.echo(json.dumps(listing_record(found), indent=2))
     elif found:
         console = Console()
         console.print(listing(found, console), crop=False)
     else:
-        typer.echo("No campaigns yet.")
+        typer.echo("No campaigns yet." if bench is None else f"No campaigns of bench {bench} yet.")
 
 
 @app.command()

@@ -182,17 +182,20 @@ def _left(message: Mapping[str, Any]) -> str:
 def listing(found: Listed, console: Console) -> Table:
     """Return the campaigns as a table for `console`, wider than it where whole ids do not fit."""
     longest = max((len(entry.id) for entry, _, _ in found), default=0)
-    identity = Column("campaign", width=longest, no_wrap=True)
-    others = (Column("begun, UTC", min_width=10), Column("state", min_width=9), "shots", "valid")
-    table = Table(identity, *others, box=SIMPLE_HEAD)
+    bench = max((len(entry.bench) for entry, _, _ in found), default=0)
+    identity = Column("campaign", width=longest, no_wrap=True), Column("bench", min_width=bench, no_wrap=True)
+    others = (Column("begun, UTC", min_width=10), Column("state", min_width=9), "shots", "valid", "excluded")
+    table = Table(*identity, *others, box=SIMPLE_HEAD)
     for entry, standing, counts in found:
         reason = [Text(standing.reason, style="dim", no_wrap=False)] if standing.reason else []
         table.add_row(
             Group(Text(entry.id), *reason),
+            Text(entry.bench),
             f"{entry.date:%Y-%m-%d %H:%M}",
             f"{standing.state}{' (sim)' if entry.simulated else ''}",
             str(sum(counts.values())),
             str(counts[ShotStatus.VALID]),
+            str(counts[ShotStatus.EXCLUDED]),
         )
     whole = console.measure(table, options=console.options.update(max_width=1000)).minimum
     table.width = max(console.width, whole)
@@ -204,6 +207,7 @@ def listing_record(found: Listed) -> list[dict[str, Any]]:
     return [
         {
             "id": entry.id,
+            "bench": entry.bench,
             "name": entry.name,
             "date": entry.date.isoformat(),
             "simulated": entry.simulated,

@@ -12,14 +12,15 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, NamedTuple
+from functools import wraps
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
-from sqlalchemy import Connection, Engine, func, insert, select, update
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy import Connection, Engine, Select, func, insert, select, update
+from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.store.database import transaction
+from bench.store.database import DatabaseLocked, is_away, transaction
 from bench.store.tables import (
     CampaignEventRow,
     CampaignPromptRow,
@@ -45,6 +46,10 @@ _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS = (
         ShotExclusionRow,
     )
 )
+
+
+_Call = ParamSpec("_Call")
+_Answer = TypeVar("_Answer")
 
 
 class CampaignState(StrEnum):
@@ -178,19 +183,46 @@ class Hit(NamedTuple):
     sample: int = 0
 
 
+def _again_if_lost(method: Callable[_Call, _Answer]) -> Callable[_Call, _Answer]:
+    """Repeat one transaction of a store whose connection is lost in it, if the store waits for its database.
+
+    What was not committed is not in the database. If the very commit lost its answer, the repetition may
+    store an event or a prompt twice; a batch of shots is looked up.
+    """
+
+    @wraps(method)
+    def repeated(*arguments: _Call.args, **options: _Call.kwargs) -> _Answer:
+        store = cast(CampaignStore, arguments[0])
+        try:
+            while True:
+                try:
+                    return method(*arguments, **options)
+                except OperationalError as error:
+                    if store.waiting is None or not is_away(error):
+                        raise
+                    store.unsure = True
+        finally:
+            store.unsure = False
+
+    return repeated
+
+
 class CampaignStore:
     """The campaigns in one open database."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
-        self.waiting: Callable[[float], None] | None = None
-        """Called with the time waited (s) while another process holds the database; raises to give up."""
+        self.waiting: Callable[[DatabaseLocked], None] | None = None
+        """Called while the database is held by another process or away; raises its argument to give up."""
+        self.unsure = False
+        """Whether a call lost its connection, and is repeated: what it writes may be stored already."""
 
     @property
     def database(self) -> Engine:
         """The database, for its other contents."""
         return self._engine
 
+    @_again_if_lost
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
 
@@ -211,6 +243,7 @@ class CampaignStore:
                 f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
             ) from None
 
+    @_again_if_lost
     def entry(self, campaign: str) -> CampaignEntry:
         """Return a campaign's entry.
 
@@ -227,8 +260,12 @@ class CampaignStore:
             )
         return CampaignEntry(**found)
 
+    @_again_if_lost
     def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
-        """Return all campaigns with their states and shots by status, the one begun last first."""
+        """Return all campaigns with their states and shots by status, the one begun last first.
+
+        A shot that is excluded by hand counts as excluded.
+        """
         names = CampaignEntry.__dataclass_fields__
         last_first = _CAMPAIGNS.c.number.desc(), _CAMPAIGNS.c.date.desc()
         with self._reading() as connection:
@@ -239,6 +276,9 @@ class CampaignStore:
             )
             for campaign, status, number in connection.execute(grouped):
                 counts.setdefault(campaign, Counter())[status] = number
+            for campaign, number in connection.execute(_excluded_by_hand()):
+                counts[campaign][ShotStatus.VALID] -= number
+                counts[campaign][ShotStatus.EXCLUDED] += number
         return [
             (
                 CampaignEntry(**{name: row[name] for name in names}),
@@ -248,6 +288,7 @@ class CampaignStore:
             for row in rows
         ]
 
+    @_again_if_lost
     def standing(self, campaign: str) -> Standing:
         """Return the state of a campaign."""
         c = _CAMPAIGNS.c
@@ -255,11 +296,13 @@ class CampaignStore:
             row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
+    @_again_if_lost
     def change(self, campaign: str, **values: Any) -> None:
         """Set columns `state`, `reason` or `requested`."""
         with self._writing() as connection:
             connection.execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
 
+    @_again_if_lost
     def shots(self, campaign: str) -> list[StoredShot]:
         """Return its shots in order."""
         query = select(_SHOTS).where(_SHOTS.c.campaign == campaign).order_by(_SHOTS.c.shot)
@@ -275,6 +318,7 @@ class CampaignStore:
                 for row in connection.execute(query).mappings()
             ]
 
+    @_again_if_lost
     def events(self, campaign: str) -> list[Event]:
         """Return its events in order."""
         c = _EVENTS.c
@@ -286,11 +330,13 @@ class CampaignStore:
         with self._reading() as connection:
             return [Event(*row) for row in connection.execute(query)]
 
+    @_again_if_lost
     def note_event(self, campaign: str, event: Event) -> None:
         """Add an event at once."""
         with self._writing() as connection:
             connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
 
+    @_again_if_lost
     def begin_run(
         self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
     ) -> None:
@@ -301,6 +347,7 @@ class CampaignStore:
             row = CampaignRun(last + 1, began, by, versions, facts)
             connection.execute(insert(_RUNS).values(campaign=campaign, **row._asdict()))
 
+    @_again_if_lost
     def runs(self, campaign: str) -> list[CampaignRun]:
         """Return its runs in order; none of a campaign begun by golfbench 0.2.0 or older."""
         c = _RUNS.c
@@ -308,6 +355,7 @@ class CampaignStore:
         with self._reading() as connection:
             return [CampaignRun(*row) for row in connection.execute(query.order_by(c.number))]
 
+    @_again_if_lost
     def set_aside(self, campaign: str, shots: Sequence[int], event: Event) -> None:
         """Exclude `shots`, whose block restarts, with the text of `event`; they are kept. All or nothing."""
         c = _SHOTS.c
@@ -319,12 +367,14 @@ class CampaignStore:
             connection.execute(update(_SHOTS).where(valid).values(**values))
             connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
 
+    @_again_if_lost
     def last_shot(self, campaign: str) -> int:
         """Return the number of its last shot; 0 before the first."""
         c = _SHOTS.c
         with self._reading() as connection:
             return connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
 
+    @_again_if_lost
     def add_note(self, campaign: str, note: ShotNote) -> None:
         """Add a person's note on a shot.
 
@@ -338,6 +388,7 @@ class CampaignStore:
                 raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
             connection.execute(insert(_NOTES).values(campaign=campaign, **note._asdict()))
 
+    @_again_if_lost
     def notes(self, campaign: str) -> list[ShotNote]:
         """Return the notes on its shots, by shot and in the order in which they were made."""
         c = _NOTES.c
@@ -345,11 +396,13 @@ class CampaignStore:
         with self._reading() as connection:
             return [ShotNote(*row) for row in connection.execute(query)]
 
+    @_again_if_lost
     def add_exclusion(self, campaign: str, exclusion: ShotExclusion) -> None:
         """Add a person's exclusion of a shot, whose own row stays as it is."""
         with self._writing() as connection:
             connection.execute(insert(_EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
 
+    @_again_if_lost
     def exclusions(self, campaign: str) -> list[ShotExclusion]:
         """Return the exclusions by hand in the order in which they were made."""
         c = _EXCLUSIONS.c
@@ -357,6 +410,7 @@ class CampaignStore:
         with self._reading() as connection:
             return [ShotExclusion(*row) for row in connection.execute(query.order_by(c.id))]
 
+    @_again_if_lost
     def prompts(self, campaign: str) -> list[Prompt]:
         """Return its prompts in order; at most the last one is not answered."""
         c = _PROMPTS.c
@@ -364,6 +418,7 @@ class CampaignStore:
         with self._reading() as connection:
             return [Prompt(*row) for row in connection.execute(query)]
 
+    @_again_if_lost
     def prompt(self, campaign: str, number: int) -> Prompt:
         """Return one of its prompts."""
         c = _PROMPTS.c
@@ -373,11 +428,13 @@ class CampaignStore:
                 *connection.execute(query.where((c.campaign == campaign) & (c.number == number))).one()
             )
 
+    @_again_if_lost
     def ask(self, campaign: str, prompt: Prompt) -> None:
         """Add a prompt."""
         with self._writing() as connection:
             connection.execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
 
+    @_again_if_lost
     def answer(self, campaign: str, number: int, by: str, date: datetime) -> bool:
         """Mark prompt `number` as done; return whether it was open."""
         c = _PROMPTS.c
@@ -387,6 +444,7 @@ class CampaignStore:
             done = connection.execute(update(_PROMPTS).where(mine).values(values))
         return bool(done.rowcount)
 
+    @_again_if_lost
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
         """Return the bench's prompt of `kind` that was answered last, with its campaign; None if none was.
 
@@ -406,6 +464,7 @@ class CampaignStore:
             row = connection.execute(query).first()
         return None if row is None else (row[0], Prompt(*row[1:]))
 
+    @_again_if_lost
     def hits(self, scope: str) -> Counter[Hit]:
         """Return the number of uses of each part."""
         c = _HITS.c
@@ -413,6 +472,7 @@ class CampaignStore:
             rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
             return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
 
+    @_again_if_lost
     def add(
         self,
         entry: CampaignEntry,
@@ -447,6 +507,8 @@ class CampaignStore:
                 for hit, number in (hits or {}).items():
                     _count(connection, entry.hit_scope, hit, number)
         except IntegrityError:
+            if self.unsure and self.shots(entry.id)[-len(shots) :] == list(shots):
+                return
             raise Refused(
                 f"campaign {entry.id}",
                 f"shot {shots[0].shot.shot} there already",
@@ -460,6 +522,15 @@ class CampaignStore:
 
     def _reading(self) -> AbstractContextManager[Connection]:
         return transaction(self._engine, writes=False, waiting=self.waiting)
+
+
+def _excluded_by_hand() -> Select[str, int]:
+    """Return the query for the number of valid shots of each campaign whose last exclusion holds."""
+    c, s = _EXCLUSIONS.c, _SHOTS.c
+    last = select(func.max(c.id)).group_by(c.campaign, c.shot).scalar_subquery()
+    held = (s.campaign == c.campaign) & (s.shot == c.shot) & (s.status == ShotStatus.VALID)
+    query = select(c.campaign, func.count()).join(_SHOTS, held).where(c.excluded, c.id.in_(last))
+    return query.group_by(c.campaign)
 
 
 def _next_answer(connection: Connection) -> int:

@@ -113,56 +113,110 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
 
 BUSY_TIMEOUT = 5.0
 """Time to wait for another process' write, s."""
+AWAY_PAUSE = 0.5
+"""Time between two attempts to reach the server, s."""
+
+_WRITERS = 20260
+"""Number of the writers' lock of a PostgreSQL database."""
+_LOCK_TIMEOUT = "55P03"
+_AWAY = frozenset({"57P01", "57P02", "57P03", "53300"})
+"""PostgreSQL's states while its server shuts down, has crashed, starts, or has no connection left."""
 
 
 class DatabaseLocked(Refused):
-    """Another process holds the database for longer than anybody waited."""
+    """Another process holds the database for longer than the time that was waited."""
+
+    state = "locked by another process"
+    expected_state = "a database that is free to write"
+    action = "End the program that holds it (a backup, a database browser), then try again."
 
     def __init__(self, place: str, waited: float) -> None:
-        super().__init__(
-            place,
-            f"locked by another process for {waited:.0f} s",
-            "a database that is free to write",
-            "End the program that holds it (a backup, a database browser), then try again.",
-        )
+        super().__init__(place, f"{self.state} for {waited:.0f} s", self.expected_state, self.action)
+        self.waited = waited
+        """Time waited, s."""
+
+
+class DatabaseAway(DatabaseLocked):
+    """The database's server is not there, for longer than the time that was waited."""
+
+    state = "out of reach, its server restarts or is down,"
+    expected_state = "a server that answers"
+    action = "Start the server or mend the way to it, then try again."
 
 
 def is_busy(error: DatabaseError) -> bool:
     """Return whether `error` says that another process holds the database for now."""
-    return isinstance(error, OperationalError) and "locked" in str(error.orig)
+    held = "locked" in str(error.orig) or getattr(error.orig, "sqlstate", None) == _LOCK_TIMEOUT
+    return isinstance(error, OperationalError) and held
+
+
+def is_away(error: DatabaseError) -> bool:
+    """Return whether `error` says that the connection to the server is lost, or cannot be made for now."""
+    if not isinstance(error, OperationalError) or not hasattr(error.orig, "sqlstate"):
+        return False
+    state: str | None = getattr(error.orig, "sqlstate", None)
+    return state is None or state.startswith("08") or state in _AWAY
 
 
 @contextmanager
 def transaction(
-    engine: Engine, *, writes: bool, waiting: Callable[[float], None] | None = None
+    engine: Engine, *, writes: bool, waiting: Callable[[DatabaseLocked], None] | None = None
 ) -> Iterator[Connection]:
     """Yield a connection within a transaction; its lock is held from the start.
 
-    `waiting` is called with the time waited (s) after each `BUSY_TIMEOUT` without the lock, and raises to
-    give up; without it the first one ends it.
+    `waiting` is called after each `BUSY_TIMEOUT` without the lock, and each `AWAY_PAUSE` without the server,
+    with the error to raise to give up; without it the first one ends it.
 
     Raises:
-        DatabaseLocked: another process holds the database.
+        DatabaseLocked: another process holds the database, or its server is away.
     """
     began = time.monotonic()
     while True:
         kind = "IMMEDIATE" if writes else "DEFERRED"
-        with engine.connect().execution_options(sqlite_begin=kind) as connection:
+        try:
+            reached = engine.connect()
+        except OperationalError as error:
+            if not is_away(error):
+                raise
+            _wait(DatabaseAway, engine, began, waiting, error)
+            time.sleep(AWAY_PAUSE)
+            continue
+        with reached.execution_options(sqlite_begin=kind) as connection:
             try:
                 connection.begin()
-                if not writes:  # takes the lock now, not at the first query
-                    connection.scalar(select(func.count()).select_from(SchemaVersionRow))
+                _take_lock(connection, writes)
             except OperationalError as error:
                 if not is_busy(error):
                     raise
-                waited = time.monotonic() - began
-                if waiting is None:
-                    raise DatabaseLocked(str(engine.url.database), waited) from error
-                waiting(waited)
+                _wait(DatabaseLocked, engine, began, waiting, error)
                 continue
             yield connection
             connection.commit()
             return
+
+
+def _take_lock(connection: Connection, writes: bool) -> None:
+    """Take the lock now, not at the first query; writers of a server wait for each other as SQLite's do."""
+    if connection.dialect.name != "postgresql":
+        if not writes:
+            connection.scalar(select(func.count()).select_from(SchemaVersionRow))
+    elif writes:
+        connection.exec_driver_sql(f"SET LOCAL lock_timeout = {round(1000 * BUSY_TIMEOUT)}")
+        connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({_WRITERS})")
+
+
+def _wait(
+    kind: type[DatabaseLocked],
+    engine: Engine,
+    began: float,
+    waiting: Callable[[DatabaseLocked], None] | None,
+    error: OperationalError,
+) -> None:
+    """Call `waiting`, or end it without one."""
+    trouble = kind(str(engine.url.database), time.monotonic() - began)
+    if waiting is None:
+        raise trouble from error
+    waiting(trouble)
 
 
 def is_there(url: URL) -> bool:
@@ -185,7 +239,9 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         place = str(url.database)
         Path(place).parent.mkdir(parents=True, exist_ok=True)
     try:
-        engine = create_engine(url, connect_args=_connect_arguments(url))
+        # A connection that a restart of the server has cut is replaced when it is next used.
+        pings = url.get_backend_name() != "sqlite"
+        engine = create_engine(url, connect_args=_connect_arguments(url), pool_pre_ping=pings)
     except ModuleNotFoundError as error:
         raise BenchError(
             place, f"no Python package {error.name}", "the database's driver", f"Install {error.name}."
@@ -201,6 +257,8 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
     except DatabaseError as error:
         if is_busy(error):
             raise DatabaseLocked(place, BUSY_TIMEOUT) from error
+        if is_away(error):
+            raise DatabaseAway(place, 0.0) from error
         raise BenchError(
             place,
             str(error.orig).strip(),

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import make_url
 
 from bench.campaign.course import Step
 from bench.campaign.fitting import Preparation, PromptKind, sample_for
@@ -47,6 +48,7 @@ from bench.telemetry.recorder import read_swing, write_swing
 from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS
 from drivers.base.compiled import new_record
+from tests.bench.running_postgres import running_postgres
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 
@@ -659,6 +661,33 @@ def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
     assert len(bench.shots) == 4
     assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
     assert [kind for _, kind, _ in _events(bench)] == ["killed"]
+
+
+@pytest.mark.live
+@pytest.mark.requires("postgres")
+def test_a_server_that_restarts_is_waited_for_and_no_shot_is_lost(
+    make: Callable[..., Bench], tool: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    heard: list[str] = []
+    monkeypatch.setattr(bench.watcher, "say", heard.append)
+    with (
+        running_postgres(Path(tool("postgres"))) as server,
+        open_database(make_url(server.url), NOW) as engine,
+    ):
+        bench.store = CampaignStore(engine)
+        bench.store.begin(bench.entry)
+
+        def script(number: int) -> dict[str, Any]:
+            if number == 5:
+                server.stop()
+                threading.Timer(1.0, server.start).start()
+            return {}
+
+        assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
+        assert [shot.shot for shot in bench.shots] == list(range(1, 19))
+        assert [kind for _, kind, _ in _events(bench)] == ["database"]
+    assert any("out of reach" in text for text in heard)
 
 
 class Unseen(Scripted):

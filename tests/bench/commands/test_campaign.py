@@ -398,8 +398,10 @@ def test_the_list_shows_ids_whole_at_any_width(
     monkeypatch.setenv("COLUMNS", columns)
     code, text = user("list")
     assert code == ExitCode.OK
-    for word in (*two, "2026-01-01", "suspended", "no ball came"):
+    for word in (*two, "bench1", "2026-01-01", "suspended", "no ball came", "excluded"):
         assert word in text
+    assert user("list", "--bench", "bench1")[1] == text
+    assert user("list", "--bench", "other")[1].strip() == "No campaigns of bench other yet."
 
 
 @pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report", "answer"])

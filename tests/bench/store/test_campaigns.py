@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -25,6 +24,7 @@ from sqlalchemy import (
     create_engine,
     false,
     insert,
+    make_url,
     select,
 )
 from sqlalchemy import event as events
@@ -46,6 +46,7 @@ from bench.store.campaigns import (
 )
 from bench.store.database import SCHEMA_VERSION, DatabaseLocked, open_database
 from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow, UtcTime
+from tests.bench.running_postgres import PostgresServer, running_postgres
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 STORED = Path(__file__).with_name("stored")
@@ -149,31 +150,94 @@ def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_pat
 
 
 @pytest.fixture
-def postgres(tool: Callable[[str], str]) -> Iterator[str]:
-    """The URL of an empty database of a server that lives as long as the test."""
-    programs = Path(tool("postgres")).resolve().parent
-    as_root = shutil.which("setpriv") if Path("/proc/self").stat().st_uid == 0 else None
-    prefix: list[str] = []
-    with TemporaryDirectory(prefix="golfbench-postgres-", ignore_cleanup_errors=True) as folder:
-        data = Path(folder)
-        if as_root:  # the server refuses to run as root
-            shutil.chown(data, "nobody")
-            prefix = [as_root, "--reuid", "nobody", "--clear-groups"]
-        options = f"-c listen_addresses='' -c unix_socket_directories={data} -c fsync=off"
+def server(tool: Callable[[str], str]) -> Iterator[PostgresServer]:
+    """A server with an empty database that lives as long as the test."""
+    with running_postgres(Path(tool("postgres"))) as server:
+        yield server
 
-        def call(*arguments: str) -> None:
-            done = subprocess.run(
-                [*prefix, *arguments], capture_output=True, text=True, cwd=data, timeout=60, check=False
-            )
-            assert done.returncode == 0, done.stdout + done.stderr
 
-        call(str(programs / "initdb"), "-D", str(data / "db"), "-U", "test", "-A", "trust", "--no-sync")
-        control = (str(programs / "pg_ctl"), "-D", str(data / "db"), "-w")
-        call(*control, "-l", str(data / "log"), "-o", options, "start")
-        try:
-            yield f"postgresql+psycopg://test@/postgres?host={data}"
-        finally:
-            call(*control, "-m", "immediate", "stop")
+@pytest.fixture
+def postgres(server: PostgresServer) -> str:
+    """The URL of its database."""
+    return server.url
+
+
+WRITER = """
+import sys
+import time
+from dataclasses import replace
+from sqlalchemy import make_url
+from bench.store.campaigns import CampaignStore, Hit, StoredShot
+from bench.store.database import open_database
+from tests.bench.store.test_campaigns import ENTRY, SHOT
+
+url, name, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+entry = replace(ENTRY, id=name, bench=name)
+with open_database(make_url(url)) as engine:
+    store = CampaignStore(engine)
+    store.waiting = lambda trouble: print(f"{name} waits: {trouble.state}", file=sys.stderr)
+    if name not in {found.id for found, _, _ in store.entries()}:
+        store.begin(entry)
+    for number in range(len(store.shots(name)) + 1, count + 1):
+        shots = [StoredShot(replace(SHOT, shot=number), str(number))]
+        store.add(entry, shots, hits={Hit("club", "driver"): 1})
+        store.change(name, reason=f"shot {number}")
+        print(number, flush=True)
+        time.sleep(0.005)
+"""
+
+
+@pytest.mark.live
+@pytest.mark.requires("postgres")
+def test_four_benches_share_a_server_that_restarts_while_one_of_them_is_killed(
+    server: PostgresServer, tmp_path: Path
+) -> None:
+    count, names = 300, [f"bench{k}" for k in range(4)]
+    with _store(make_url(server.url)):
+        pass
+    log = tmp_path / "log"
+
+    def start(name: str) -> subprocess.Popen[str]:
+        with log.open("a") as errors:
+            command = [sys.executable, "-c", WRITER, server.url, name, str(count)]
+            return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+
+    writers = {name: start(name) for name in names}
+    try:
+        for name in names:  # all four are at work
+            output = writers[name].stdout
+            assert output is not None
+            while int(output.readline() or count) < 5:
+                pass
+        writers["bench0"].kill()
+        writers["bench0"].communicate()
+        writers["bench0"] = start("bench0")
+        server.restart()
+        for writer in writers.values():
+            writer.communicate(timeout=100)
+            assert writer.returncode == 0, log.read_text()
+    finally:
+        for writer in writers.values():
+            writer.kill()
+            writer.wait()
+    assert "waits: out of reach" in log.read_text()
+    with _store(make_url(server.url)) as store:
+        assert sorted(entry.id for entry, _, _ in store.entries()) == names
+        for name in names:
+            assert [stored.shot.shot for stored in store.shots(name)] == list(range(1, count + 1))
+            assert store.hits(name) == {Hit("club", "driver"): count}
+            assert store.standing(name).reason == f"shot {count}"
+
+
+def test_a_shot_that_is_excluded_by_hand_does_not_count_as_valid(tmp_path: Path) -> None:
+    with _store(database_url("", tmp_path)) as store:
+        store.begin(ENTRY)
+        failed = StoredShot(replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball"))
+        store.add(ENTRY, [*_shots(1, 3), failed])
+        for shot, excluded in ((1, True), (2, True), (2, False), (2, True), (3, True), (3, False), (4, True)):
+            store.add_exclusion(ENTRY.id, ShotExclusion(shot, NOW, "Ann", "a gust", excluded, 4))
+        ((_, _, counts),) = store.entries()
+        assert {status: counts[status] for status in ShotStatus} == {"valid": 1, "excluded": 2, "failed": 1}
 
 
 def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
@@ -280,8 +344,8 @@ def test_a_locked_database_is_waited_for_as_long_as_one_wants(
             store.change(ENTRY.id, reason="lunch")
         waited = list[float]()
 
-        def waiting(seconds: float) -> None:
-            waited.append(seconds)
+        def waiting(trouble: DatabaseLocked) -> None:
+            waited.append(trouble.waited)
             if len(waited) == 3:
                 other.execute("ROLLBACK")
                 other.close()
