@@ -16,6 +16,19 @@ if TYPE_CHECKING:
 _ALLOWED_DEATHS = 10
 """Workers that may die under one batch before dask gives it up: most die of something else."""
 
+_CONFIGURATION = {
+    "distributed.scheduler.allowed-failures": _ALLOWED_DEATHS,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "warning",
+    # By default each process looks at itself up to 100 times per second, for pages that are not served here.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.worker.memory.monitor-interval": "1s",
+}
+"""Dask's configuration of scheduler, nannies and workers."""
+
 
 def cluster(
     context: typer.Context,
@@ -73,14 +86,7 @@ async def _serve(host: str, port: int, workers: int, join: str, files: IdentityF
     }
     if files:
         settings["security"] = security_of(files)
-    dask.config.set(
-        {
-            "distributed.scheduler.allowed-failures": _ALLOWED_DEATHS,
-            "distributed.scheduler.http.routes": [],
-            "distributed.worker.http.routes": [],
-            "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "warning",
-        }
-    )
+    dask.config.set(_CONFIGURATION)
     logging.getLogger("distributed").setLevel(logging.WARNING)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
