@@ -308,6 +308,7 @@ class Daemon:
             versions=versions(),
             real_time=self._real_time,
             calibrations=self.calibration.record(),
+            timing=folder / TIMING_FILE,
             wall=self.wall,
         )
         return Child.start("recorder", "bench.processes.recorder", plan)
@@ -383,6 +384,9 @@ class Daemon:
             rate_hz=timing["ticks"] / (now - self._summed_up),
             skipped=int(after["skipped"][0]),
             late=int(after["late"][0]),
+            page_faults=int(after["page_faults"][0]),
+            preemptions=int(after["preemptions"][0]),
+            stalls=summary(after)["stalls"],
             wake_p50_s=1e-6 * (wake["p50_us"] or 0.0),
             wake_p99_s=1e-6 * (wake["p99_us"] or 0.0),
             tick_p99_s=1e-6 * (tick["p99_us"] or 0.0),

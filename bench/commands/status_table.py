@@ -23,6 +23,12 @@ REDRAW = 0.2
 SILENT = 1.0
 """s without a state after which the bench counts as silent; it publishes every 0.2 s."""
 
+_STALLS = {
+    "preemption": "other programs",
+    "page_fault": "page faults",
+    "long_tick": "the bench's own work",
+    "machine": "the machine",
+}
 _STYLES = {
     "ESTOP": "bold white on red",
     "FAULT": "bold white on red",
@@ -100,7 +106,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         (
             "loop",
             f"{loop['rate_hz']:.1f} Hz, tick {status['tick']}, "
-            f"skipped {loop['skipped']}, late {loop['late']}\n"
+            f"skipped {loop['skipped']}, late {loop['late']}{_stalls(loop['stalls'])}\n"
             f"woken p50 {_microseconds(loop['wake_p50_s'])}, p99 {_microseconds(loop['wake_p99_s'])}; "
             f"tick p99 {_microseconds(loop['tick_p99_s'])}",
         ),
@@ -191,6 +197,12 @@ def _bar(pressure: float | None) -> str:
 
 def _degrees(angle: float | None) -> str:
     return "–" if angle is None else f"{angle:.1f}°"
+
+
+def _stalls(stalls: Mapping[str, int]) -> str:
+    """Return why ticks were late or skipped, empty if none was."""
+    found = [f"{count} by {_STALLS.get(why, why)}" for why, count in stalls.items() if count]
+    return f" ({', '.join(found)})" if found else ""
 
 
 def _microseconds(seconds: float) -> str:

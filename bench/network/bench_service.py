@@ -57,6 +57,12 @@ class LoopStatus(TypedDict):
     """Measured."""
     skipped: int
     late: int
+    page_faults: int
+    preemptions: int
+    """Of the loop's thread since it became ready."""
+    stalls: dict[str, int]
+    """Ticks that were late or followed skipped ones, by why: `preemption`, `page_fault`, `long_tick` (the
+    bench's own work), or `machine` (stolen time, interrupts)."""
     wake_p50_s: float
     wake_p99_s: float
     tick_p99_s: float

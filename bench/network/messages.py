@@ -70,6 +70,11 @@ class LoopMessage(TypedDict):
     """Grid points without a tick."""
     late: int
     """Ticks that began late."""
+    page_faults: int
+    preemptions: int
+    """Of the loop's thread."""
+    stalls: dict[str, int]
+    """Ticks that were late or followed skipped ones, by why."""
     period_us: float
     segments: dict[str, SegmentTiming]
 

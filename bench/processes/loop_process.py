@@ -34,6 +34,7 @@ from bench.processes.ownership import adopt
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
 from bench.processes.real_time import real_time
 from bench.processes.supervision import SUPERVISION_FILE, Orders
+from bench.processes.thread_usage import UsageReader, stall_between
 from bench.processes.tick_timing import TickTiming, check_budget, create_timing, new_timing
 from bench.telemetry.ring import RingWriter
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
@@ -143,8 +144,10 @@ class LoopProcess:
                 real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu)
             )
             self._reopen()  # compiling may have exceeded the watchdog and heartbeat time-outs
+            self._usage = stack.enter_context(UsageReader())
             clock = PacedClock(self.period) if self.paced else GridClock(self._period_ns)
             self._warm_up(clock)
+            self._used_before = self._used = self._usage.read()
             send_event("ready", real_time=granted.as_json(), tick_ns=self.tick_ns)
             return self._live(clock)
 
@@ -190,6 +193,7 @@ class LoopProcess:
                 self._report_device()
             if tick % _POLL_TICKS and not reason:
                 continue
+            self._note_usage()
             if not reason and (reason := self._reason_to_end()):
                 last = time + _STOP_TIMEOUT
                 if self.parent.gone:
@@ -237,10 +241,25 @@ class LoopProcess:
         self._watch_device()
         if self.corrections.is_ordered:
             self._correct()
-        self.timing.note(marks, clock.due, clock.woke)
+        if delay := self.timing.note(marks, clock.due, clock.woke):
+            self._explain(delay)
         if self._answer[0] == Answer.ACCEPTED and self._answered[0]:
             self._note_request(Request(int(self._answered[0])))
         return time
+
+    def _note_usage(self) -> None:
+        """Read the counters of this thread and publish them."""
+        self._used = used = self._usage.read()
+        first = self._used_before
+        self.timing.note_usage(used.page_faults - first.page_faults, used.preemptions - first.preemptions)
+
+    def _explain(self, delay: int) -> None:
+        """Count why the tick was late by `delay`, ns; not in the warm-up, in which nothing can move."""
+        if self._warm[0]:
+            before = self._used
+            self._note_usage()
+            work = round(1e9 * self._work_time[0])
+            self.timing.note_stall(stall_between(before, self._used, delay, work, self._period_ns))
 
     def _correct(self) -> None:
         """Apply an ordered correction between swings.

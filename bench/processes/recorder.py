@@ -39,6 +39,7 @@ from bench.processes.child_process import (
     send_failure,
 )
 from bench.processes.correction import CORRECTED, weights_of
+from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.ball_struck import ball_struck
 from bench.shot.swing_drift import DriftWatch, strike_seen
 from bench.swing.correction import basis_of
@@ -89,6 +90,8 @@ class RecorderPlan:
     real_time: Mapping[str, Any] = field(default_factory=dict)
     """Real-time settings requested by the loop and granted."""
     calibrations: Mapping[str, Any] = field(default_factory=dict)
+    timing: Path | None = None
+    """File of the loop's TIMING record; None: records go without it."""
     wall: bool = True
     """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
     lead: float = 0.5
@@ -137,6 +140,8 @@ class Recorder:
         self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._cutter = SwingCutter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
+        self._timing = None if plan.timing is None else TimingReader(plan.timing)
+        self._timed = None if self._timing is None else self._timing.snapshot()
         self._drift = DriftWatch()
         self._segment: list[Cycles] = []
         self._segment_lost = 0
@@ -216,6 +221,8 @@ class Recorder:
         """Unmap the shared files."""
         for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
             shared.close()
+        if self._timing is not None:
+            self._timing.close()
 
     def _read(self) -> Cycles:
         """Return the new cycles without those stored by a previous recorder."""
@@ -269,8 +276,20 @@ class Recorder:
         )
         if cut.kind == "swing":
             metadata["drift"] = self._drift_of(cut, metadata)
+        metadata["loop"] = self._loop_since_before()
         path = record_path(folder, began, self._number)
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
+
+    def _loop_since_before(self) -> dict[str, Any] | None:
+        """Return the loop's counters since the record before; None without them."""
+        if self._timing is None:
+            return None
+        before, self._timed = self._timed, self._timing.snapshot()
+        counted = summary(self._timed, before)
+        return {
+            name: counted[name]
+            for name in ("ticks", "skipped", "late", "page_faults", "preemptions", "stalls")
+        }
 
     def _drift_of(self, cut: Cut, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return speed and place of the head at the ball against the swings before; None without a strike."""

@@ -23,7 +23,17 @@ from bench.telemetry.cycle_record import CYCLE
 
 Cycles = np.ndarray[Any, Any]
 
-NO_STATISTICS = LoopStatus(rate_hz=0.0, skipped=0, late=0, wake_p50_s=0.0, wake_p99_s=0.0, tick_p99_s=0.0)
+NO_STATISTICS = LoopStatus(
+    rate_hz=0.0,
+    skipped=0,
+    late=0,
+    page_faults=0,
+    preemptions=0,
+    stalls={},
+    wake_p50_s=0.0,
+    wake_p99_s=0.0,
+    tick_p99_s=0.0,
+)
 """Loop status in the first second of the loop, and on a virtual clock."""
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(

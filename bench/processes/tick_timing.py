@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import mmap
 import os
+from enum import IntEnum
 from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
@@ -35,6 +36,19 @@ _FIRST_OCTAVE, _LAST_OCTAVE = 8, 27
 """Powers of two: durations below 256 ns share the first bucket, those from 134 ms on the last."""
 BUCKETS = 2 + _PER_OCTAVE * (_LAST_OCTAVE - _FIRST_OCTAVE)
 
+
+class Stall(IntEnum):
+    """Why a tick was late, or grid points had none."""
+
+    PREEMPTION = 0
+    """Other threads had its core."""
+    PAGE_FAULT = 1
+    LONG_TICK = 2
+    """The tick before took longer than a period."""
+    MACHINE = 3
+    """None of these: the hypervisor's stolen time, interrupts, firmware."""
+
+
 TIMING = np.dtype(
     [
         ("layout", "i8"),
@@ -42,13 +56,18 @@ TIMING = np.dtype(
         ("ticks", "i8"),
         ("skipped", "i8"),
         ("late", "i8"),
+        ("page_faults", "i8"),
+        ("preemptions", "i8"),
+        ("stalls", "i8", (len(Stall),)),
         ("due", "i8"),
         ("longest", "i8", (len(SEGMENTS),)),
         ("count", "i8", (len(SEGMENTS), BUCKETS)),
     ]
 )
 """Counters since the loop's start. `period`, `due` (grid point of the last tick) and `longest` in ns;
-`skipped` grid points without a tick; `late` ticks that woke more than `bench.clock.LATE` after theirs."""
+`skipped` grid points without a tick; `late` ticks that woke more than `bench.clock.LATE` after theirs;
+`page_faults` and `preemptions` of the loop's thread; `stalls` by why: ticks that were late or followed
+skipped grid points."""
 
 _LAYOUT = int.from_bytes(sha256(repr((TIMING.descr, BUCKETS)).encode()).digest()[:7], "little")
 _PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _LONGEST, _COUNT = (
@@ -93,8 +112,8 @@ def _count(words: Any, segment: int, duration: int) -> None:
 
 
 @compiled
-def _note(words: Any, marks: Any, due: int, woke: int) -> None:
-    """Count one tick into `words`, a TIMING record as a vector."""
+def _note(words: Any, marks: Any, due: int, woke: int) -> int:
+    """Count one tick into `words`, a TIMING record as a vector; return its delay (ns), 0 unless a stall."""
     latency, period = woke - due, words[_PERIOD]
     _count(words, 0, latency)
     _count(words, 1, marks[0] - woke)
@@ -102,11 +121,14 @@ def _note(words: Any, marks: Any, due: int, woke: int) -> None:
         _count(words, k + 1, marks[k] - marks[k - 1])
     _count(words, _TICK, marks[len(marks) - 1] - woke)
     words[_TICKS] += 1
+    missed = 0
     if latency > LATE:
         words[_LATE] += 1
     if words[_DUE] > 0 and period > 0:
-        words[_SKIPPED] += (due - words[_DUE]) // period - 1
+        missed = (due - words[_DUE]) // period - 1
+        words[_SKIPPED] += missed
     words[_DUE] = due
+    return latency + missed * period if missed > 0 or latency > LATE else 0
 
 
 def upper_edges() -> NDArray[np.int64]:
@@ -121,16 +143,28 @@ class TickTiming:
 
     def __init__(self, record: np.ndarray[Any, Any], memory: mmap.mmap | None = None) -> None:
         """Count into `record`, a one-element array of TIMING, which may be in `memory`."""
-        self._words = record.view(np.int64)
+        self._record, self._words = record, record.view(np.int64)
         self._memory = memory
 
-    def note(self, marks: NDArray[np.int64], due: int, woke: int) -> None:
-        """Count a tick with its due and wake-up times (ns); `marks` are its STAMPS. Takes about 1 us."""
-        _note(self._words, marks, due, woke)
+    def note(self, marks: NDArray[np.int64], due: int, woke: int) -> int:
+        """Count a tick with its due and wake-up times (ns); `marks` are its STAMPS. Takes about 1 us.
+
+        Return by how much it was late (ns), with the grid points skipped before it; 0 unless that is a stall.
+        """
+        return _note(self._words, marks, due, woke)
+
+    def note_usage(self, page_faults: int, preemptions: int) -> None:
+        """Set the counters of the loop's thread since it became ready."""
+        self._record["page_faults"], self._record["preemptions"] = page_faults, preemptions
+
+    def note_stall(self, stall: Stall) -> None:
+        """Count a stall."""
+        self._record["stalls"][0, stall] += 1
 
     def close(self) -> None:
         """Unmap; the file remains. May be called twice."""
-        self._words = np.zeros(0, np.int64)
+        self._record = np.zeros(1, TIMING)
+        self._words = self._record.view(np.int64)
         if self._memory is not None:
             self._memory.close()
 
@@ -244,13 +278,15 @@ def percentile(count: NDArray[np.int64], share: float) -> int:
 def summary(now: np.ndarray[Any, Any], before: np.ndarray[Any, Any] | None = None) -> dict[str, Any]:
     """Return the statistics between two snapshots, or since the loop's start, as plain values.
 
-    `ticks`, `skipped`, `late`, `period_us`, and by segment `count`, `p50_us`, `p99_us`, `p999_us`, `max_us`,
-    None if nothing was counted. Percentiles are exact within a sixteenth; so is the maximum, unless it is a
-    new overall maximum, which is exact.
+    `ticks`, `skipped`, `late`, `page_faults`, `preemptions`, `stalls` by why, `period_us`, and by segment
+    `count`, `p50_us`, `p99_us`, `p999_us`, `max_us`, None if nothing was counted. Percentiles are exact to
+    within a sixteenth; so is the maximum, unless it is a new overall maximum, which is exact.
     """
     after = now[0]
     start = np.zeros(1, TIMING)[0] if before is None else before[0]
-    answer: dict[str, Any] = {name: int(after[name] - start[name]) for name in ("ticks", "skipped", "late")}
+    counters = "ticks", "skipped", "late", "page_faults", "preemptions"
+    answer: dict[str, Any] = {name: int(after[name] - start[name]) for name in counters}
+    answer["stalls"] = {why.name.lower(): int(after["stalls"][why] - start["stalls"][why]) for why in Stall}
     answer["period_us"] = int(after["period"]) / 1000
     answer["segments"] = {}
     for segment, name in enumerate(SEGMENTS):

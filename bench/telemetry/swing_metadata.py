@@ -23,6 +23,9 @@ Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 `snapshot`       null, or the controller's memory after the step of `tick` (which is in the record) at the
                  loop's `time`: `layout`, digest of its type; `data`, base64 of zlib of its bytes
 `replayable`     there is a snapshot, and no record is lost
+`loop`           counters of the loop since the record before it, else null or missing: `ticks`, `skipped`,
+                 `late`, `page_faults`, `preemptions`, and `stalls` by why (`preemption`, `page_fault`,
+                 `long_tick`, `machine`: stolen time, interrupts)
 `drift`          of a whole swing through the ball's place, else null or missing: `club_speed_mps`;
                  `ball_met_m`, where the encoders saw the head at the strike, along the ground; the medians of
                  the first swings with the same tables; `warnings`; see `bench.shot.swing_drift`

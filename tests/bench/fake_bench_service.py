@@ -142,7 +142,15 @@ class FakeDesk:
                 counters={"frames": 123456, "missing": 7, "bus_off": 0},
             ),
             loop=LoopStatus(
-                rate_hz=999.98, skipped=3, late=5, wake_p50_s=8e-6, wake_p99_s=41e-6, tick_p99_s=93e-6
+                rate_hz=999.98,
+                skipped=3,
+                late=5,
+                page_faults=1,
+                preemptions=40,
+                stalls={"preemption": 4, "page_fault": 0, "long_tick": 0, "machine": 1},
+                wake_p50_s=8e-6,
+                wake_p99_s=41e-6,
+                tick_p99_s=93e-6,
             ),
             real_time={
                 "mode": "prefer",

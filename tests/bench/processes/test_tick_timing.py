@@ -20,6 +20,7 @@ from bench.processes.tick_timing import (
     SEGMENTS,
     STAMPS,
     TIMING,
+    Stall,
     TickTiming,
     TimingReader,
     bucket,
@@ -128,6 +129,25 @@ def test_two_snapshots_tell_what_happened_in_between() -> None:
     for key, share in SHARES.items():
         exact = float(np.quantile(second[:, 0], share, method="inverted_cdf")) / 1000
         assert exact <= latency[key] <= exact * (1 + 1 / 16) + 0.256
+
+
+def test_a_stall_returns_its_delay_and_is_counted_by_why() -> None:
+    record = new_timing(PERIOD)
+    timing = TickTiming(record)
+    assert timing.note(stamps_of([0] * 6, PERIOD), PERIOD, PERIOD + 5) == 0
+    late = LATE + 7
+    assert timing.note(stamps_of([0] * 6, 2 * PERIOD), 2 * PERIOD, 2 * PERIOD + late) == late
+    assert timing.note(stamps_of([0] * 6, 5 * PERIOD), 5 * PERIOD, 5 * PERIOD) == 2 * PERIOD
+    timing.note_stall(Stall.MACHINE)
+    timing.note_stall(Stall.PREEMPTION)
+    timing.note_stall(Stall.MACHINE)
+    timing.note_usage(4, 9)
+    found = summary(record)
+    assert found["stalls"] == {"preemption": 1, "page_fault": 0, "long_tick": 0, "machine": 2}
+    assert (found["page_faults"], found["preemptions"]) == (4, 9)
+    timing.close()
+    timing.note_usage(1, 1)  # after its end it counts into nothing
+    assert record["page_faults"][0] == 4
 
 
 def test_nothing_counted_gives_no_figures() -> None:
