@@ -9,6 +9,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, Full, Queue
 from typing import Any
@@ -138,7 +139,8 @@ class SwingReader:
                     pass
 
     def _work(self) -> None:
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        with suppress(PermissionError):  # a service that may not has a low priority already
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         warm = False
         while (path := self._offered.get()) is not None:
             try:

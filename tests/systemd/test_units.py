@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 
 UNITS = Path(__file__).parents[2] / "systemd"
-INSTANCES = {"golfbench": "bench1", "golfbench-can": "can0", "golfbench-view": "bench1"}
+INSTANCES = {
+    "golfbench": "bench1",
+    "golfbench-can": "can0",
+    "golfbench-page": "bench1",
+    "golfbench-view": "bench1",
+}
 
 pytestmark = pytest.mark.requires("systemd-analyze")
 

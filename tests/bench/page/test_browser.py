@@ -1,0 +1,260 @@
+"""The page in a real browser: what an operator sees and clicks."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.lifecycle import Request, State
+from bench.network.free_port import free_port
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.page.conftest import publishing
+from tests.bench.page.running_page import RunningPage, running_page
+from tests.running_bench import command_beside, running_bench, write_configuration
+
+pytestmark = [pytest.mark.live, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]
+
+PATIENCE = 120_000.0
+"""ms for an element to become as expected: processors may be busy."""
+SCRIPT = "<img src=x onerror=alert(1)>"
+
+CONTRAST = """() => {
+  const rgb = (text) => text.match(/[0-9.]+/g).map(Number);
+  const linear = (v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  const light = (colour) => {
+    const [r, g, b] = colour.slice(0, 3).map((v) => linear(v / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const behind = (element) => {
+    for (let at = element; at; at = at.parentElement) {
+      const colour = rgb(getComputedStyle(at).backgroundColor);
+      if (colour.length < 4 || colour[3] > 0.99) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const poor = [];
+  for (const e of document.body.querySelectorAll("*")) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    if (!own || !e.checkVisibility() || e.closest("svg")) continue;
+    const [a, b] = [light(rgb(getComputedStyle(e).color)), light(behind(e))].sort((x, y) => y - x);
+    const ratio = (a + 0.05) / (b + 0.05);
+    if (ratio < 4.5) poor.push(`${e.tagName} ${e.id} ${e.textContent.slice(0, 30)} ${ratio.toFixed(2)}`);
+  }
+  return poor;
+}"""
+"""Texts whose contrast is below that of WCAG AA."""
+UNNAMED = """() => [...document.querySelectorAll("button, input, select")]
+  .filter((e) => e.checkVisibility() && !e.textContent.trim() && !e.labels?.length && !e.ariaLabel)
+  .map((e) => e.id)"""
+SIZES = """() => [document.documentElement.scrollWidth,
+  document.getElementById("stop").getBoundingClientRect().height]"""
+
+
+@pytest.fixture
+def browser(tool: Callable[[str], str]) -> Iterator[Any]:
+    """Start the system's Chromium; it ends with the test, and all its processes with it."""
+    from playwright.sync_api import expect, sync_playwright
+
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=tool("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE
+        )
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """One open page, and what went wrong in it."""
+
+    def __init__(self, browser: Any, url: str, **options: Any) -> None:
+        self.context = browser.new_context(**options)
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(PATIENCE)
+        self.faults: list[str] = []
+        self.foreign: list[str] = []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("console", self._hear)
+        self.page.on("request", lambda asked: self._note(asked.url, url))
+        self.page.goto(url)
+
+    def _hear(self, message: Any) -> None:
+        # A refusal is an answer, too: the browser logs it.
+        if message.type == "error" and not message.text.startswith("Failed to load resource"):
+            self.faults.append(message.text)
+
+    def _note(self, asked: str, own: str) -> None:
+        if not asked.startswith(own):
+            self.foreign.append(asked)
+
+    def text(self, place: str) -> Any:
+        from playwright.sync_api import expect
+
+        return expect(self.page.locator(place))
+
+    def do(self, name: str, ask: bool = True) -> None:
+        self.text(f"#do-{name}").to_be_enabled()
+        self.page.click(f"#do-{name}")
+        if ask:
+            self.page.click("#ask-yes")
+        self.text("#outcome").to_contain_text("accepted")
+
+    def take_lease(self, name: str = "Ann") -> None:
+        self.text("#take").to_be_enabled()
+        self.page.fill("#holder", name)
+        self.page.click("#take")
+        self.text("#release").to_be_visible()
+
+
+@contextmanager
+def open_tab(browser: Any, url: str, **options: Any) -> Iterator[Tab]:
+    tab = Tab(browser, url, **options)
+    try:
+        yield tab
+    finally:
+        tab.context.close()
+    assert tab.faults == []
+    assert tab.foreign == []
+
+
+@pytest.fixture
+def desk() -> FakeDesk:
+    return FakeDesk()
+
+
+@pytest.fixture
+def silence() -> list[Callable[[], None]]:
+    return []
+
+
+@pytest.fixture
+def page(desk: FakeDesk, silence: list[Callable[[], None]]) -> Iterator[RunningPage]:
+    with ExitStack() as stack:
+        running = stack.enter_context(running_plane(desk, loopback_configuration()))
+        speaking = stack.enter_context(publishing(running))
+        silence.append(speaking.clear)
+        yield stack.enter_context(running_page(running.configuration))
+
+
+def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPage, desk: FakeDesk) -> None:
+    with open_tab(browser, page.url) as tab, open_tab(browser, page.url) as other:
+        tab.text("#state-word").to_have_text("ESTOP")
+        tab.text("#cure").to_have_text("Reset to begin.")
+        tab.take_lease(SCRIPT)
+        other.text("#lease").to_contain_text(f"Lease: {SCRIPT}")
+        tab.do("reset", ask=False)
+        tab.text("#state-word").to_have_text("SAFE")
+        tab.text("#do-home").to_be_enabled()
+        tab.page.click("#do-home")
+        tab.page.click("#ask-no")
+        assert Request.HOME not in desk.requests
+        tab.do("home")
+        tab.text("#state-word").to_have_text("READY")
+        other.text("#state-word").to_have_text("READY")
+        other.text("#do-arm").to_be_disabled()  # the lease is another tab's
+        tab.text("#do-swing").to_be_disabled()
+        tab.text("#do-arm").to_be_enabled()
+        tab.page.click("#do-arm")
+        tab.text("#ask").to_be_visible()
+        desk.state = State.FAULT  # the reason of the question is gone
+        tab.text("#ask").to_be_hidden()
+        assert Request.ARM not in desk.requests
+        other.page.click("#stop")  # by anybody
+        other.text("#outcome").to_contain_text("Stop: the bench has taken it.")
+        assert [what for what, _ in desk.stops] == ["stop"]
+        tab.page.click("#release")
+        tab.text("#lease").to_have_text("Lease: not held")
+
+
+def test_a_lost_bench_is_said_within_two_seconds(
+    browser: Any, page: RunningPage, silence: list[Callable[[], None]]
+) -> None:
+    with open_tab(browser, page.url) as tab:
+        tab.text("body").not_to_have_class("stale")
+        silence[0]()
+        began = time.monotonic()
+        tab.text("body").to_have_class("stale")
+        took = time.monotonic() - began
+        tab.text("#lost").to_contain_text("The bench is silent since")
+        tab.text("#do-reset").to_be_disabled()
+        tab.text("#stop").to_be_enabled()
+        assert took < 2.0 + 1.0, f"{took:.1f} s"  # a busy browser paints late
+
+
+def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: RunningPage) -> None:
+    phone: dict[str, Any] = {"viewport": {"width": 360, "height": 740}, "bypass_csp": True}
+    for theme in ("light", "dark"):
+        with open_tab(browser, page.url, color_scheme=theme, **phone) as tab:
+            tab.text("body").not_to_have_class("stale")
+            tab.text("#state-word").to_have_text("ESTOP")
+            assert tab.page.evaluate(CONTRAST) == []
+            width, height = tab.page.evaluate(SIZES)
+            assert width <= 360
+            assert height >= 48
+            assert tab.page.evaluate(UNNAMED) == []
+            tab.page.keyboard.press("Tab")
+            assert tab.page.evaluate("() => document.activeElement.id") == "stop"
+
+
+def listens(port: int) -> bool:
+    with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+        return True
+    return False
+
+
+def test_a_swing_by_clicks_on_a_running_bench(browser: Any, tmp_path: Path) -> None:
+    file, port = write_configuration(tmp_path, "page"), free_port()
+    with running_bench(file) as bench, command_beside(file, "page", "--port", str(port)) as process:
+        while not listens(port):
+            assert process.poll() is None, process.stderr and process.stderr.read()
+            time.sleep(0.2)
+        with open_tab(browser, f"http://127.0.0.1:{port}/") as tab:
+            swing_and_stop(tab)
+            assert len(bench.records) == 1
+            bench.process.send_signal(signal.SIGINT)
+            bench.process.wait()
+            tab.text("#lost").to_contain_text("The bench is silent")  # the page outlives its bench
+            tab.page.click("#stop")
+            tab.text("#outcome").to_contain_text("Use the emergency stop")
+        process.terminate()
+        assert process.wait(60) == 0, process.stderr and process.stderr.read()
+
+
+def swing_and_stop(tab: Tab) -> None:
+    tab.text("body").not_to_have_class("stale")
+    tab.take_lease()
+    tab.do("reset", ask=False)
+    tab.text("#state-word").to_have_text("SAFE")
+    tab.do("home")
+    tab.text("#state-word").to_have_text("READY")
+    until_accepted(tab, "arm")
+    tab.text("#phase").to_have_text("holding the address")
+    until_accepted(tab, "swing")
+    tab.text("#swing-card").to_be_visible()
+    tab.text("#swing .plots figure").to_have_count(3)
+    tab.text("#swing").to_contain_text("Club speed")
+    tab.page.click("#estop")
+    tab.text("#state-word").to_have_text("ESTOP")
+
+
+def until_accepted(tab: Tab, name: str) -> None:
+    """Click until the bench takes it: it refuses while it vents or fills, and the page repeats nothing."""
+    said = ""
+    for _ in range(30):
+        tab.text(f"#do-{name}").to_be_enabled()
+        tab.page.click(f"#do-{name}")
+        tab.page.click("#ask-yes")
+        tab.text("#outcome").not_to_contain_text("sent")
+        said = tab.page.locator("#outcome").inner_text()
+        if "accepted" in said:
+            return
+        assert "wait" in said.lower(), said
+        time.sleep(0.5)
+    raise AssertionError(said)
