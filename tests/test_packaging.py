@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import shutil
 import subprocess
@@ -79,6 +80,16 @@ def test_a_forbidden_import_breaks_the_contracts(module: str, line: str, tmp_pat
     answer = _contracts(tmp_path, {module: line})
     assert answer.returncode == 1
     assert "BROKEN" in answer.stdout or "unlisted" in answer.stdout
+
+
+def test_every_python_of_the_classifiers_is_checked_on_both_processors() -> None:
+    classifiers = PROJECT["project"]["classifiers"]
+    named = [line.rpartition(" :: ")[2] for line in classifiers if "Python :: 3." in line]
+    workflow = (TOP / ".github/workflows/check.yml").read_text()
+    assert named == ["3.11", "3.12", "3.13", "3.14"]
+    assert f"python: {json.dumps(named)}" in workflow
+    assert "machine: [ubuntu-24.04, ubuntu-24.04-arm]" in workflow
+    assert PROJECT["project"]["requires-python"] == f">={named[0]}"
 
 
 # Dependencies ----------------------------------------------------------------------------------------

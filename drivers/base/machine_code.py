@@ -8,7 +8,6 @@ with compiled functions import, directly or through others: any change there com
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import shutil
@@ -107,11 +106,13 @@ def cache_folder() -> Path:
 def mark_in_use(folder: Path) -> None:
     """Create the cache `folder`, set its time of last use, and lock it until this process ends.
 
-    Without permission nothing happens: Numba then keeps no machine code.
+    Without permission nothing happens: Numba then keeps no machine code. Without POSIX it is not locked.
     """
-    with suppress(OSError):
+    with suppress(OSError, ImportError):
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
+        import fcntl
+
         # Never closed: the lock ends with the process, and with every child that inherited it.
         fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_SH | fcntl.LOCK_NB)
 
@@ -128,7 +129,9 @@ def prune_caches(parent: Path, kept: int = _KEPT) -> None:
 
 
 def _remove_unused(path: str) -> None:
-    with suppress(OSError):
+    with suppress(OSError, ImportError):  # without POSIX: its use cannot be seen
+        import fcntl
+
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -35,8 +35,8 @@ _VERSION = 1
 _HEADER = struct.Struct("=8sI12sQQ16s")
 """Magic, layout version, kind of file, slots, bytes of a record, digest of the record's type."""
 
-_SHARED = mmap.MAP_SHARED | mmap.MAP_POPULATE
-"""All pages at once, so that no tick pays for a page fault."""
+_SHARED = getattr(mmap, "MAP_SHARED", 0) | getattr(mmap, "MAP_POPULATE", 0)
+"""All pages at once, so that no tick pays for a page fault; other systems than Linux only import this."""
 
 _HEAD = 64
 """Byte of the head word: on a cache line of its own, as are the slots."""
