@@ -81,6 +81,7 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
 _UNCHANGED = (
     "bench",
     "tick",
+    "time",
     "lease",
     "supply_pressure_pa",
     "loop",

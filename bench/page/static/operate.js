@@ -1,6 +1,6 @@
 // Stop, lease and commands.
 
-import { ask, checkQuestion } from "./ask.js";
+import { ask, checkQuestion, startQuestions } from "./ask.js";
 import { by, make, set } from "./dom.js";
 import { keep } from "./keep.js";
 import { say, send } from "./send.js";
@@ -17,6 +17,7 @@ const COMMANDS = [
   ["secure", "End access", "The guard locks. Is everybody outside?", "End the access?"],
 ];
 const RENEW = 3000; // ms
+const STOP_TIME = 3000; // ms until a stop without an answer is said to have failed
 let state = null;
 let you = { role: null };
 let ticket = "";
@@ -25,6 +26,7 @@ let again = () => {};
 
 export function startOperate(reconnect) {
   again = reconnect;
+  startQuestions();
   by("stop").addEventListener("click", () => stop("stop", "Stop"));
   by("estop").addEventListener("click", () => stop("estop", "Stop and latch"));
   by("take").addEventListener("click", take);
@@ -80,7 +82,7 @@ export function outcome(text, bad) {
 
 async function stop(name, label) {
   outcome(`${label}: sent …`, false);
-  const answer = await send(`/api/stop/${name}`);
+  const answer = await send(`/api/stop/${name}`, {}, "", STOP_TIME);
   outcome(answer.ok ? `${label}: the bench has taken it.` : `${label} FAILED. Use the emergency stop. ${say(answer, "")}`, !answer.ok);
 }
 

@@ -6,7 +6,7 @@ const UNKNOWN = {
   cure: "Look at the robot. Nothing is sent again by itself.",
 };
 
-export async function send(path, body = {}, ticket = "") {
+export async function send(path, body = {}, ticket = "", time = TIME) {
   try {
     const response = await fetch(path, {
       method: "POST",
@@ -14,7 +14,7 @@ export async function send(path, body = {}, ticket = "") {
       body: JSON.stringify(body),
       cache: "no-store",
       redirect: "error",
-      signal: AbortSignal.timeout(TIME),
+      signal: AbortSignal.timeout(time),
     });
     const answer = await response.json().catch(() => ({ what: "The answer is not readable.", cure: "Look at the robot." }));
     return { ok: response.ok, status: response.status, ...answer };

@@ -1,6 +1,6 @@
 // Messages of the bench, and whether they are of now: a page that has lost its bench says so within 2 s.
 
-import { by, set } from "./dom.js";
+import { set } from "./dom.js";
 
 const SILENT = 1.5; // s
 const LOOK = 200; // ms
@@ -54,7 +54,9 @@ function look() {
   const when = lostSince.toLocaleTimeString();
   const place = since < SILENT ? "The bench is silent" : "This page has lost its server";
   set("link", "not connected");
-  set(by("lost"), link.before
-    ? `${place} since ${when}. Grey figures are of then. Stop may not arrive: use the emergency stop.`
-    : `No bench has answered since ${when}. Start it: golfbench run.`);
+  set("lost", link.at === -Infinity
+    ? "No figures yet: this page connects, or needs a sign-in, or too many pages are open."
+    : link.before
+      ? `${place} since ${when}. Grey figures are of then. Stop may not arrive: use the emergency stop.`
+      : `No bench has answered since ${when}. Start it: golfbench run.`);
 }

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from bench.lifecycle import Request, State
+from bench.lifecycle import Request
 from bench.network.free_port import free_port
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
@@ -163,12 +163,13 @@ def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPag
         tab.text("#do-arm").to_be_enabled()
         tab.page.click("#do-arm")
         tab.text("#ask").to_be_visible()
-        desk.state = State.FAULT  # the reason of the question is gone
+        tab.page.click("#stop")  # a question covers no stop; what it asked is gone
         tab.text("#ask").to_be_hidden()
+        assert [what for what, _ in desk.stops] == ["stop"]
         assert Request.ARM not in desk.requests
         other.page.click("#stop")  # by anybody
         other.text("#outcome").to_contain_text("Stop: the bench has taken it.")
-        assert [what for what, _ in desk.stops] == ["stop"]
+        assert [what for what, _ in desk.stops] == ["stop", "stop"]
         tab.page.click("#release")
         tab.text("#lease").to_have_text("Lease: not held")
 

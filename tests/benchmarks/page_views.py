@@ -1,0 +1,159 @@
+"""The page beside a running bench: weight, first figure, age of a state, the loop with ten pages open.
+
+Readers are HTTP clients of this process that read what a browser reads; the loop's timing is taken in turns
+without and with them, so that a busy machine disturbs both alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from bench.network.free_port import free_port
+from bench.page.static_files import static_files
+from bench.processes.plan import TIMING_FILE
+from bench.processes.tick_timing import TimingReader, summary
+from tests.benchmarks.row import Row
+from tests.running_bench import BenchProcess, command_beside, running_bench, write_configuration
+
+_START = 300.0
+"""s in which the page starts."""
+_NAME = "page_views"
+
+
+def run(arguments: Sequence[str] = ()) -> list[Row]:
+    """Look for `--seconds` a turn; return weight, first figure, ages, and the loop's timing side by side."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks page_views")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--pages", type=int, default=10)
+    options = parser.parse_args(arguments)
+    port = free_port()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory()))
+        file = write_configuration(folder, "views")
+        bench = stack.enter_context(running_bench(file, clock="wall"))
+        stack.enter_context(command_beside(file, "page", "--port", str(port)))
+        _wait(port)
+        first = [_first_figure(port) for _ in range(10)]
+        alone, beside = [], []
+        ages: list[tuple[float, float]] = []
+        for _ in range(options.turns):
+            alone.append(_timing(bench, options.seconds))
+            with _readers(port, options.pages, ages):
+                beside.append(_timing(bench, options.seconds))
+    weight = sum(len(one.content) for one in static_files().values())
+    total, own = (1e3 * np.array(column) for column in zip(*ages, strict=True))
+    rows = [
+        Row(_NAME, "weight of the page, all files", weight / 1e3, "kB", at_most=300.0),
+        Row(
+            _NAME,
+            "first figure after the connection, median",
+            1e3 * float(np.median(first)),
+            "ms",
+            at_most=1e3,
+        ),
+        Row(_NAME, "age of a state at a reader, p50", float(np.median(total)), "ms", "from its tick"),
+        Row(_NAME, "age of a state at a reader, p95", float(np.percentile(total, 95)), "ms", "from its tick"),
+        Row(_NAME, "of it in the page, p95", float(np.percentile(own, 95)), "ms", at_most=200.0),
+    ]
+    for key in alone[0]:
+        unit = "" if "ticks" in key else "µs"
+        for name, turns in (("no page", alone), (f"{options.pages} pages", beside)):
+            values = [float(turn[key]) for turn in turns]
+            note = "turns: " + ", ".join(f"{value:.0f}" for value in values)
+            rows.append(Row(_NAME, f"loop {key}, {name}", float(np.median(values)), unit, note))
+    return rows
+
+
+def _timing(bench: BenchProcess, seconds: float) -> dict[str, float]:
+    """Return the loop's timing over `seconds`: percentiles in µs, and counts."""
+    reader = TimingReader(bench.folder / TIMING_FILE)
+    try:
+        before = reader.snapshot()
+        time.sleep(seconds)
+        found = summary(reader.snapshot(), before)
+    finally:
+        reader.close()
+    segments = found["segments"]
+    return {
+        f"{part} {level.removesuffix('_us')}": segments[part][level]
+        for part in ("wake_up", "tick")
+        for level in ("p50_us", "p99_us", "p999_us")
+    } | {"late ticks": found["late"], "skipped ticks": found["skipped"]}
+
+
+def _wait(port: int) -> None:
+    deadline = time.monotonic() + _START
+    while True:
+        with suppress(OSError):
+            _first_figure(port)
+            return
+        if time.monotonic() > deadline:
+            raise RuntimeError("the page does not start")
+        time.sleep(0.2)
+
+
+def _states(port: int) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield the time of arrival (s, CLOCK_MONOTONIC) and the content of each state."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
+    try:
+        connection.request("GET", "/api/stream")
+        response = connection.getresponse()
+        while line := response.readline():
+            if line == b"event: state\n":
+                content = response.readline()
+                yield time.monotonic(), json.loads(content.removeprefix(b"data: "))
+    finally:
+        connection.close()
+
+
+def _first_figure(port: int) -> float:
+    """Return the time from the connection to the first state, with all files of the page before, s."""
+    began = time.monotonic()
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
+    try:
+        connection.request("GET", "/")
+        names = re.findall(rb"/static/[a-z.]+", connection.getresponse().read())
+        scripts = {f"/static/{name}" for name in static_files() if name.endswith(".js")}
+        for path in scripts | {name.decode() for name in names}:
+            connection.request("GET", path)
+            connection.getresponse().read()
+    finally:
+        connection.close()
+    at, _ = next(_states(port))
+    return at - began
+
+
+@contextmanager
+def _readers(port: int, number: int, ages: list[tuple[float, float]]) -> Iterator[None]:
+    """Keep `number` pages open; add each state's age from its tick and from its arrival at the page, s."""
+    over = threading.Event()
+
+    def read() -> None:
+        for count, (at, state) in enumerate(_states(port)):
+            if over.is_set():
+                return
+            if count > 1:  # the first ones waited for the reader
+                ages.append((at - state["time"], at - state["seen"]))
+
+    threads = [threading.Thread(target=read) for _ in range(number)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
