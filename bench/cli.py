@@ -121,18 +121,18 @@ def doctor(
 ) -> None:
     """Check this machine: packages, real time, memory, CAN, tools.
 
+    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
     Exits with 1 if something is missing that the simulation needs.
     """
     import json
 
     from rich.console import Console
 
-    from bench.commands.doctor import examine, probes, report, table, usable
+    from bench.commands.doctor import examine, report, table, usable
+    from bench.commands.doctor_bench import all_probes
     from bench.commands.progress import progress_bar
 
-    if data_dir is None:
-        data_dir = context.ensure_object(Session).configuration().bench.data_dir
-    planned = probes(data_dir)
+    planned = all_probes(context.ensure_object(Session).configuration, data_dir)
     findings = []
     with progress_bar() as progress:
         task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
