@@ -1,6 +1,6 @@
 """Checks of a machine that runs hardware: its CAN link, clock, interrupt threads and cores.
 
-What the kernel tells stands in files below /sys and /proc; bit timing and error counters come from `ip`. Like
+The kernel states its settings in files below /sys and /proc; bit timing and error counters come from `ip`. Like
 `bench.commands.doctor`, nothing here raises or changes the machine.
 """
 
