@@ -1,7 +1,7 @@
 """Checks of a machine that runs hardware: its CAN link, clock, interrupt threads and cores.
 
-The kernel states its settings in files below /sys and /proc; bit timing and error counters come from `ip`. Like
-`bench.commands.doctor`, nothing here raises or changes the machine.
+The kernel states its settings in files below /sys and /proc; bit timing and error counters come from `ip`.
+Like `bench.commands.doctor`, nothing here raises or changes the machine.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ def bench_probes(
     ]
     if name == "canopen" and configuration.canopen.interface == "socketcan":
         link = configuration.canopen.channel
+        if not (root / "sys/class/net" / link).exists():
+            return (*found, Probe("this bench", link, partial(_no_link, configuration.canopen)))
         said = cache(partial(_link, link, ask or _ip))
         found += [
             Probe("this bench", f"{link}: bit timing", lambda: bit_timing(configuration.canopen, said())),
@@ -78,6 +80,12 @@ def bench_probes(
             ),
         ]
     return tuple(found)
+
+
+def _no_link(settings: CanopenSettings) -> ItemResult:
+    set_up = f"ip link set {settings.channel} up type can bitrate {settings.bitrate} restart-ms 100"
+    advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
+    return ItemResult(CheckStatus.MISSING, "no such link", advice)
 
 
 def clock_source(root: Path) -> ItemResult:
