@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import tracemalloc
+from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -20,9 +24,11 @@ from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, St
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.ring import RingWriter
 from drivers.base import PASSIVE, Command, DriverError, Readings, pack_readings
 from drivers.base.compiled import new_record
 from drivers.mock import MockDriver
+from sim.driver import SimDriver
 from sim.plant import PlantParameters
 
 ADDRESS = np.array([0.1, 4.05, 6.1])
@@ -371,3 +377,37 @@ def test_a_record_is_taken_unless_the_reading_was_replaced(parameters: ControlPa
         cycle = Cycle(driver, parameters, CycleArray(1), name="recording")
         cycle.run_tick(0.0)
         assert (cycle.read_error is not None) is lost
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="asks for the compiled tick")
+def test_ten_thousand_ticks_leave_no_memory_behind(parameters: ControlParameters, tmp_path: Path) -> None:
+    """From the readings of the simulated robot to the ring, with the collector off, as the loop runs."""
+    driver = SimDriver(PLANT)
+    driver.open()
+    ring = RingWriter(tmp_path / "ring", 1024)
+    loop = Cycle(driver, parameters, ring, name="sim")
+    clock = FreeClock(PERIOD)
+
+    def run(ticks: int) -> None:
+        for tick in range(ticks):
+            if tick % 1000 == 0:
+                loop.request(Request.RESET)
+            loop.run_tick(clock.wait())
+
+    run(1)
+    gc.collect()
+    gc.disable()
+    tracemalloc.start()
+    try:
+        run(3000)  # until the interpreter's stock of free tuples, at most 2,000 of each length, is full
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        run(10_000)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+        ring.close()
+        driver.close()
+    assert after - before < 1024, "objects that stay, or cycles that only the collector would free"
+    assert peak - before < 16384, "what one tick needs at a time: two records and a few numbers"
