@@ -260,6 +260,13 @@ def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -
     assert np.array_equal(times["angle"], expected)
 
 
+def test_rrd_holds_for_reruns_own_check(tmp_path: Path, record: ExportRecord) -> None:
+    (path,) = write_rrd(tmp_path / "007.rrd", record)
+    check = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
+    done = subprocess.run(check, capture_output=True, text=True, check=False, timeout=100)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def assert_readable(schema: dict[str, Any], value: Any) -> None:
     """Hold a schema and a value against the rules of Foxglove's schema parser: one type a property."""
     assert not {"anyOf", "allOf", "$ref", "enum"} & schema.keys()
