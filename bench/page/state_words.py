@@ -21,7 +21,7 @@ STATE_WORDS = {
     State.HOMING: ("Homing: the robot moves", "Wait until it is homed."),
     State.READY: ("Ready: vented and homed", "Arm to swing, or open the access to change club or ball."),
     State.ARMED: ("Armed: air on, the robot may move", "Swing once it rests at the address, or disarm."),
-    State.SWINGING: ("Swinging", "Keep clear of the guard."),
+    State.SWINGING: ("Swinging: the robot moves at full speed", "Keep clear of the guard."),
     State.RECOVERING: ("Returning or braking: the robot moves", "Wait until it rests."),
     State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
     State.FAULT: ("Fault, latched", "Clear the cause, then reset."),

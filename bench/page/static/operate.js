@@ -71,7 +71,7 @@ function refresh() {
     by(`do-${name}`).disabled = !(may && free && state.accepts.includes(name));
   }
   by("take").hidden = by("holder-label").hidden = ticket !== "";
-  by("take").disabled = !mayOperate();
+  by("take").disabled = !mayOperate() || state === null || state.lease !== null;
   by("release").hidden = ticket === "";
 }
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from bench.lifecycle import Request, State
+from bench.network.command_plane import HEARTBEAT
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
@@ -156,6 +157,12 @@ def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
         assert page.command("home", ticket, seen=seen).status == 409
     assert running.desk.requests == [Request.RESET]
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
+
+
+def test_the_script_says_so_within_two_seconds(page: RunningPage) -> None:
+    script = page.ask("GET", "/static/stream.js").body.decode()
+    silent, look = (float(re.findall(rf"const {name} = ([0-9.]+)", script)[0]) for name in ("SILENT", "LOOK"))
+    assert silent + 1e-3 * look + HEARTBEAT <= 2.0  # silence begins after the last state
 
 
 @pytest.mark.slow
