@@ -32,11 +32,6 @@ class PostgresServer:
         """Stop it as a crash would: connections are cut."""
         self._control("-m", "immediate", "stop")
 
-    def restart(self) -> None:
-        """Cut all connections and come back."""
-        self.stop()
-        self.start()
-
     def _control(self, *arguments: str) -> None:
         self._call("pg_ctl", "-D", str(self._data / "db"), "-w", *arguments)
 
