@@ -239,6 +239,20 @@ def test_four_benches_share_a_server_that_restarts_while_one_of_them_is_killed(
             assert store.standing(name).reason == f"shot {count}"
 
 
+@pytest.mark.live
+@pytest.mark.requires("postgres")
+def test_a_writer_that_holds_a_server_is_waited_for(postgres: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database, "BUSY_TIMEOUT", 0.05)
+    with _store(make_url(postgres)) as store, _store(make_url(postgres)) as other:
+        store.begin(ENTRY)
+        with database.transaction(other.database, writes=True):
+            with pytest.raises(DatabaseLocked, match="locked by another process"):
+                store.change(ENTRY.id, reason="lunch")
+            assert store.standing(ENTRY.id).reason == "", "readers do not wait"
+        store.change(ENTRY.id, reason="lunch")
+        assert store.standing(ENTRY.id).reason == "lunch"
+
+
 def test_a_shot_that_is_excluded_by_hand_does_not_count_as_valid(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
