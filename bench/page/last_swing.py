@@ -27,6 +27,8 @@ POINTS = 160
 """Max number of points of a curve."""
 NICE = 10
 """Priority of the thread, as of the viewer's service."""
+_IDLE = 3.0
+"""Time after the start at which the models are compiled, unless a record came first, s."""
 FIGURES = (
     "club_speed_mps",
     "attack_angle_deg",
@@ -108,7 +110,7 @@ class SwingReader:
     """Reads the newest record that was offered, in a thread of its own."""
 
     def __init__(self, publish: Callable[[str, Any], None], plant: PlantParameters) -> None:
-        """Pass each swing's view to `publish` on topic "swing"; `plant` is compiled for before the first."""
+        """Pass each swing's view to `publish` on topic "swing"; models are compiled for `plant` early."""
         self._publish, self._plant = publish, plant
         self._offered: Queue[Path | None] = Queue(1)
         self._thread = threading.Thread(target=self._work, name="page-swings", daemon=True)
@@ -142,11 +144,16 @@ class SwingReader:
         with suppress(PermissionError):  # a service that may not has a low priority already
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         warm = False
-        while (path := self._offered.get()) is not None:
+        while True:
             try:
-                if not warm:
-                    warm_up_shots(self._plant, FlightConditions())
-                    warm = True
+                path = self._offered.get(timeout=None if warm else _IDLE)
+            except Empty:
+                warm_up_shots(self._plant, FlightConditions())
+                warm = True
+                continue
+            if path is None:
+                return
+            try:
                 self._publish("swing", swing_view(path))
             except (BenchError, ExceptionGroup, ValueError, KeyError) as error:
                 _log.warning("page: record %s: %s", path, error)
