@@ -26,7 +26,7 @@ from drivers.base import (
     pack_readings,
     unpack_command,
 )
-from drivers.base.compiled import new_record
+from drivers.base.compiled import new_record, numbers
 
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE."""
@@ -60,6 +60,7 @@ class Cycle:
         """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
         self.driver, self.publish, self.name = driver, publish, name
         self.marks = np.zeros(7, np.int64)
+        self._marks = numbers(self.marks)
         self.record = new_record(CYCLE)
         self.read_error: Exception | None = None
         self.publish_error: Exception | None = None
@@ -94,7 +95,7 @@ class Cycle:
 
     def _bind(self) -> None:
         """Hand the records to the compiled part of the tick."""
-        self._operational = self._state.control["device_operational"]
+        self._operational = numbers(self._state.control["device_operational"])
         self._decide = CompiledTick(
             self._state, self._parameters, self._readings, self._command, self.record, self.marks
         )
@@ -114,7 +115,7 @@ class Cycle:
         Readings that fail count as lost in this very tick. Whatever else fails makes the driver passive in
         this tick, latches Cause.EXCEPTION and is raised again with the driver's name.
         """
-        marks, decided = self.marks, False
+        marks, decided = self._marks, False
         try:
             marks[0] = now()
             trusted = self._read(time)

@@ -39,7 +39,7 @@ from bench.processes.tick_timing import TickTiming, check_budget, create_timing,
 from bench.telemetry.ring import RingWriter
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from drivers.base import Driver, DriverError
-from drivers.base.compiled import new_record
+from drivers.base.compiled import new_record, numbers
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
 from sim.live.driver import ProcessPlantDriver
@@ -154,9 +154,10 @@ class LoopProcess:
     def _bind(self) -> None:
         """Look up the fields that every tick needs: by name each costs a microsecond."""
         control, record = self.cycle.state.control, self.cycle.record
-        self._phase, self._request, self._warm = control["phase"], control["request"], control["warm"]
-        self._wake_latency, self._work_time = record["wake_latency"], record["work_time"]
-        self._answer, self._answered = record["answer"], record["request"]
+        self._phase, self._request, self._warm = (numbers(control[k]) for k in ("phase", "request", "warm"))
+        self._wake_latency, self._work_time = numbers(record["wake_latency"]), numbers(record["work_time"])
+        self._answer, self._answered = numbers(record["answer"]), numbers(record["request"])
+        self._marks = numbers(self.cycle.marks)
 
     def _compile(self) -> None:
         """Run one unrecorded tick to compile all code."""
@@ -216,9 +217,9 @@ class LoopProcess:
         cycle = self.cycle
         marks = cycle.marks
         self._wake_latency[0] = 1e-9 * (clock.woke - clock.due)
-        self._work_time[0] = 1e-9 * (marks[-1] - marks[0])
+        self._work_time[0] = 1e-9 * (self._marks[-1] - self._marks[0])
         if self._set_phase is not None:
-            self._set_phase(int(self._phase[0]))
+            self._set_phase(self._phase[0])
         self.orders.put(cycle.state.control, time)
         if self._request[0] == Request.RESET and self._phase[0] == Phase.STANDING:
             try:
@@ -244,7 +245,7 @@ class LoopProcess:
         if delay := self.timing.note(marks, clock.due, clock.woke):
             self._explain(delay)
         if self._answer[0] == Answer.ACCEPTED and self._answered[0]:
-            self._note_request(Request(int(self._answered[0])))
+            self._note_request(Request(self._answered[0]))
         return time
 
     def _note_usage(self) -> None:

@@ -48,3 +48,11 @@ def new_record(dtype: np.dtype[Any], count: int = 1) -> np.ndarray[Any, Any]:
     """
     record = np.zeros(count, dtype)
     return record.view(np.recarray) if numba.config.DISABLE_JIT else record
+
+
+def numbers(array: np.ndarray[Any, Any]) -> memoryview[Any]:
+    """Return `array` (n,) of plain numbers, also a record's field, for access to Python's numbers.
+
+    That takes 40 ns. A scalar of numpy takes 10 us to compare with an enumeration, 1 us to subtract.
+    """
+    return array.data
