@@ -28,9 +28,9 @@ PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
 test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (five minutes)
 	@$(MAKE) --no-print-directory -j3 lint fast
 
-test-all: $(VENV)/.dev  ## all other tests: slow ones in parallel, then live ones alone (ARGS for pytest)
-	@failed=0; $(BIN)/python -m pytest -m 'slow and not live' $(PARALLEL) $(ARGS) || failed=$$?; \
-	$(BIN)/python -m pytest -m live $(ARGS) || failed=$$?; exit $$failed
+test-all: $(VENV)/.dev  ## all other tests: slow and paced ones in parallel, then live ones alone (ARGS for pytest)
+	@failed=0; $(BIN)/python -m pytest -m '(slow and not live) or paced' $(PARALLEL) --durations 10 $(ARGS) || failed=$$?; \
+	$(BIN)/python -m pytest -m 'live and not paced' --durations 10 $(ARGS) || failed=$$?; exit $$failed
 
 # Compiled before, once: two workers would both compile it.
 compile: $(VENV)/.dev

@@ -33,6 +33,7 @@ BALL = BallPosition(0.251, -1.559, 5e-4)
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.paced,
     pytest.mark.timeout(400),  # the first start compiles
 ]
 

@@ -69,6 +69,7 @@ def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(600)
 def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
     """And of a program that does not import the bench; what the bench said is as its contract says."""

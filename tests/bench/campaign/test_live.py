@@ -96,6 +96,7 @@ def in_swing(bench: BenchProcess, swings: int) -> None:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(400)
 def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live")
@@ -144,6 +145,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(400)
 def test_calibrations_are_kept_and_sigterm_leaves_the_bench_vented(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live")
@@ -591,6 +593,7 @@ duration = 45.0
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(400)
 def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live", LOW_SUPPLY)
@@ -655,6 +658,7 @@ def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(400)
 def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
     tmp_path: Path,
@@ -715,6 +719,7 @@ def wait_for(store: CampaignStore, name: str, state: CampaignState, process: sub
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(600)
 def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "obeys", "[lifecycle]\nseries = true\n")
@@ -820,6 +825,7 @@ class Listening(Watcher):
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(400)
 def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -443,6 +443,7 @@ def _trials(plan: CampaignPlan) -> Any:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -> None:
     """Two hundred kills: `python -m tests.benchmarks campaign_kills`."""
     command = [sys.executable, "-m", "tests.benchmarks", "campaign_kills"]

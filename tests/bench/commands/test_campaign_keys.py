@@ -216,6 +216,7 @@ def start(folder: Path, terminal: int) -> subprocess.Popen[bytes]:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 @pytest.mark.timeout(300)
 def test_a_run_is_marked_at_the_terminal_and_ends_tidily_on_sigterm(tmp_path: Path) -> None:
     master, slave = pty.openpty()

@@ -36,6 +36,7 @@ LATEST = 8.0
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.paced,
     pytest.mark.timeout(400),  # the first start compiles
 ]
 

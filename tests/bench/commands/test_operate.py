@@ -297,6 +297,7 @@ def test_a_silent_bench_is_shown_as_one() -> None:
 
 
 @pytest.mark.live
+@pytest.mark.paced
 def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
     environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]

@@ -24,6 +24,7 @@ from tests.running_bench import BenchProcess, running_bench, simulated_monitor, 
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.paced,
     pytest.mark.timeout(400),  # the first start compiles
 ]
 

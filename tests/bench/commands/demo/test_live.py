@@ -22,6 +22,7 @@ from bench.telemetry.recorder import read_swing
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.paced,
     pytest.mark.timeout(400),  # the first start compiles
 ]
 
