@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from bench.campaign.plan import CampaignPlan
     from bench.campaign.reader_units import UnitSystem
     from bench.campaign.runner import RunOutcome
-    from bench.campaign.swings import Profiles
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignEntry, CampaignStore, Hit, ShotNote
@@ -80,10 +79,10 @@ def check(
     from bench.campaign.preview import preview_record, show_preview
     from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 
-    plan, configuration, profiles = _checked(context, file)
+    plan, configuration = _checked(context, file)
     free, warnings = free_space(configuration.bench.data_dir), list[str]()
     hits = _hits_before(configuration)
-    if needs_series(plan, profiles.values()) and not configuration.lifecycle.series:
+    if needs_series(plan) and not configuration.lifecycle.series:
         warnings.append(f"On a running bench this plan needs the address held between swings. {START_SERIES}")
     if json_:
         beside = {"needs": needs(plan)._asdict(), "free_bytes": free, "warnings": warnings}
@@ -95,14 +94,15 @@ def check(
         console.print(line, highlight=False, markup=False)
 
 
-def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:
-    """Return the plan in `file`, whose swings fit its clubs, the configuration and the plan's profiles."""
+def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration]:
+    """Return the plan in `file`, whose swings fit its clubs, and the configuration."""
     from bench.campaign.plan_file import load_plan
     from bench.campaign.swings import require_swings
 
     configuration = context.ensure_object(Session).configuration()
     plan = load_plan(file, configuration)
-    return plan, configuration, require_swings(plan, configuration)
+    require_swings(plan, configuration)
+    return plan, configuration
 
 
 @contextmanager
@@ -154,7 +154,7 @@ def run(
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
-    plan, configuration, _ = _checked(context, file)
+    plan, configuration = _checked(context, file)
     bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)

@@ -1,7 +1,6 @@
 """The swing designer: optimal control on a model of arms and air, then refinement on the plant itself.
 
-1. The chambers at the address are planned, and the controller takes the nominal plant from there to the top,
-   so that the downswing begins where it truly will.
+1. The controller takes the nominal plant to the top, so that the downswing begins where it truly will.
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
 3. `refine` corrects its openings on the plant until the head passes the ball as planned. The cushions' loads
    (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
@@ -21,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.planned_air import with_planned_air
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.casadi_package import load_casadi
@@ -145,8 +143,6 @@ class _Start:
     velocity: Array
     valve: Array
     begins: tuple[int, int, int]
-    air: tuple[float, ...]
-    """Planned pressures of the six chambers at the address, Pa absolute."""
 
 
 class Downswing(NamedTuple):
@@ -231,10 +227,6 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
     sketch = _sketch(demand, period, address, top, np.array(bench.control.move_gain))
-    try:
-        sketch = with_planned_air(sketch, parameters)
-    except ValueError as error:
-        raise DesignFailed(f"at the address: {error}") from None
     n = round((demand.backswing_time + demand.top_time) / period)
     try:
         rehearsal = Rehearsal(replace(bench, profile=sketch))
@@ -249,7 +241,6 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
         sketch.velocity[:n],
         sketch.valve[:n],
         (0, 1, round(demand.backswing_time / period)),
-        sketch.air,
     )
 
 
@@ -526,8 +517,6 @@ def _assemble(
         blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
         ball=(parameters.site.ball_x, parameters.site.ball_y),
         impact_time=(top + contact) * period,
-        air=begun.air,
-        air_supply=parameters.supply.pressure,
     )
 
 

@@ -103,9 +103,7 @@ def swinging(default_profile: Profile) -> Lockstep:
     parameters = PlantParameters()
     controller = build_controller(parameters, default_profile)
     bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
-    engine = LockstepEngine(bench)
-    assert engine.arm()
-    assert engine.await_air()
+    assert LockstepEngine(bench).arm()
     bench.state.control["tee"] = True
     bench.advance(1, Request.SWING)
     assert bench.state.control["answer"][0] == Answer.ACCEPTED

@@ -29,7 +29,7 @@ _RETURN_TICKS = 100
 """Kept of the way back."""
 _BRAKE_TICKS = 300
 """Kept of the stop."""
-_LOOKS_BEFORE_STOP = 310
+_LOOKS_BEFORE_STOP = 200
 """Looks at Ctrl-C, one in 20 ms, before it comes: in the backswing."""
 
 

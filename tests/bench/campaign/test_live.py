@@ -263,16 +263,11 @@ def shots_of(
     interrupted: Any = never,
     monitored: bool = False,
     air: Air | None = None,
-    planned: bool = True,
 ) -> LiveShots:
-    """Return shots of `bench`; unless `planned` the profiles leave the air at the address as it comes."""
     configuration = load_configuration(Path("shipped"))
-    profiles = require_swings(plan, configuration)
-    if not planned:
-        profiles = {arm: replace(profile, air=()) for arm, profile in profiles.items()}
     return LiveShots(
         plan,
-        AsDesigned(profiles),
+        AsDesigned(require_swings(plan, configuration)),
         configuration.clubs,
         bench,
         "me",
@@ -340,12 +335,9 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
         require(profile="thesis")
     with pytest.raises(Refused, match=r"club thesis"):
         require(club="thesis")
-    require(series=False)  # its air is planned
-    planned, profiles = profiles, {arm: replace(profile, air=()) for arm, profile in profiles.items()}
     with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
         require(series=False)
     require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
-    profiles = planned
     with pytest.raises(Refused, match=r"held by Ann"):
         require(lease={"holder": "Ann", "seconds_left": 12.0})
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
@@ -792,26 +784,24 @@ class ArmableBench(StandingBench):
 
 
 @pytest.mark.parametrize(
-    ("series", "practice", "planned", "asked"),
+    ("series", "practice", "asked"),
     [
-        (True, True, False, ["arm", "swing", "tee", "swing", "tee", "swing"]),
-        (False, True, False, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
-        (True, False, False, ["arm", "tee", "swing", "tee", "swing"]),
-        (True, True, True, ["arm", "tee", "swing", "tee", "swing"]),
-        (False, True, True, ["arm", "tee", "swing", "arm", "tee", "swing"]),
+        (True, True, ["arm", "swing", "tee", "swing", "tee", "swing"]),
+        (False, True, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
+        (True, False, ["arm", "tee", "swing", "tee", "swing"]),
     ],
 )
-def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
-    plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
+def test_a_swing_without_a_ball_follows_each_arming(
+    plan: CampaignPlan, series: bool, practice: bool, asked: list[str]
 ) -> None:
     plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
     bench, events = ArmableBench(series=series), list[tuple[str, str]]()
-    with shots_of(plan, bench, planned=planned) as source:
+    with shots_of(plan, bench) as source:
         source._take_lease()
         for _ in range(2):
             source._swing(a_step(), events)
     assert bench.asked == asked
-    assert [kind for kind, _ in events] == ["practice"] * (practice and not planned)
+    assert [kind for kind, _ in events] == ["practice"] * practice
 
 
 class Listening(Watcher):
