@@ -51,7 +51,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
         def fail(*_: object) -> None:
             raise error
 
-        monkeypatch.setattr("bench.commands.doctor.probes", fail)
+        monkeypatch.setattr("bench.commands.doctor_bench.all_probes", fail)
         with pytest.raises(SystemExit) as end:
             main([*arguments, "doctor"])
         assert isinstance(end.value.code, int)

@@ -292,7 +292,7 @@ def test_control_c_ends_the_program_with_130(
             for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
-    monkeypatch.setattr("bench.commands.doctor.probes", swing)  # any command will do
+    monkeypatch.setattr("bench.commands.doctor_bench.all_probes", swing)  # any command will do
     with pytest.raises(SystemExit) as end:
         main(["doctor"])
     assert end.value.code == ExitCode.INTERRUPTED
