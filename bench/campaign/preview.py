@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, groupby
+from itertools import combinations, groupby, pairwise
 from math import hypot, sqrt
 from typing import Any
 
@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.campaign.fitting import LoadList, load_lists, places
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, sections
+from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
 from bench.campaign.split_plot import within_club
 from bench.store.campaigns import Hit
@@ -114,7 +114,34 @@ def preview_record(plan: CampaignPlan, hits: Mapping[Hit, int]) -> dict[str, Any
         "loads": [
             {"before": _trial_record(load.before), "balls": load.balls} for load in load_lists(plan, hits)
         ],
+        "hand_work": hand_work(plan, hits),
+        "outlook_words": outlook_words(plan),
     }
+
+
+def hand_work(plan: CampaignPlan, hits: Mapping[Hit, int]) -> list[dict[str, Any]]:
+    """Return the planned work by hand: `shot`, the number of the planned shot it precedes, and `text`.
+
+    As if every shot were valid and each warm-up the shortest; the first club is taken as mounted.
+    """
+    trials = all_trials(plan)
+    numbers = {(trial.block, trial.position): number for number, trial in enumerate(trials, 1)}
+    found = []
+    for number, (before, trial) in enumerate(pairwise(trials), 2):
+        if not is_mounted(plan, before, trial):
+            one, two = before.arm.club, trial.arm.club
+            again = f"Take club {two} off and mount it again"
+            found.append((number, 0, again if one == two else f"Mount club {two} in place of {one}"))
+    for load in load_lists(plan, hits):
+        where = (load.before.block, load.before.position)
+        text = f"Fill the feeder: {', '.join(places(load.balls))}"
+        found.append((numbers.get(where, _section_begin(plan, load.before.section)), 1, text))
+    return [{"shot": number, "text": text} for number, _, text in sorted(found)]
+
+
+def _section_begin(plan: CampaignPlan, section: int) -> int:
+    """Return the number of the first planned shot of `section`, which its warm-up precedes."""
+    return next(number for number, trial in enumerate(all_trials(plan), 1) if trial.section == section)
 
 
 def _trial_record(trial: PlannedShot) -> dict[str, Any]:

@@ -45,6 +45,9 @@ Check = Annotated[
     Path | None,
     typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
 ]
+StartedBy = Annotated[
+    str, typer.Option("--by", metavar="NAME", help="Person who starts it.", show_default="user@host")
+]
 Units = Annotated[
     Literal["us", "si"], typer.Option("--units", help="Units of the report: yd and mph, or m and m/s.")
 ]
@@ -85,7 +88,13 @@ def check(
     if needs_series(plan) and not configuration.lifecycle.series:
         warnings.append(f"On a running bench this plan needs the address held between swings. {START_SERIES}")
     if json_:
-        beside = {"needs": needs(plan)._asdict(), "free_bytes": free, "warnings": warnings}
+        beside = {
+            "title": plan.campaign.title,
+            "needs": needs(plan)._asdict(),
+            "needs_words": needs_words(plan, free),
+            "free_bytes": free,
+            "warnings": warnings,
+        }
         typer.echo(json.dumps(preview_record(plan, hits) | beside, indent=2))
         return
     console = Console()
@@ -142,6 +151,10 @@ def run(
     check_: Check = None,
     units: Units = "si",
     ask: Ask = False,
+    by: StartedBy = "",
+    expect: Annotated[
+        str, typer.Option(metavar="DIGEST", help="Digest of the plan as checked; another plan is refused.")
+    ] = "",
 ) -> None:
     """Run a campaign on the running bench, or simulated with --sim.
 
@@ -153,8 +166,11 @@ def run(
     from bench.campaign.operate import bench_calibrations, measured_balls, new_entry
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
+    from bench.errors import Refused
 
     plan, configuration = _checked(context, file)
+    if expect not in ("", plan.digest):
+        raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", "Check it again.")
     bands = read_baseline(check_) if check_ else []
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
@@ -177,6 +193,7 @@ def run(
             Outputs(json_, junit, report_to, bands, UnitSystem(units)),
             facts,
             ask=ask,
+            by=by,
         )
 
 
@@ -193,6 +210,7 @@ def resume(
     check_: Check = None,
     units: Units = "si",
     ask_: Ask = False,
+    by: StartedBy = "",
 ) -> None:
     """Resume a campaign that was paused, stopped, suspended or cut off.
 
@@ -212,7 +230,7 @@ def resume(
         entry = find_campaign(store, campaign)
         require_resumable(entry, store.standing(entry.id).state, configuration, plan)
         if is_running(configuration.bench.data_dir, entry.id):
-            typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '')}")
+            typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '', by)}")
             return
         facts = {}
         if entry.real_time:
@@ -227,6 +245,7 @@ def resume(
             Outputs(json_, junit, report_to, bands, UnitSystem(units)),
             facts,
             ask=ask_,
+            by=by,
         )
 
 
@@ -258,6 +277,7 @@ def _run(
     facts: Mapping[str, Any],
     *,
     ask: bool,
+    by: str,
 ) -> None:
     """Run `entry` and print the outcome."""
     import json
@@ -269,12 +289,13 @@ def _run(
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
+    from bench.commands.campaign_terminal import user_name
     from bench.errors import ExitCode
     from bench.store.campaigns import CampaignState
     from bench.telemetry.whole_file import whole_file
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
-    outcome = _take(store, entry, configuration, plan, facts, ask=ask)
+    outcome = _take(store, entry, configuration, plan, facts, ask=ask, by=by or user_name())
     record = load_record(store, entry)
     found = findings(plan, record.shots, note_look(store, record, "end of a run"), outputs.units)
     figures = findings_record(found)
@@ -305,6 +326,7 @@ def _take(
     facts: Mapping[str, Any],
     *,
     ask: bool,
+    by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
     from bench.campaign.broadcast import Together
@@ -320,7 +342,7 @@ def _take(
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
         take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
-        start = run_start(user_name(), configuration, facts)
+        start = run_start(by, configuration, facts)
         screen, file = CampaignScreen(entry, plan, bar), configuration.notifications.file
         with (
             notifying(file if entry.real_time else "", entry, screen.say) as notifier,

@@ -125,11 +125,16 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert isinstance(refused.exception, Refused)
 
     baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 250\n')
-    again = call("run", tmp_path / "short.toml", "--sim", "--check", baseline)
+    checked = json.loads(call("check", tmp_path / "short.toml", "--json").stdout)
+    given = ("--by", "Ann", "--expect", checked["digest"])
+    again = call("run", tmp_path / "short.toml", "--sim", "--check", baseline, *given)
     assert again.exit_code == ExitCode.REFUSED
     assert "OUTSIDE" in again.stdout
     second = json.loads(call("list", "--json").stdout)[0]["id"]
     assert second != campaign
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        by = dict(database.execute("SELECT campaign, by FROM campaign_runs"))
+    assert (by[second], "@" in by[campaign]) == ("Ann", True)
     assert call("export", second).stdout_bytes == (tmp_path / "shots.csv").read_bytes()
 
 
@@ -139,6 +144,8 @@ def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
     (tmp_path / "wrong.toml").write_text("x = 1")
     done = call("run", tmp_path / "short.toml", "--sim", "--check", tmp_path / "wrong.toml")
     assert done.exception is not None
+    changed = call("run", tmp_path / "short.toml", "--sim", "--expect", "0" * 16)
+    assert "as checked" in str(changed.exception)
     assert call("list").stdout.strip() == "No campaigns yet."
     assert call("report", "nothing").exception is not None
 
