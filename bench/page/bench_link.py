@@ -16,6 +16,7 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from bench.errors import BenchError
+from bench.lifecycle import State
 from bench.network.client import BenchClient, checked_status
 from bench.network.zenoh_session import NoAnswer, open_client
 from bench.page.state_words import state_view
@@ -59,6 +60,8 @@ class BenchLink:
         self._lock, self._ended = Lock(), Event()
         self._heard_at = -float("inf")
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
+        self._state = ""
+        self._swing_watchers: list[Callable[[], None]] = []
         self._shot_watchers: list[Callable[[dict[str, Any]], None]] = []
         self._campaign_watchers: list[Callable[[list[dict[str, Any]]], None]] = []
         self._threads = [
@@ -80,6 +83,10 @@ class BenchLink:
     def watch_shots(self, watcher: Callable[[dict[str, Any]], None]) -> None:
         """Call `watcher` with each message about a shot, in the link's thread; before `start`."""
         self._shot_watchers.append(watcher)
+
+    def watch_swings(self, watcher: Callable[[], None]) -> None:
+        """Call `watcher` whenever a swing has ended, in the link's thread; before `start`."""
+        self._swing_watchers.append(watcher)
 
     def watch_campaigns(self, watcher: Callable[[list[dict[str, Any]]], None]) -> None:
         """Call `watcher` every second with the running campaigns, in a thread of the link; before `start`."""
@@ -126,6 +133,10 @@ class BenchLink:
                 view = state_view(checked_status(content))
                 self._heard_at = self._clock()
                 self._publish("state", view | {"seen": self._heard_at})
+                before, self._state = self._state, view["state"]
+                if before == State.SWINGING.name != self._state:
+                    for swing_watcher in self._swing_watchers:
+                        swing_watcher()
             elif topic == "event":
                 self._events.append(
                     content | {"at_utc": datetime.now(UTC).isoformat(timespec="milliseconds")}

@@ -1,6 +1,8 @@
-"""The last swing for the page: club path, speeds, figures and tracking, read from its record.
+"""The last swing for the page: club path, speeds, figures and tracking.
 
-A thread of low priority reads it: the loop of a bench on the same machine does not notice.
+It is shown twice: when it ends, from the loop's ring in shared memory, and when its record is stored, which
+is half a second after the robot is back at its address. A thread of low priority reads both: the loop of a
+bench on the same machine does not notice.
 """
 
 from __future__ import annotations
@@ -10,19 +12,24 @@ import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from queue import Empty, Full, Queue
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.errors import BenchError
-from bench.lifecycle import Phase
-from bench.shot.recorded_shot import FlightConditions, recorded_shot, warm_up_shots
+from bench.lifecycle import Phase, State
+from bench.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
+from bench.shot.shot import Shot
 from bench.telemetry.recorder import read_swing
+from bench.telemetry.ring import NoRing, RingReader
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
+PAST = 8192
+"""Number of newest cycles in which the swing that has ended is searched."""
 POINTS = 160
 """Max number of points of a curve."""
 NICE = 10
@@ -60,19 +67,47 @@ def swing_view(path: Path) -> dict[str, Any]:
     """
     cycles, metadata = read_swing(path)
     read = recorded_shot(cycles, metadata, str(path))
-    shot, site = read.record.shot, read.plant.site
+    number, time = metadata.get("number"), metadata.get("time_utc")
+    named = {"name": path.name, "number": number, "time_utc": time, "stored": True}
+    return named | _view(read.record.shot, cycles, read.plant)
+
+
+def ended_swing_view(ring: Path, plant: PlantParameters, around: FlightConditions) -> dict[str, Any] | None:
+    """Return the newest swing in the loop's `ring` as `swing_view`; None if it holds none.
+
+    Its figures are those of `plant`, the configured one; number, name and shot come with its record.
+
+    Raises:
+        BenchError: there is no ring on this machine.
+    """
+    reader = RingReader(ring, past=PAST)
+    try:
+        cycles = reader.read(PAST)
+    finally:
+        reader.close()
+    swinging = cycles["state"] == State.SWINGING
+    if not swinging.any():
+        return None
+    last = len(cycles) - int(np.argmax(swinging[::-1]))
+    others = np.flatnonzero(~swinging[:last])
+    cycles = cycles[int(others[-1]) + 1 if len(others) else 0 : last]
+    now = datetime.now(UTC)
+    shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot
+    named = {"name": "", "number": None, "time_utc": now.isoformat(timespec="milliseconds"), "stored": False}
+    return named | _view(shot, cycles, plant)
+
+
+def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
+    """Return figures and curves of a swing's `cycles`."""
     moving = cycles[np.isin(cycles["phase"], _MOVING)]
     view: dict[str, Any] = {
-        "name": path.name,
-        "number": metadata.get("number"),
-        "time_utc": metadata.get("time_utc"),
         "club": shot.club,
         "ball": shot.ball,
         "status": str(shot.status),
         "reason": shot.reason,
         "figures": {name: _finite(getattr(shot, name)) for name in FIGURES},
         "sources": {"launch": shot.launch_source, "carry": shot.carry_source},
-        "ball_at": [site.ball_x, site.ball_y],
+        "ball_at": [plant.site.ball_x, plant.site.ball_y],
     }
     return view | (_curves(moving) if len(moving) > 2 else {"path": [], "speed": None, "tracking": None})
 
@@ -106,13 +141,29 @@ def _finite(value: float | None) -> float | None:
     return float(value) if value is not None and np.isfinite(value) else None
 
 
-class SwingReader:
-    """Reads the newest record that was offered, in a thread of its own."""
+class Offer(NamedTuple):
+    """A file that holds a swing."""
 
-    def __init__(self, publish: Callable[[str, Any], None], plant: PlantParameters) -> None:
-        """Pass each swing's view to `publish` on topic "swing"; models are compiled for `plant` early."""
-        self._publish, self._plant = publish, plant
-        self._offered: Queue[Path | None] = Queue(1)
+    path: Path
+    stored: bool
+    """Whether it is a record; otherwise the loop's ring."""
+
+
+class SwingReader:
+    """Reads the newest record or ring that was offered, in a thread of its own."""
+
+    def __init__(
+        self,
+        publish: Callable[[str, Any], None],
+        plant: PlantParameters,
+        around: FlightConditions = FlightConditions(),  # noqa: B008 - a value
+    ) -> None:
+        """Pass each swing's view to `publish` on topic "swing"; models are compiled for `plant` early.
+
+        `plant` and `around` are those of the configuration.
+        """
+        self._publish, self._plant, self._around = publish, plant, around
+        self._offered: Queue[Offer | None] = Queue(1)
         self._thread = threading.Thread(target=self._work, name="page-swings", daemon=True)
 
     def start(self) -> None:
@@ -125,10 +176,14 @@ class SwingReader:
         self._thread.join()
 
     def offer(self, path: Path) -> None:
-        """Read `path` instead of one that still waits."""
-        self._put(path)
+        """Read the record at `path` instead of what still waits."""
+        self._put(Offer(path, stored=True))
 
-    def _put(self, item: Path | None) -> None:
+    def offer_ring(self, ring: Path) -> None:
+        """Read the swing that has ended from `ring` instead of what still waits."""
+        self._put(Offer(ring, stored=False))
+
+    def _put(self, item: Offer | None) -> None:
         while True:
             try:
                 self._offered.put_nowait(item)
@@ -146,14 +201,24 @@ class SwingReader:
         warm = False
         while True:
             try:
-                path = self._offered.get(timeout=None if warm else _IDLE)
+                offer = self._offered.get(timeout=None if warm else _IDLE)
             except Empty:
-                warm_up_shots(self._plant, FlightConditions())
+                warm_up_shots(self._plant, self._around)
                 warm = True
                 continue
-            if path is None:
+            if offer is None:
                 return
             try:
-                self._publish("swing", swing_view(path))
-            except (BenchError, ExceptionGroup, ValueError, KeyError) as error:
-                _log.warning("page: record %s: %s", path, error)
+                view = self._read(offer)
+            except NoRing as error:  # a bench on another machine: its record is not here either
+                _log.debug("page: %s", error)
+            except (BenchError, ExceptionGroup, ValueError, KeyError, OSError) as error:
+                _log.warning("page: swing in %s: %s", offer.path, error)
+            else:
+                if view is not None:
+                    self._publish("swing", view)
+
+    def _read(self, offer: Offer) -> dict[str, Any] | None:
+        if offer.stored:
+            return swing_view(offer.path)
+        return ended_swing_view(offer.path, self._plant, self._around)

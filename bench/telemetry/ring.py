@@ -64,8 +64,10 @@ class RingWriter:
 class RingReader:
     """One reader; each has a place of its own in the ring, and its mapping cannot write."""
 
-    def __init__(self, path: Path, *, from_oldest: bool = False) -> None:
+    def __init__(self, path: Path, *, from_oldest: bool = False, past: int = 0) -> None:
         """Open the ring at `path` and start with the newest record, or with the oldest still there.
+
+        With `past` it starts that many records before the newest, as far as they are still there.
 
         Raises:
             NoRing: the file is missing, damaged, not a ring, or written by other code.
@@ -74,8 +76,8 @@ class RingReader:
             self._slots = MappedSlots.open(path, _KIND, CYCLE, writable=False)
         self.lost = 0
         """Records that were overwritten before this reader read them."""
-        oldest = self.head - self.capacity + 1 if from_oldest else self.head
-        self._next = max(1, oldest)
+        past = self.capacity - 1 if from_oldest else min(past, self.capacity - 1)
+        self._next = max(1, self.head - past)
         self._newest = b""
         self._newest_number = 0
 

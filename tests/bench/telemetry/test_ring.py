@@ -81,8 +81,13 @@ def test_a_late_reader_starts_with_the_newest_or_with_the_oldest(write: RingWrit
     for tick in range(1, CAPACITY + 4):
         write(cycles_of(tick))
     late, from_oldest = RingReader(path), RingReader(path, from_oldest=True)
+    past, far_past = RingReader(path, past=2), RingReader(path, past=2 * CAPACITY)
     assert same(late.read(), CAPACITY + 3)
     assert same(from_oldest.read(), *range(4, CAPACITY + 4))
+    assert same(past.read(), *range(CAPACITY + 1, CAPACITY + 4))
+    assert same(far_past.read(), *range(4, CAPACITY + 4))
+    past.close()
+    far_past.close()
     assert (late.lost, from_oldest.lost) == (0, 0)
     late.close()
     from_oldest.close()
