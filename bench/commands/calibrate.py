@@ -320,8 +320,8 @@ def _add(
 
     from bench.calibration.archive import add_calibration
     from bench.calibration.plausible import require_plausible
+    from bench.calibration.value_words import in_words
     from bench.calibration.values import VALID_DAYS, values_of
-    from bench.commands.calibration_tables import in_words
     from bench.config import database_url
     from bench.store.database import open_database
 

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from math import degrees
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.values import (
-    BallPosition,
-    CalibrationKind,
-    ClubInMount,
-    EncoderZeros,
-    Values,
-    ValveCentres,
-)
+from bench.calibration.value_words import in_words
+from bench.calibration.values import CalibrationKind
 
 
 def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
@@ -57,30 +50,6 @@ def overview(in_force: Calibration, now: datetime) -> Table:
             *(in_words(entry.values), _mark(entry, in_force, now)),
         )
     return table
-
-
-def in_words(values: Values) -> str:
-    """Return `values` with their units."""
-    match values:
-        case EncoderZeros(zero, sign, counts, uncertainty):
-            signs = "".join("+" if s > 0 else "-" for s in sign)
-            known = f"± {degrees(uncertainty):.3g} deg"
-            return f"zero {_three(zero, '.1f')} of {counts} counts, sign {signs}, {known}"
-        case BallPosition(x, y, uncertainty):
-            return f"x {x:.4f}, y {y:.4f} m ± {1e3 * uncertainty:.3g} mm"
-        case ClubInMount():
-            v = values
-            return (
-                f"length {v.length_to_face:.4f} m ± {1e3 * v.length_uncertainty:.3g} mm, "
-                f"loft {degrees(v.loft):.2f}, lie {degrees(v.lie):.2f} deg "
-                f"± {degrees(v.angle_uncertainty):.3g} deg"
-            )
-        case ValveCentres(centre, band, uncertainty):
-            return f"centre {_three(centre, 'z.4f')}, dead band {_three(band, 'z.4f')} ± {uncertainty:.2g}"
-
-
-def _three(values: tuple[float, float, float], form: str) -> str:
-    return " ".join(format(value, form) for value in values)
 
 
 def _mark(entry: Entry, in_force: Calibration, now: datetime) -> Text:
