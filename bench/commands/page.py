@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -36,4 +37,7 @@ def page(
     def say(url: str, _: Callable[[], None]) -> None:
         typer.echo(f"{url}  Ctrl-C ends the page")
 
-    serve_page(context.ensure_object(Session).configuration(), PageAddress(host, port, identity, tokens), say)
+    session = context.ensure_object(Session)
+    given = ("--config", str(session.config)) if session.config else ()
+    golfbench = (sys.executable, "-P", "-m", "bench", *given)
+    serve_page(session.configuration(), PageAddress(host, port, identity, tokens), golfbench, say)

@@ -10,6 +10,7 @@ from bench.page.answers import InvalidBody, json_answer
 from bench.page.campaign_service import CampaignService
 from bench.page.guard import Application, Guard
 from bench.page.page_service import PageService
+from bench.page.start_service import StartService
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -19,9 +20,13 @@ _log = logging.getLogger("golfbench")
 
 
 def page_application(
-    service: PageService, campaigns: CampaignService, scheme: str, hosts: Collection[str]
+    service: PageService,
+    campaigns: CampaignService,
+    starts: StartService,
+    scheme: str,
+    hosts: Collection[str],
 ) -> Application:
-    """Return the application of `service` and `campaigns`, reached by `scheme` under `hosts` (HOST:PORT)."""
+    """Return the application of the three services, reached by `scheme` under `hosts` (HOST:PORT)."""
     from starlette.applications import Starlette
     from starlette.routing import Route
 
@@ -36,7 +41,15 @@ def page_application(
         Route("/api/command/{name}", service.command, methods=["POST"]),
         Route("/api/archive", campaigns.archive),
         Route("/api/campaign/{campaign}", campaigns.detail),
+        Route("/api/campaign/{campaign}/report", campaigns.write_report, methods=["POST"]),
         Route("/api/campaign/{campaign}/{name}", campaigns.change, methods=["POST"]),
+        Route("/api/plans", starts.plans),
+        Route("/api/plan/{plan}/check", starts.check, methods=["POST"]),
+        Route("/api/plan/{plan}/start", starts.start, methods=["POST"]),
+        Route("/api/values", starts.values),
+        Route("/api/values/{form}", starts.enter, methods=["POST"]),
+        Route("/api/viewer/close", starts.close_viewer, methods=["POST"]),
+        Route("/viewer", starts.viewer),
         Route("/report/{campaign}", campaigns.report),
         Route("/record/{name}", campaigns.record),
     ]

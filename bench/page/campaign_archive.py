@@ -65,6 +65,8 @@ class CampaignArchive:
                 "shots": sum(counts.values()),
                 "valid": counts[ShotStatus.VALID],
                 "report": (folder / entry.id / "report.html").is_file(),
+                "ended": standing.state in ENDED,
+                "runner": standing.state not in ENDED and is_running(self._settings.data_dir, entry.id),
             }
             for entry, standing, counts in found
         ]
@@ -99,6 +101,39 @@ class CampaignArchive:
             "landing": _landing(plan, shots) if state in ENDED else None,
             "runner": is_running(self._settings.data_dir, entry.id),
         }
+
+    def ended(self, campaign: str) -> str:
+        """Return the id `campaign` if that campaign has ended.
+
+        Raises:
+            Refused: it has not: a report before the end is a look that costs confidence.
+            BenchError: no such campaign.
+        """
+        with self._store() as store:
+            entry = store.entry(campaign)
+            state = store.standing(entry.id).state
+        if state not in ENDED:
+            cure = f"golfbench campaign report {entry.id}: each look before the end costs confidence."
+            raise Refused(f"campaign {entry.id}", str(state), "an ended campaign", cure)
+        return entry.id
+
+    def unfinished(self, campaign: str) -> str:
+        """Return the id `campaign` if that campaign can be resumed.
+
+        Raises:
+            Refused: it has ended.
+            BenchError: no such campaign.
+        """
+        with self._store() as store:
+            entry = store.entry(campaign)
+            state = store.standing(entry.id).state
+        if state in ENDED:
+            raise Refused(f"campaign {entry.id}", str(state), "an unfinished campaign", "Begin a new one.")
+        return entry.id
+
+    def has_runner(self, campaign: str) -> bool:
+        """Return whether a process runs `campaign`; raises as `known`."""
+        return is_running(self._settings.data_dir, self.known(campaign))
 
     def request(self, campaign: str, name: str, by: str) -> str:
         """Pass the request `name` of REQUESTS by `by` on to the runner; return what will happen.

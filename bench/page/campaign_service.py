@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from bench.page.answers import InvalidBody, body_of, json_answer, number_in, text_in
 from bench.page.campaign_archive import REQUESTS, CampaignArchive
+from bench.page.campaign_runner import CampaignRunner
+from bench.page.command_line import CommandLine
 from bench.page.downloads import REPORT_POLICY, Downloads
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService
@@ -29,8 +31,16 @@ LONGEST_NAME = 64
 class CampaignService:
     """Campaigns, reports and records of one bench."""
 
-    def __init__(self, page: PageService, archive: CampaignArchive, downloads: Downloads) -> None:
+    def __init__(
+        self,
+        page: PageService,
+        archive: CampaignArchive,
+        downloads: Downloads,
+        golfbench: CommandLine,
+        runner: CampaignRunner,
+    ) -> None:
         self._page, self._archive, self._downloads = page, archive, downloads
+        self._golfbench, self._runner = golfbench, runner
         self._open = 0
         """Number of downloads under way."""
 
@@ -84,6 +94,23 @@ class CampaignService:
         finally:
             self._open -= 1
 
+    async def write_report(self, request: Request) -> Response:
+        """Write the report of a campaign that has ended, as `golfbench campaign report` does."""
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        campaign, body = request.path_params["campaign"], await body_of(request)
+        number, units = text_in(body, "number", 64, 8), body.get("units")
+        if units not in ("si", "us"):
+            raise InvalidBody("units: si or us")
+
+        def work() -> dict[str, Any]:
+            self._page.numbers.check(number, None)
+            known = self._archive.ended(campaign)
+            self._golfbench.output("campaign", "report", f"--units={units}", "--", known)
+            return {"note": f"Report of {known} written."}
+
+        return await self._page.ran(work)
+
     async def change(self, request: Request) -> Response:
         """Pause, stop, abort or resume a campaign, answer its prompt, or mark a shot."""
         if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
@@ -100,6 +127,7 @@ class CampaignService:
             return json_answer({"what": "There is no such request."}, 404)
         place = int(number_in(body, "prompt" if name == "answer" else "shot")) if name not in REQUESTS else 0
         balls = _count(body) if name == "answer" else None
+        ask = name == "resume" and body.get("ask") is True
 
         def work() -> dict[str, Any]:
             self._page.numbers.check(number, seen if name in MOVING else None)
@@ -108,9 +136,17 @@ class CampaignService:
             if name == "mark":
                 self._archive.mark(campaign, place, by, note)
                 return {"note": f"Shot {place} marked."}
+            if name == "resume" and not self._archive.has_runner(campaign):
+                return {"note": f"{self._resume(campaign, by, ask=ask)}."}
             return {"note": f"{campaign} {self._archive.request(campaign, name, by)}."}
 
         return await self._page.worked(work)
+
+    def _resume(self, campaign: str, by: str, *, ask: bool) -> str:
+        """Start a runner for a campaign that has none; return what happens."""
+        known = self._archive.unfinished(campaign)
+        more = ["--ask"] if ask else []
+        return self._runner.start(known, "resume", f"--by={by}", *more, "--", known)
 
 
 def _count(body: dict[str, Any]) -> int | None:

@@ -6,24 +6,36 @@ import asyncio
 import signal
 import socket
 import ssl
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import apply
 from bench.config.identity_files import identity_files
 from bench.errors import BenchError
 from bench.page.application import page_application
 from bench.page.bench_link import BenchLink, record_of
+from bench.page.bench_values import bench_values
 from bench.page.broadcaster import PageBroadcaster
 from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
+from bench.page.campaign_runner import CampaignRunner
 from bench.page.campaign_service import CampaignService
+from bench.page.command_line import CommandLine
 from bench.page.downloads import Downloads
 from bench.page.guard import Application
 from bench.page.http_protocol import http_protocol
 from bench.page.last_swing import SwingReader
 from bench.page.page_address import PageAddress, checked_address, page_access
 from bench.page.page_service import PageService
+from bench.page.plan_shelf import PlanShelf
+from bench.page.start_service import StartService
+from bench.page.viewer_process import ViewerProcess
+from bench.processes.bench_folder import bench_folder
+from bench.processes.plan import RING_FILE
+from bench.shot.recorded_shot import FlightConditions
 
 if TYPE_CHECKING:
     import uvicorn
@@ -37,10 +49,14 @@ _BEAT = 0.5
 
 
 def serve_page(
-    configuration: Configuration, address: PageAddress, ready: Callable[[str, Callable[[], None]], None]
+    configuration: Configuration,
+    address: PageAddress,
+    golfbench: Sequence[str],
+    ready: Callable[[str, Callable[[], None]], None],
 ) -> None:
     """Serve the page until asked to stop by signal.
 
+    `golfbench` is the program with its global options, for commands beside the page.
     `ready` gets the URL and a function that ends the server, once it listens; both from the server's thread.
 
     Raises:
@@ -57,15 +73,26 @@ def serve_page(
         archive = CampaignArchive(configuration)
         settings = configuration.bench
         downloads = Downloads(settings.data_dir, settings.id)
-        campaigns = CampaignService(service, archive, downloads)
-        reader = SwingReader(broadcaster.publish, configuration.plant)
+        program = CommandLine(golfbench)
+        stack.callback(program.close)
+        log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
+        runner = CampaignRunner(program, log, broadcaster.publish)
+        viewer = ViewerProcess(program, broadcaster.publish)
+        stack.callback(viewer.close)
+        campaigns = CampaignService(service, archive, downloads, program, runner)
+        plans = PlanShelf(settings.data_dir)
+        starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
+        c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
+        reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
         reader.start()
         stack.callback(reader.close)
+        ring = bench_folder(settings.id) / RING_FILE
+        link.watch_swings(lambda: reader.offer_ring(ring))
         _watch_swings(reader, downloads.newest(), link)
         _watch_campaigns(archive, link, broadcaster)
         link.start()
         stack.callback(link.close)
-        application = page_application(service, campaigns, address.scheme, hosts)
+        application = page_application(service, campaigns, starts, address.scheme, hosts)
         asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
 
 

@@ -44,13 +44,15 @@ class PageService:
         self._files = static_files()
         self._work = _started_pool(8, "page-command")
         self._lookups = _started_pool(2, "page-lookup")
+        self._programs = _started_pool(4, "page-program")
+        """Wait for programs that run beside the page."""
         self._stops = _started_pool(4, "page-stop")
         """Of their own: a stop waits behind nothing."""
         self._signing_in = asyncio.Lock()
 
     def close(self) -> None:
         """End the threads of commands."""
-        for pool in (self._work, self._lookups, self._stops):
+        for pool in (self._work, self._lookups, self._programs, self._stops):
             pool.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -156,6 +158,10 @@ class PageService:
         """Return the outcome of `work`, done beside the commands, or why it was refused."""
         return await self.answered(self._lookups, work)
 
+    async def ran(self, work: Callable[[], Any]) -> Response:
+        """Return the outcome of `work`, which waits for a program, or why it was refused."""
+        return await self.answered(self._programs, work)
+
     async def looked_up(self, work: Callable[[], T]) -> T:
         """Return the outcome of `work`, done beside the commands."""
         return await asyncio.get_running_loop().run_in_executor(self._lookups, work)
@@ -166,6 +172,8 @@ class PageService:
             return json_answer(await asyncio.get_running_loop().run_in_executor(pool, work))
         except BenchError as error:
             return refusal_answer(error)
+        except ExceptionGroup as errors:
+            return refusal_answer(_first_of(errors))
 
     def needing(self, role: PageRole, request: Request) -> Response | None:
         """Return the refusal of a reader with a lower role than `role`; None for others."""
@@ -180,6 +188,16 @@ class PageService:
     def _role(self, request: Request) -> PageRole | None:
         name = request.scope.get("state", {}).get("certificate", "")
         return self._access.role(name, request.cookies.get(self.cookie, ""))
+
+
+def _first_of(errors: ExceptionGroup[Exception]) -> BenchError:
+    """Return the first error of a group, all of one input; raise the group unless it is a user's."""
+    first = errors.exceptions[0]
+    if isinstance(first, ExceptionGroup):
+        return _first_of(first)
+    if not isinstance(first, BenchError):
+        raise errors
+    return first
 
 
 def _started_pool(threads: int, name: str) -> ThreadPoolExecutor:

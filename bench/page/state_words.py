@@ -92,6 +92,8 @@ _UNCHANGED = (
     "series",
     "driver",
     "ball_present",
+    "vented",
+    "guard_closed",
     "uptime",
     "last_stop",
 )

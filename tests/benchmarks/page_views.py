@@ -1,7 +1,7 @@
 """The page beside a running bench: weight, first figure, age of a state, the loop with ten pages open.
 
-Readers are HTTP clients of this process that read what a browser reads; the loop's timing is taken in turns
-without and with them, so that a busy machine disturbs both alike.
+Readers are HTTP clients of this process that read what a browser reads, or with `--browsers` tabs of
+Chromium; the loop's timing is taken in turns without and with them: a busy machine disturbs both alike.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import argparse
 import http.client
 import json
 import re
+import shutil
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.lifecycle import State
 from bench.network.free_port import free_port
 from bench.page.static_files import static_files
 from bench.processes.plan import TIMING_FILE
@@ -38,6 +40,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--pages", type=int, default=10)
+    parser.add_argument("--browsers", action="store_true", help="tabs of Chromium instead of HTTP clients")
+    parser.add_argument("--swings", type=int, default=3)
     options = parser.parse_args(arguments)
     port = free_port()
     with ExitStack() as stack:
@@ -46,12 +50,19 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         bench = stack.enter_context(running_bench(file, clock="wall"))
         stack.enter_context(command_beside(file, "page", "--port", str(port)))
         _wait(port)
+        ended = _swing_ages(bench, port, options.swings)
         first = [_first_figure(port) for _ in range(10)]
         alone, beside = [], []
         ages: list[tuple[float, float]] = []
+        painted: list[float] = []
         for _ in range(options.turns):
             alone.append(_timing(bench, options.seconds))
-            with _readers(port, options.pages, ages):
+            with ExitStack() as open_pages:
+                if options.browsers:
+                    open_pages.enter_context(_browsers(port, options.pages, painted))
+                    open_pages.enter_context(_readers(port, 1, ages))
+                else:
+                    open_pages.enter_context(_readers(port, options.pages, ages))
                 beside.append(_timing(bench, options.seconds))
     weight = sum(len(one.content) for one in static_files().values())
     total, own = (1e3 * np.array(column) for column in zip(*ages, strict=True))
@@ -68,13 +79,83 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         Row(_NAME, "age of a state at a reader, p95", float(np.percentile(total, 95)), "ms", "from its tick"),
         Row(_NAME, "of it in the page, p95", float(np.percentile(own, 95)), "ms", at_most=200.0),
     ]
+    for name, values in ended.items():
+        rows.append(
+            Row(_NAME, f"swing shown after its end, {name}", float(np.median(values)), "ms", _turns(values))
+        )
+    if painted:
+        note = "from the navigation to the state in the document, a new tab each"
+        rows.append(Row(_NAME, "first figure in Chromium, median", float(np.median(painted)), "ms", note))
     for key in alone[0]:
         unit = "" if "ticks" in key else "µs"
         for name, turns in (("no page", alone), (f"{options.pages} pages", beside)):
             values = [float(turn[key]) for turn in turns]
-            note = "turns: " + ", ".join(f"{value:.0f}" for value in values)
-            rows.append(Row(_NAME, f"loop {key}, {name}", float(np.median(values)), unit, note))
+            rows.append(Row(_NAME, f"loop {key}, {name}", float(np.median(values)), unit, _turns(values)))
     return rows
+
+
+def _turns(values: Sequence[float]) -> str:
+    return "turns: " + ", ".join(f"{value:.0f}" for value in values)
+
+
+def _swing_ages(bench: BenchProcess, port: int, swings: int) -> dict[str, list[float]]:
+    """Return the times from the ends of swings to their figures on the page: at first, and as stored, ms."""
+    found: dict[str, list[float]] = {"from the ring": [], "from its record": []}
+    over = threading.Event()
+    arrived: list[tuple[float, bool]] = []
+
+    def read() -> None:
+        for at, view in _messages(port, "swing"):
+            arrived.append((at, view["stored"]))
+            if over.is_set():
+                return
+
+    thread = threading.Thread(target=read, daemon=True)
+    thread.start()
+    with bench.client.lease("page_views"):
+        bench.make_ready()
+        for _ in range(swings):
+            bench.take_address()
+            arrived.clear()
+            bench.swing()
+            bench.wait_until(lambda record: record["state"] == State.SWINGING)
+            end = float(bench.wait_until(lambda record: record["state"] != State.SWINGING)["time"])
+            deadline = time.monotonic() + 30.0
+            while {stored for _, stored in arrived} != {True, False} and time.monotonic() < deadline:
+                time.sleep(0.01)
+            for name, stored in (("from the ring", False), ("from its record", True)):
+                found[name] += [1e3 * (at - end) for at, kind in arrived if kind is stored][:1]
+            bench.client.disarm()
+            bench.client.wait_for("READY", timeout=60.0)
+    over.set()
+    return {name: values for name, values in found.items() if values}
+
+
+@contextmanager
+def _browsers(port: int, number: int, painted: list[float]) -> Iterator[None]:
+    """Keep `number` tabs of Chromium open; add the time to the first figure of each, ms."""
+    from playwright.sync_api import sync_playwright
+
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=program, args=["--no-sandbox", "--disable-gpu"], timeout=_START * 1e3
+        )
+        for _ in range(number):
+            page = browser.new_context().new_page()
+            page.add_init_script(_FIRST_FIGURE)
+            page.goto(f"http://127.0.0.1:{port}/")
+            page.wait_for_function("() => window.firstFigure !== undefined", timeout=_START * 1e3)
+            painted.append(float(page.evaluate("() => window.firstFigure")))
+        yield
+        browser.close()
+
+
+_FIRST_FIGURE = """new MutationObserver(() => {
+  const word = document.getElementById("state-word")?.textContent ?? "–";
+  if (window.firstFigure === undefined && word !== "–") window.firstFigure = performance.now();
+}).observe(document, { childList: true, subtree: true, characterData: true });"""
+"""Notes the time (ms) at which the document shows the bench's state."""
 
 
 def _timing(bench: BenchProcess, seconds: float) -> dict[str, float]:
@@ -105,14 +186,14 @@ def _wait(port: int) -> None:
         time.sleep(0.2)
 
 
-def _states(port: int) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Yield the time of arrival (s, CLOCK_MONOTONIC) and the content of each state."""
+def _messages(port: int, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield the time of arrival (s, CLOCK_MONOTONIC) and the content of each message on `topic`."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
     try:
         connection.request("GET", "/api/stream")
         response = connection.getresponse()
         while line := response.readline():
-            if line == b"event: state\n":
+            if line == f"event: {topic}\n".encode():
                 content = response.readline()
                 yield time.monotonic(), json.loads(content.removeprefix(b"data: "))
     finally:
@@ -132,7 +213,7 @@ def _first_figure(port: int) -> float:
             connection.getresponse().read()
     finally:
         connection.close()
-    at, _ = next(_states(port))
+    at, _ = next(_messages(port, "state"))
     return at - began
 
 
@@ -142,7 +223,7 @@ def _readers(port: int, number: int, ages: list[tuple[float, float]]) -> Iterato
     over = threading.Event()
 
     def read() -> None:
-        for count, (at, state) in enumerate(_states(port)):
+        for count, (at, state) in enumerate(_messages(port, "state")):
             if over.is_set():
                 return
             if count > 1:  # the first ones waited for the reader

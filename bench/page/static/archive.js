@@ -1,12 +1,16 @@
 // Campaigns of before with their reports and landing points, and records to download.
 
+import { ask } from "./ask.js";
 import { by, make } from "./dom.js";
-import { chart } from "./campaign.js";
+import { chart, request } from "./campaign.js";
+import { mayOperate, outcome, randomNumber, releaseLease } from "./operate.js";
 import { curve, dot, frame } from "./plot.js";
 import { figure } from "./swing.js";
-import { onUnits, quantity, scale } from "./units.js";
+import { say, send } from "./send.js";
+import { onUnits, quantity, scale, unitSystem } from "./units.js";
 
 const POINTS = 60;
+const REPORT_TIME = 200000; // ms
 let content = null;
 let opened = null;
 
@@ -30,14 +34,33 @@ function redraw() {
 }
 
 function campaigns() {
-  if (!content.campaigns.length) return make("p", { class: "muted" }, "No campaigns yet. Start one: golfbench campaign run PLAN");
+  if (!content.campaigns.length) return make("p", { class: "muted" }, "No campaigns yet.");
   const head = ["Campaign", "begun", "state", "shots", "valid", ""].map((text) => make("th", { scope: "col" }, text));
   const body = content.campaigns.map((one) => make("tr", {},
     make("td", {}, one.title, make("br"), make("span", { class: "muted" }, one.id)),
     make("td", {}, new Date(one.date).toLocaleString()), make("td", {}, one.state), make("td", {}, one.shots), make("td", {}, one.valid),
     make("td", {}, make("button", { type: "button", on: { click: () => open(one.id) }, "aria-label": `Figures of ${one.id}` }, "Figures"), " ",
-      one.report ? make("a", { href: `/report/${encodeURIComponent(one.id)}`, target: "_blank", rel: "noopener" }, "Report") : "")));
+      one.report ? make("a", { href: `/report/${encodeURIComponent(one.id)}`, target: "_blank", rel: "noopener" }, "Report") : "",
+      one.ended && !one.report && one.shots ? action("Write report", one.id, writeReport) : "",
+      one.ended || one.runner ? "" : action("Resume", one.id, resume))));
   return make("div", { class: "scroll" }, make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body)));
+}
+
+const action = (label, id, act) => make("button", { type: "button", "aria-label": `${label} of ${id}`, on: { click: (event) => act(id, event.target) } }, label);
+
+async function resume(id) {
+  const text = "A runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings by itself; a simulated bench it also resets and homes. Is everybody outside the guard, and the range clear?";
+  if (!(await ask(`Resume ${id}?`, text, "Resume", mayOperate))) return;
+  if (!(await releaseLease())) return;
+  if (await request(id, "resume", { ask: by("plan-ask").checked })) loadArchive();
+}
+
+async function writeReport(id, button) {
+  button.disabled = true;
+  outcome(`Report of ${id}: being written …`, false);
+  const answer = await send(`/api/campaign/${encodeURIComponent(id)}/report`, { number: randomNumber(), units: unitSystem() }, "", REPORT_TIME);
+  outcome(say(answer, answer.note), !answer.ok);
+  loadArchive();
 }
 
 function detail() {

@@ -84,15 +84,17 @@ function balls(p) {
 
 function lastShot(campaign, shot) {
   const comment = make("input", { id: "campaign-comment", maxlength: 200, placeholder: "what was seen" });
+  const other = make("input", { id: "campaign-shot", inputmode: "numeric", maxlength: 6, size: 4, class: "short", placeholder: String(shot.shot) });
   const text = [`Shot ${shot.shot}`, shot.ball, shot.status, shot.reason, quantity("speed", shot.club_speed_mps), quantity("speed", shot.ball_speed_mps),
     degrees(shot.launch_angle_deg), `${number(shot.spin_rpm, 0)} rpm`, quantity("distance", shot.carry_m)].filter(Boolean).join(", ");
-  return make("div", {}, make("p", {}, text), make("div", { class: "row" }, make("label", {}, "Comment ", comment),
+  return make("div", {}, make("p", {}, text), make("div", { class: "row" }, make("label", {}, "Shot ", other), make("label", {}, "Comment ", comment),
     make("button", { type: "button", id: "campaign-mark", on: { click: async () => {
-      if (await request(campaign, "mark", { shot: shot.shot, comment: comment.value.trim() })) comment.value = "";
-    } } }, `Mark shot ${shot.shot}`)));
+      const number = other.value.trim() === "" ? shot.shot : Number(other.value);
+      if (await request(campaign, "mark", { shot: number, comment: comment.value.trim() })) comment.value = other.value = "";
+    } } }, "Mark")));
 }
 
-async function request(campaign, name, more) {
+export async function request(campaign, name, more) {
   if (!operator()) { by("holder").focus(); outcome("Write your name first.", true); return false; }
   const answer = await send(`/api/campaign/${encodeURIComponent(campaign)}/${name}`, { number: randomNumber(), seen, by: operator(), ...more });
   outcome(say(answer, answer.note), !answer.ok);

@@ -75,6 +75,12 @@ function refresh() {
   by("release").hidden = ticket === "";
 }
 
+// The same as a click on the command's own button, with its question.
+export function press(name) {
+  if (!by(`do-${name}`).disabled) return by(`do-${name}`).click();
+  outcome(ticket === "" && name !== "disarm" ? "Take the lease first." : "Not possible in this state.", true);
+}
+
 export function outcome(text, bad) {
   set("outcome", text);
   by("outcome").classList.toggle("bad", bad);
@@ -124,7 +130,11 @@ async function release() {
   const answer = await send("/api/lease", { action: "release" }, mine);
   outcome(say(answer, "The lease is released."), !answer.ok);
   refresh();
+  return answer.ok;
 }
+
+// A runner takes the lease itself: one of this page stands in its way.
+export const releaseLease = async () => ticket === "" || release();
 
 async function signIn() {
   const answer = await send("/api/sign-in", { token: by("token").value });

@@ -8,6 +8,7 @@ const watchers = new Map();
 let source = null;
 let link = { silent: Infinity, at: -Infinity, before: false };
 let lostSince = null;
+let refused = false;
 
 export const on = (topic, action) => watchers.set(topic, action);
 export const isLive = () => !document.body.classList.contains("stale");
@@ -18,7 +19,12 @@ export function startStream(topics) {
     for (const topic of topics) source.addEventListener(topic, (event) => receive(topic, event.data));
     source.addEventListener("error", () => {
       // The server refused (not signed in, too many pages): ask again later. Else the browser reconnects itself.
-      if (source !== null && source.readyState === EventSource.CLOSED) { close(); setTimeout(reopen, 2000); }
+      if (source !== null && source.readyState === EventSource.CLOSED) {
+        close();
+        refused = true;
+        watchers.get("refused")?.();
+        setTimeout(reopen, 2000);
+      }
     });
   };
   const close = () => { source?.close(); source = null; };
@@ -32,6 +38,7 @@ export function startStream(topics) {
 
 function receive(topic, text) {
   const content = JSON.parse(text);
+  refused = false;
   if (topic === "link") {
     link = { silent: content.silent_s ?? Infinity, at: performance.now(), before: content.silent_s !== null };
     look();
@@ -52,7 +59,7 @@ function look() {
   }
   lostSince ??= new Date(Date.now() - (Number.isFinite(silence) ? 1000 * silence : 0));
   const when = lostSince.toLocaleTimeString();
-  const place = since < SILENT ? "The bench is silent" : "This page has lost its server";
+  const place = since < SILENT ? "The bench is silent" : refused ? "Not signed in, or too many open pages," : "This page has lost its server";
   set("link", "not connected");
   set("lost", link.at === -Infinity
     ? "No figures yet: this page connects, or needs a sign-in, or too many pages are open."

@@ -17,6 +17,7 @@ export function quantity(kind, value, more = 0) {
   return typeof value === "number" ? `${number(value * factor, digits + more)} ${unit}` : "–";
 }
 
+export const unitSystem = () => system;
 export const scale = (kind) => SYSTEMS[system][kind];
 export const degrees = (value, digits = 1) => (typeof value === "number" ? `${number(value, digits)}°` : "–");
 export const micro = (seconds) => (typeof seconds === "number" ? `${number(1e6 * seconds, 0)} µs` : "–");

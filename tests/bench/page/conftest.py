@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+from tests.bench.page.browser_tab import PATIENCE
 from tests.bench.page.running_page import RunningPage, running_page
 
 
@@ -44,3 +46,17 @@ def page(running: RunningPlane) -> Iterator[RunningPage]:
         with page.stream() as following:
             following("state")  # it is connected
         yield page
+
+
+@pytest.fixture
+def browser(tool: Callable[[str], str]) -> Iterator[Any]:
+    """Start the system's Chromium; it ends with the test, and all its processes with it."""
+    from playwright.sync_api import expect, sync_playwright
+
+    expect.set_options(timeout=PATIENCE)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=tool("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE
+        )
+        yield browser
+        browser.close()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import http.client
 import json
 import ssl
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -98,7 +99,12 @@ class RunningPage:
 
 
 @contextmanager
-def running_page(configuration: Configuration, address: PageAddress | None = None) -> Iterator[RunningPage]:
+def running_page(
+    configuration: Configuration,
+    address: PageAddress | None = None,
+    golfbench: Sequence[str] = (sys.executable, "-c", "raise SystemExit(3)"),
+) -> Iterator[RunningPage]:
+    """Run the page; `golfbench` is its command line, by default one that refuses everything."""
     address = address or PageAddress(port=free_port())
     listening, found, failed = threading.Event(), [], []
 
@@ -108,7 +114,7 @@ def running_page(configuration: Configuration, address: PageAddress | None = Non
 
     def serve() -> None:
         try:
-            serve_page(configuration, address, ready)
+            serve_page(configuration, address, golfbench, ready)
         except BaseException as error:
             failed.append(error)
             listening.set()

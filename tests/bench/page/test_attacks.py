@@ -19,6 +19,10 @@ from tests.bench.page.running_page import HURRY, RunningPage
 
 GOOD = json.dumps({"number": "an-attack-01", "seen": 0.0}).encode()
 ARM = "/api/command/arm"
+START = "/api/plan/two-balls/start"
+PLAN = json.dumps(
+    {"number": "an-attack-02", "seen": 0.0, "by": "Eve", "digest": "0" * 16, "units": "si"}
+).encode()
 SCRIPT = "<script>alert(1)</script>"
 
 
@@ -87,6 +91,52 @@ ATTACKS = {
     "script in a path": Attack("GET", f"/static/{SCRIPT.replace(' ', '')}", {}, b"", {404}),
     "a head too long": Attack("GET", "/", {"x": "y" * 40000}, b"", {400, 431}),
     "an upgrade": Attack("GET", "/nothing", {"connection": "upgrade", "upgrade": "websocket"}, b"", {404}),
+    "a start from another site": Attack("POST", START, {"origin": "http://evil.example"}, PLAN, {403}),
+    "a start by a form": Attack("POST", START, {"content-type": "text/plain"}, PLAN, {415}),
+    "a start by GET": Attack("GET", START, {}, b"", {405}),
+    "a start without a digest": Attack("POST", START, {}, GOOD, {400}),
+    "a start with an option for a digest": Attack(
+        "POST", START, {}, PLAN.replace(b"0" * 16, b"--config=/x"), {400}
+    ),
+    "a start with other units": Attack("POST", START, {}, PLAN.replace(b'"si"', b'"ells"'), {400}),
+    "a start by nobody": Attack("POST", START, {}, PLAN.replace(b'"Eve"', b'" "'), {400}),
+    "a start from an old screen": Attack("POST", START, {}, PLAN, {409}),
+    "an oversized start": Attack("POST", START, {}, PLAN + b" " * 5000, {413}),
+    "a malformed start": Attack("POST", START, {}, b"\xff{", {400}),
+    "an unknown plan": Attack("POST", "/api/plan/none/check", {}, b"{}", {409}),
+    "a plan above": Attack("POST", "/api/plan/../check", {}, b"{}", {404, 409}),
+    "a plan above, encoded": Attack("POST", "/api/plan/..%2f..%2fsecret/check", {}, b"{}", {404}),
+    "a plan by its path": Attack("POST", "/api/plan/%2fetc%2fpasswd/check", {}, b"{}", {404}),
+    "a plan called an option": Attack("POST", "/api/plan/--help/check", {}, b"{}", {409}),
+    "a plan with NUL": Attack("POST", "/api/plan/two-balls%00/check", {}, b"{}", {409}),
+    "script for a plan": Attack(
+        "POST", f"/api/plan/{SCRIPT.replace('/', '%2f')}/check", {}, b"{}", {404, 409}
+    ),
+    "script for a plan, without a slash": Attack(
+        "POST", "/api/plan/<img%20onerror=x>/check", {}, b"{}", {409}
+    ),
+    "an unknown form": Attack("POST", "/api/values/explode", {}, PLAN, {404}),
+    "a form by its Python name": Attack("POST", "/api/values/__class__", {}, PLAN, {404}),
+    "a value that is code": Attack("POST", "/api/values/air", {}, b'{"temperature": "1; reboot"}', {400}),
+    "values from another site": Attack("POST", "/api/values/air", {"origin": None}, PLAN, {403}),
+    "oversized values": Attack("POST", "/api/values/air", {}, b" " * 5000, {413}),
+    "a report of no campaign": Attack("POST", "/api/campaign/..%2f..%2fx/report", {}, PLAN, {404}),
+    "a report from another site": Attack(
+        "POST", "/api/campaign/x/report", {"origin": "http://evil.example"}, PLAN, {403}
+    ),
+    "a report in other units": Attack(
+        "POST", "/api/campaign/x/report", {}, PLAN.replace(b'"si"', b'"--help"'), {400}
+    ),
+    "a viewer from another site": Attack("GET", "/viewer", {"sec-fetch-site": "cross-site"}, b"", {403}),
+    "a viewer from a link elsewhere": Attack(
+        "GET",
+        "/viewer",
+        {"sec-fetch-site": "cross-site", "sec-fetch-mode": "navigate", "sec-fetch-dest": "document"},
+        b"",
+        {403},
+    ),
+    "a viewer by its address": Attack("GET", "/viewer", {}, b"", {403}),
+    "a viewer by POST": Attack("POST", "/viewer", {}, b"{}", {405}),
     "sign-in without tokens": Attack("POST", "/api/sign-in", {}, b'{"token": "guess"}', {401}),
 }
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import signal
-import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,13 @@ import pytest
 from bench.lifecycle import Request
 from bench.network.free_port import free_port
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.page.browser_tab import Tab, listens, open_tab, until_accepted
 from tests.bench.page.conftest import publishing
 from tests.bench.page.running_page import RunningPage, running_page
 from tests.running_bench import command_beside, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]
 
-PATIENCE = 120_000.0
-"""ms for an element to become as expected: processors may be busy."""
 SCRIPT = "<img src=x onerror=alert(1)>"
 
 CONTRAST = """() => {
@@ -55,73 +53,6 @@ UNNAMED = """() => [...document.querySelectorAll("button, input, select")]
   .map((e) => e.id)"""
 SIZES = """() => [document.documentElement.scrollWidth,
   document.getElementById("stop").getBoundingClientRect().height]"""
-
-
-@pytest.fixture
-def browser(tool: Callable[[str], str]) -> Iterator[Any]:
-    """Start the system's Chromium; it ends with the test, and all its processes with it."""
-    from playwright.sync_api import expect, sync_playwright
-
-    expect.set_options(timeout=PATIENCE)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=tool("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE
-        )
-        yield browser
-        browser.close()
-
-
-class Tab:
-    """One open page, and what went wrong in it."""
-
-    def __init__(self, browser: Any, url: str, **options: Any) -> None:
-        self.context = browser.new_context(**options)
-        self.page = self.context.new_page()
-        self.page.set_default_timeout(PATIENCE)
-        self.faults: list[str] = []
-        self.foreign: list[str] = []
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", self._hear)
-        self.page.on("request", lambda asked: self._note(asked.url, url))
-        self.page.goto(url)
-
-    def _hear(self, message: Any) -> None:
-        # A refusal is an answer, too: the browser logs it.
-        if message.type == "error" and not message.text.startswith("Failed to load resource"):
-            self.faults.append(message.text)
-
-    def _note(self, asked: str, own: str) -> None:
-        if not asked.startswith(own):
-            self.foreign.append(asked)
-
-    def text(self, place: str) -> Any:
-        from playwright.sync_api import expect
-
-        return expect(self.page.locator(place))
-
-    def do(self, name: str, ask: bool = True) -> None:
-        self.text(f"#do-{name}").to_be_enabled()
-        self.page.click(f"#do-{name}")
-        if ask:
-            self.page.click("#ask-yes")
-        self.text("#outcome").to_contain_text("accepted")
-
-    def take_lease(self, name: str = "Ann") -> None:
-        self.text("#take").to_be_enabled()
-        self.page.fill("#holder", name)
-        self.page.click("#take")
-        self.text("#release").to_be_visible()
-
-
-@contextmanager
-def open_tab(browser: Any, url: str, **options: Any) -> Iterator[Tab]:
-    tab = Tab(browser, url, **options)
-    try:
-        yield tab
-    finally:
-        tab.context.close()
-    assert tab.faults == []
-    assert tab.foreign == []
 
 
 @pytest.fixture
@@ -204,12 +135,6 @@ def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: Runnin
             assert tab.page.evaluate("() => document.activeElement.id") == "stop"
 
 
-def listens(port: int) -> bool:
-    with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
-        return True
-    return False
-
-
 def test_a_swing_by_clicks_on_a_running_bench(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "page"), free_port()
     with running_bench(file) as bench, command_beside(file, "page", "--port", str(port)) as process:
@@ -243,19 +168,3 @@ def swing_and_stop(tab: Tab) -> None:
     tab.text("#swing").to_contain_text("Club speed")
     tab.page.click("#estop")
     tab.text("#state-word").to_have_text("ESTOP")
-
-
-def until_accepted(tab: Tab, name: str) -> None:
-    """Click until the bench takes it: it refuses while it vents or fills, and the page repeats nothing."""
-    said = ""
-    for _ in range(30):
-        tab.text(f"#do-{name}").to_be_enabled()
-        tab.page.click(f"#do-{name}")
-        tab.page.click("#ask-yes")
-        tab.text("#outcome").not_to_contain_text("sent")
-        said = tab.page.locator("#outcome").inner_text()
-        if "accepted" in said:
-            return
-        assert "wait" in said.lower(), said
-        time.sleep(0.5)
-    raise AssertionError(said)

@@ -10,14 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.campaign.operate import runner_lock
 from bench.config import Configuration, database_url
+from bench.lifecycle import State
 from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
-from bench.page.last_swing import SwingReader, swing_view
+from bench.page.last_swing import SwingReader, ended_swing_view, swing_view
+from bench.shot.recorded_shot import plant_of
 from bench.store.campaigns import CampaignState, CampaignStore, Prompt, StoredShot
 from bench.store.database import open_database
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.ring import RingWriter
 from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
@@ -202,6 +207,43 @@ def test_a_record_becomes_figures_and_curves() -> None:
     stopped = swing_view(RECORDS / "stop.parquet")
     assert stopped["figures"]["club_speed_mps"] is None
     assert stopped["reason"]
+
+
+def test_a_swing_is_shown_from_the_ring_before_its_record_is_stored(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    cycles, metadata = read_swing(RECORDS / "swing.parquet")
+    plant, around = plant_of(metadata, "swing")
+    begun = int(np.argmax(cycles["state"] == State.SWINGING))
+    ring = RingWriter(tmp_path / "ring")
+    try:
+        for record in cycles[:begun]:
+            ring(np.array([record], cycles.dtype))
+        assert ended_swing_view(tmp_path / "ring", plant, around) is None
+        for record in cycles[begun:]:
+            ring(np.array([record], cycles.dtype))
+        view = ended_swing_view(tmp_path / "ring", plant, around)
+    finally:
+        ring.close()
+    assert view is not None
+    json.dumps(view, allow_nan=False)
+    stored = swing_view(RECORDS / "swing.parquet")
+    assert (view["stored"], stored["stored"]) == (False, True)
+    assert view["figures"] == pytest.approx(stored["figures"])
+    assert view["speed"]["max_mps"] == pytest.approx(stored["speed"]["max_mps"])
+    shown: list[tuple[str, Any]] = []
+    reader = SwingReader(lambda topic, view: shown.append((topic, view)), configuration.plant)
+    reader.start()
+    try:
+        reader.offer_ring(tmp_path / "none")  # a bench on another machine
+        deadline = time.monotonic() + HURRY
+        while not shown:
+            assert time.monotonic() < deadline
+            reader.offer_ring(tmp_path / "ring")
+            time.sleep(0.1)
+    finally:
+        reader.close()
+    assert not shown[0][1]["stored"]
 
 
 def test_the_newest_record_is_shown_at_the_start(page: RunningPage) -> None:

@@ -1,0 +1,126 @@
+"""Commands of the command line, run beside the page: it can do nothing there that `golfbench` cannot.
+
+Each is a process of its own with the page's configuration, so that neither its work nor its end touches the
+page: a stop never waits for one. Arguments are passed as a list, never through a shell.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from collections.abc import Sequence
+from contextlib import suppress
+from threading import BoundedSemaphore, Lock
+
+from bench.errors import BenchError, Refused
+
+NICE = 10
+"""Priority of a command, as of the page's service."""
+MAX_COMMANDS = 2
+"""Max number of commands at a time."""
+LONGEST_COMMAND = 180.0
+"""Time after which a command is ended, s."""
+_LONGEST_WORDS = 2000
+
+_FAULT = re.compile(
+    r"^error: (?P<place>.*)\n  found:    (?P<found>.*)\n  expected: (?P<expected>.*)\n"
+    r"  to do:    (?P<cure>.*)$",
+    re.MULTILINE,
+)
+"""An error as `bench.cli` prints it."""
+
+
+class CommandLine:
+    """The command line with one configuration."""
+
+    def __init__(self, golfbench: Sequence[str]) -> None:
+        """`golfbench` is the program with its global options."""
+        self._golfbench = tuple(golfbench)
+        self._free = BoundedSemaphore(MAX_COMMANDS)
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._closed, self._lock = False, Lock()
+
+    def arguments(self, *arguments: str) -> list[str]:
+        """Return program and `arguments`."""
+        return [*self._golfbench, *arguments]
+
+    def output(self, *arguments: str) -> str:
+        """Run a command to its end; return what it prints.
+
+        Raises:
+            BenchError: the command refuses, in its own words; too many run at a time; it does not end.
+        """
+        place = f"golfbench {arguments[0]}"
+        if not self._free.acquire(blocking=False):
+            raise Refused(place, "too many commands at a time", "one after the other", "Try again.")
+        try:
+            code, output, said = self._run(place, self.arguments(*arguments))
+        finally:
+            self._free.release()
+        if code:
+            raise fault_of(place, code, said)
+        return output
+
+    def close(self) -> None:
+        """End the commands that run."""
+        with self._lock:
+            self._closed = True
+            for process in self._running:
+                process.terminate()
+
+    def _run(self, place: str, arguments: Sequence[str]) -> tuple[int, str, str]:
+        """Return exit code, output and errors of a program."""
+        with self._lock:
+            if self._closed:
+                raise Refused(place, "the page ends", "a running page", "Start the page again.")
+            process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+                env=plain_environment(),
+            )
+            self._running.add(process)
+        try:
+            lower_priority(process.pid)
+            output, said = process.communicate(timeout=LONGEST_COMMAND)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+            expected = f"an end within {LONGEST_COMMAND:g} s"
+            raise BenchError(place, "still running", expected, "Use the command line.") from None
+        finally:
+            with self._lock:
+                self._running.discard(process)
+        return process.returncode, output.decode("utf-8", "replace"), said.decode("utf-8", "replace")
+
+
+def plain_environment() -> dict[str, str]:
+    """Return the page's environment for a command whose words are read by a program."""
+    return {**os.environ, "NO_COLOR": "1", "TERM": "dumb", "COLUMNS": "400"}
+
+
+def lower_priority(process: int) -> None:
+    """Give `process` the priority NICE, where that is lower than the page's own."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process, max(NICE, os.getpriority(os.PRIO_PROCESS, process)))
+
+
+def fault_of(place: str, code: int, text: str) -> BenchError:
+    """Return the error that a command ended with: exit `code` and what it said, `text`."""
+    faults = [BenchError(**one.groupdict()) for one in _FAULT.finditer(text)]
+    if len(faults) == 1:
+        return faults[0]
+    if faults:
+        found = "; ".join(f"{one.place}: {one.found}, expected {one.expected}" for one in faults)
+        return BenchError(place, _cut(found), "a valid input", _cut(" ".join(one.cure for one in faults)))
+    lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
+    said = next((line for line in reversed(lines) if line), "")
+    cure = "See it at the command line."
+    return BenchError(place, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", cure)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST_WORDS else f"{text[:_LONGEST_WORDS]} ..."

@@ -1,0 +1,199 @@
+"""Forms of the page for what a person measures: the air, and the calibrations of the bench.
+
+Each is a command of `golfbench` with its options; ranges and plausibility are checked there, and its words
+are shown. Nothing is overwritten: a newer entry supersedes, and a running bench takes calibrations up when
+it is started again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from bench.page.answers import InvalidBody, text_in
+
+LONGEST_NOTE = 200
+LONGEST_DAYS = 3650
+_NAMES = ("shoulder", "arm", "wrist")
+
+
+class FormField(NamedTuple):
+    """One measured value, or three of them, one a joint."""
+
+    name: str
+    """Option of the command, without its dashes."""
+    label: str
+    unit: str
+    triple: bool = False
+    whole: bool = False
+    """Whether it counts."""
+    optional: bool = False
+
+
+class EntryForm(NamedTuple):
+    """A form."""
+
+    title: str
+    command: tuple[str, ...]
+    steps: tuple[str, ...]
+    """What hands do, in order."""
+    fields: tuple[FormField, ...]
+    club: bool = False
+    """Whether it is of one club."""
+    lasting: bool = True
+    """Whether it has a method, a remark and an end of validity."""
+    instead: str = ""
+    """Option that takes the place of all values; empty: none."""
+    instead_label: str = ""
+
+
+FORMS: Mapping[str, EntryForm] = {
+    "air": EntryForm(
+        "Air at the bench",
+        ("campaign", "air"),
+        (
+            "Read temperature, humidity and station pressure (not reduced to sea level) beside the bench.",
+            "Shots on hardware use the reading from now on, for as long as their plan allows.",
+        ),
+        (
+            FormField("temperature", "Temperature", "°C"),
+            FormField("pressure", "Station pressure", "hPa"),
+            FormField("humidity", "Relative humidity", "%"),
+        ),
+        lasting=False,
+    ),
+    "encoders": EntryForm(
+        "Encoder zeros",
+        ("calibrate", "encoders"),
+        (
+            "Disarm, open the access, and lock the robot at its mechanical reference.",
+            "Enter the joint angles of that pose. The bench reads the counts itself while the robot is "
+            "locked; enter them only if no bench runs.",
+            "Unlock the robot, leave, end the access; restart the bench and home it.",
+        ),
+        (
+            FormField("from-pose", "Angles of the reference", "°", triple=True),
+            FormField("uncertainty-deg", "Standard uncertainty", "°"),
+            FormField("counts", "Counts at that pose", "counts", triple=True, whole=True, optional=True),
+            FormField("sign", "Signs, 1 or -1", "", triple=True, whole=True, optional=True),
+        ),
+    ),
+    "ball": EntryForm(
+        "Position of the ball",
+        ("calibrate", "ball"),
+        (
+            "Disarm, open the access, and put a ball on its tee.",
+            "Measure its centre in the swing plane from the shoulder axis R1.",
+            "Leave, end the access, and enter the position; restart the bench.",
+        ),
+        (
+            FormField("x", "Towards the target, from R1", "m"),
+            FormField("y", "Up the swing plane, from R1", "m"),
+            FormField("uncertainty-mm", "Standard uncertainty of both", "mm"),
+        ),
+    ),
+    "club": EntryForm(
+        "Club in its mount",
+        ("calibrate", "club"),
+        (
+            "Disarm, open the access, and clamp the club.",
+            "Measure from the wrist axis R3 to the centre of the face, and loft and lie as it sits.",
+            "Leave, end the access, and enter the values; restart the bench.",
+        ),
+        (
+            FormField("length", "Wrist axis to the face", "m"),
+            FormField("loft-deg", "Loft", "°"),
+            FormField("lie-deg", "Lie", "°"),
+            FormField("length-uncertainty-mm", "Uncertainty of the length", "mm"),
+            FormField("angle-uncertainty-deg", "Uncertainty of the angles", "°"),
+        ),
+        club=True,
+    ),
+    "valves": EntryForm(
+        "Valve centres",
+        ("calibrate", "valves"),
+        (
+            "With everybody outside the guard, find for each valve the two commands at which its chambers "
+            "begin to fill.",
+            "Their middle is the centre, half of their distance the dead band. Restart the bench.",
+        ),
+        (
+            FormField("centre", "Centre, -1 to 1", "", triple=True),
+            FormField("dead-band", "Dead band to either side", "", triple=True),
+            FormField("uncertainty", "Standard uncertainty", ""),
+        ),
+        instead="measure",
+        instead_label="Find them by a slow ramp of the simulated plant",
+    ),
+}
+"""Forms by name; aerodynamics of balls come from files, at the command line."""
+
+
+def described_forms(clubs: list[str]) -> list[dict[str, Any]]:
+    """Return the forms for the browser, with the `clubs` of the configuration."""
+    return [
+        {
+            "name": name,
+            "title": form.title,
+            "steps": form.steps,
+            "fields": [field._asdict() for field in form.fields],
+            "joints": _NAMES,
+            "clubs": clubs if form.club else [],
+            "lasting": form.lasting,
+            "instead": form.instead_label,
+        }
+        for name, form in FORMS.items()
+    ]
+
+
+def form_arguments(form: EntryForm, body: Mapping[str, Any], by: str) -> list[str]:
+    """Return the command's arguments for the values in `body`, entered `by` a person.
+
+    Raises:
+        InvalidBody: a value is missing or none.
+    """
+    given = dict(body)
+    found = [*form.command, f"--by={by}"]
+    if form.instead and given.get("instead") is True:
+        found.append(f"--{form.instead}")
+    else:
+        for field in form.fields:
+            found += _option(field, given.get(field.name))
+    if form.lasting:
+        if method := text_in(given, "method", LONGEST_NOTE, 0):
+            found.append(f"--method={method}")
+        if note := text_in(given, "note", LONGEST_NOTE, 0):
+            found.append(f"--note={note}")
+        if (days := given.get("days")) is not None:
+            if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= LONGEST_DAYS:
+                raise InvalidBody(f"days: 1 to {LONGEST_DAYS}")
+            found.append(f"--expires-days={days}")
+    if form.club:
+        found += ["--", text_in(given, "club", LONGEST_NOTE)]
+    return found
+
+
+def _option(field: FormField, value: Any) -> Iterator[str]:
+    """Yield the option of `field` with `value`; nothing for an optional one without a value."""
+    if value is None and field.optional:
+        return
+    if field.triple:
+        if not isinstance(value, list) or len(value) != len(_NAMES):
+            raise InvalidBody(f"{field.name}: three numbers")
+        yield f"--{field.name}"
+        yield from (_number(field, one) for one in value)
+    else:
+        yield f"--{field.name}={_number(field, value)}"
+
+
+def _number(field: FormField, value: Any) -> str:
+    """Return `value` as an argument, exactly.
+
+    Raises:
+        InvalidBody: it is no number, or no count where one is expected.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e9:
+        raise InvalidBody(f"{field.name}: a number")
+    if field.whole and value != int(value):
+        raise InvalidBody(f"{field.name}: a whole number")
+    return str(int(value)) if field.whole else repr(float(value))

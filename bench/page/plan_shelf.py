@@ -1,0 +1,78 @@
+"""The plans that a campaign can be started from on the page: the shipped ones, and those of the bench.
+
+Plans of the bench are files in the folder `plans` beside its records. A request names one of the listed ones
+and nothing else.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.plan_file import EXAMPLES, campaign_names
+from bench.errors import Refused
+
+MAX_PLANS = 100
+"""Max number of listed plans of the bench."""
+LONGEST_PLAN = 1 << 20
+"""Max size of a plan's file, bytes."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
+
+
+class PlanShelf:
+    """The plans of one bench."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self._folder = data_dir / "plans"
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Return name, title and first comment of each plan, and whether it is shipped."""
+        return [_described(name, file) for name, file in self._files().items()]
+
+    def file(self, name: str) -> Path:
+        """Return the file of the plan called `name`; one of the bench hides a shipped one.
+
+        Raises:
+            Refused: no such plan is listed.
+        """
+        found = self._files().get(name)
+        if found is None:
+            raise Refused(
+                "plan", "an unknown name", "one of the listed plans", f"Put it into {self._folder}."
+            )
+        return found
+
+    def _files(self) -> dict[str, Path]:
+        shipped = {name: EXAMPLES / f"{name}.toml" for name in campaign_names()}
+        try:
+            own = sorted(self._folder.glob("*.toml"))[:MAX_PLANS]
+        except OSError:
+            own = []
+        return shipped | {path.stem: path for path in own if _is_plan(path)}
+
+
+def _is_plan(path: Path) -> bool:
+    """Return whether `path` is a file itself, no link, of a plan's size, with a name that is safe to show."""
+    try:
+        plain = path.is_file() and not path.is_symlink() and path.stat().st_size <= LONGEST_PLAN
+    except OSError:
+        return False
+    return plain and bool(_NAME.fullmatch(path.stem))
+
+
+def _described(name: str, file: Path) -> dict[str, Any]:
+    """Return a plan for the list; one that cannot be read is checked in words when it is chosen."""
+    title, about = name, ""
+    try:
+        text = file.read_text(encoding="utf-8")
+        first = text.partition("\n")[0]
+        about = first.removeprefix("#").strip()[:300] if first.startswith("#") else ""
+        campaign = tomllib.loads(text).get("campaign")
+        if isinstance(campaign, dict) and isinstance(campaign.get("title"), str) and campaign["title"]:
+            title = campaign["title"][:200]
+    except (OSError, ValueError, RecursionError):
+        pass
+    return {"name": name, "title": title, "about": about, "shipped": file.parent == EXAMPLES}

@@ -1,0 +1,147 @@
+"""Requests of the page that run a command of `golfbench`: plans, forms, and the viewer."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Any
+
+from bench.page.answers import InvalidBody, body_of, json_answer, number_in, text_in
+from bench.page.campaign_runner import CampaignRunner
+from bench.page.campaign_service import LONGEST_NAME
+from bench.page.command_line import CommandLine
+from bench.page.entry_forms import FORMS, form_arguments
+from bench.page.page_access import PageRole
+from bench.page.page_service import PageService
+from bench.page.plan_shelf import PlanShelf
+from bench.page.viewer_process import ViewerProcess
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+MAX_BLOCKS = 200
+"""Max number of blocks in a preview."""
+
+
+class StartService:
+    """Checks and starts of campaigns, entries of measured values, and the viewer."""
+
+    def __init__(
+        self,
+        page: PageService,
+        golfbench: CommandLine,
+        plans: PlanShelf,
+        runner: CampaignRunner,
+        viewer: ViewerProcess,
+        values: Callable[[], dict[str, Any]],
+    ) -> None:
+        """`values` returns the calibrations in force and the forms, as `bench_values`."""
+        self._page, self._golfbench, self._plans = page, golfbench, plans
+        self._runner, self._viewer, self._values = runner, viewer, values
+
+    # Campaigns -----------------------------------------------------------------------------------
+
+    async def plans(self, request: Request) -> Response:
+        """Return the plans that a campaign can be started from."""
+        return self._page.needing(PageRole.VIEWER, request) or await self._page.worked(self._plans.listed)
+
+    async def check(self, request: Request) -> Response:
+        """Return the preview of a plan, or its mistakes."""
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        name = request.path_params["plan"]
+        await body_of(request)
+
+        def work() -> dict[str, Any]:
+            file = self._plans.file(name)
+            found = json.loads(self._golfbench.output("campaign", "check", "--json", "--", str(file)))
+            kept = {key: value for key, value in found.items() if key not in _LEFT_OUT}
+            return kept | {"plan": name, "order": _order(found["sequence"])}
+
+        return await self._page.ran(work)
+
+    async def start(self, request: Request) -> Response:
+        """Start a campaign from a plan, as it was checked."""
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        name, body = request.path_params["plan"], await body_of(request)
+        number, seen = text_in(body, "number", 64, 8), number_in(body, "seen")
+        by, digest = text_in(body, "by", LONGEST_NAME), text_in(body, "digest", 64)
+        units, ask = body.get("units"), body.get("ask") is True
+        if units not in ("si", "us"):
+            raise InvalidBody("units: si or us")
+        if not _DIGEST.fullmatch(digest):
+            raise InvalidBody("digest: that of the checked plan")
+
+        def work() -> dict[str, Any]:
+            self._page.numbers.check(number, seen)
+            # A plan that was changed since it was checked is refused by the runner.
+            given = [f"--by={by}", f"--units={units}", f"--expect={digest}", *(["--ask"] if ask else [])]
+            return {"note": f"{self._runner.start(name, 'run', *given, '--', str(self._plans.file(name)))}."}
+
+        return await self._page.worked(work)
+
+    # Measured values -----------------------------------------------------------------------------
+
+    async def values(self, request: Request) -> Response:
+        """Return calibrations, air and forms."""
+        return self._page.needing(PageRole.VIEWER, request) or await self._page.worked(self._values)
+
+    async def enter(self, request: Request) -> Response:
+        """Store what a person measured."""
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        form = FORMS.get(request.path_params["form"])
+        if form is None:
+            return json_answer({"what": "There is no such form."}, 404)
+        body = await body_of(request)
+        number, by = text_in(body, "number", 64, 8), text_in(body, "by", LONGEST_NAME)
+        arguments = form_arguments(form, body, by)
+
+        def work() -> dict[str, Any]:
+            self._page.numbers.check(number, None)
+            return {"note": self._golfbench.output(*arguments).strip()}
+
+        return await self._page.ran(work)
+
+    # The viewer ----------------------------------------------------------------------------------
+
+    async def viewer(self, request: Request) -> Response:
+        """Open Rerun's viewer, which is started unless it runs."""
+        from starlette.responses import RedirectResponse
+
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        if request.headers.get("sec-fetch-site", "") != "same-origin":  # it starts a program
+            return json_answer({"what": "Open it by its link on the page."}, 403)
+        if request.client is None or not ip_address(request.client.host).is_loopback:
+            what = "Rerun's viewer can be reached from the page's own computer only."
+            return json_answer({"what": what, "cure": "There: golfbench view, or open this page."}, 403)
+        found: list[str] = []
+        answer = await self._page.ran(lambda: found.append(self._viewer.url()))
+        return RedirectResponse(found[0], 303) if found else answer
+
+    async def close_viewer(self, request: Request) -> Response:
+        """End Rerun's viewer."""
+        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
+            return refusal
+        return await self._page.ran(self._viewer.close)
+
+
+_DIGEST = re.compile(r"[0-9a-f]{8,64}")
+_LEFT_OUT = frozenset({"sequence", "loads", "outlook"})
+
+
+def _order(sequence: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the shot order by block: its section, number, and the shots as role, swing, club, ball."""
+    found: list[dict[str, Any]] = []
+    for trial in sequence:
+        if not found or (found[-1]["section"], found[-1]["block"]) != (trial["section"], trial["block"]):
+            if len(found) == MAX_BLOCKS:
+                break
+            found.append({"section": trial["section"], "block": trial["block"], "shots": []})
+        found[-1]["shots"].append([trial[key] for key in ("role", "swing", "club", "ball")])
+    return found

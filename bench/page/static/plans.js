@@ -1,0 +1,125 @@
+// Campaigns from a plan: check it, look at its preview, start it. The runner is a process of its own.
+
+import { ask } from "./ask.js";
+import { by, make, pair, set } from "./dom.js";
+import { mayOperate, operator, outcome, randomNumber, releaseLease } from "./operate.js";
+import { say, send } from "./send.js";
+import { duration } from "./state.js";
+import { unitSystem } from "./units.js";
+
+const CHECK_TIME = 200000; // ms
+const SHOWN = 6;
+let plans = [];
+let preview = null;
+let runner = null;
+let seen = 0;
+let busy = false;
+let whole = false;
+
+export const setPlansSeen = (value) => { seen = value; };
+
+export async function loadPlans() {
+  const response = await fetch("/api/plans", { cache: "no-store" }).catch(() => null);
+  if (!response?.ok) return;
+  plans = await response.json();
+  const chosen = by("plan").value;
+  by("plan").replaceChildren(...plans.map((one) => make("option", { value: one.name }, `${one.title} (${one.name}${one.shipped ? "" : ", of this bench"})`)));
+  if (plans.some((one) => one.name === chosen)) by("plan").value = chosen;
+  by("plans-card").hidden = plans.length === 0;
+  choose();
+}
+
+export function startPlans() {
+  by("plan").addEventListener("change", choose);
+  by("plan-check").addEventListener("click", check);
+  by("plan-start").addEventListener("click", start);
+  setInterval(refresh, 300);
+}
+
+export function showRunner(content) {
+  runner = content;
+  refresh();
+}
+
+function choose() {
+  set("plan-about", plans.find((one) => one.name === by("plan").value)?.about ?? "");
+  if (preview?.plan !== by("plan").value) show(null);
+}
+
+function refresh() {
+  const may = mayOperate() && !busy;
+  by("plan-check").disabled = !may;
+  by("plan-start").disabled = !(may && preview !== null && !runner?.running);
+  by("runner").classList.toggle("bad", Boolean(runner?.text));
+  set("runner", runner === null ? "" : runner.running
+    ? `Runner of ${runner.what}: running. It goes on without this page.`
+    : runner.text ? `Runner of ${runner.what} has ended. ${runner.text}` : `Runner of ${runner.what} has ended: done.`);
+}
+
+async function check() {
+  const name = by("plan").value;
+  busy = true;
+  refresh();
+  set("plan-said", "Checking …");
+  by("plan-said").classList.remove("bad");
+  const answer = await send(`/api/plan/${encodeURIComponent(name)}/check`, {}, "", CHECK_TIME);
+  busy = false;
+  by("plan-said").classList.toggle("bad", !answer.ok);
+  set("plan-said", answer.ok ? "" : say(answer, ""));
+  whole = false;
+  show(answer.ok && by("plan").value === name ? answer : null);
+}
+
+function show(found) {
+  preview = found;
+  by("plan-preview").replaceChildren(...(found === null ? [] : parts(found)));
+  refresh();
+}
+
+function parts(found) {
+  const work = found.hand_work;
+  const more = () => { whole = true; show(preview); };
+  const cut = (list) => (whole ? list : list.slice(0, SHOWN));
+  const rest = (list) => (whole || list.length <= SHOWN ? "" : make("button", { type: "button", on: { click: more } }, `Show ${list.length - SHOWN} more`));
+  return [
+    make("dl", { class: "big" }, ...[
+      ["Shots", String(found.shots)],
+      ["Warm-up", `up to ${found.warm_up_at_most}`],
+      ["Time", duration(found.expected_duration_s + found.needs.hand_work)],
+      ["Club changes", String(found.needs.club_changes)],
+      ["Feeder fills", String(found.needs.feeder_fills)],
+    ].map(pair)),
+    make("ul", { class: "words" }, ...[...found.warnings.map((text) => make("li", { class: "warn" }, `Attention: ${text}`)),
+      ...[...found.outlook_words, ...found.needs_words].map((text) => make("li", {}, text))]),
+    make("h3", {}, "Hits of each ball"),
+    make("p", {}, Object.entries(found.hits).map(([name, number]) => `${name}: ${number}`).join(", ")),
+    make("h3", {}, `Order of the shots, from seed ${found.seed}`),
+    make("ol", { class: "order" }, ...cut(found.order).map((block) => make("li", {}, make("span", { class: "muted" }, `Block ${block.block} `), order(block, found.order)))),
+    rest(found.order),
+    make("h3", {}, "Work by hand"),
+    work.length
+      ? make("ol", { class: "order" }, ...cut(work).map((one) => make("li", {}, make("span", { class: "muted" }, `before shot ${one.shot} `), one.text)))
+      : make("p", {}, "None is planned."),
+    rest(work),
+  ];
+}
+
+// What differs within the plan names a shot: the ball, the club, or the swing.
+function order(block, blocks) {
+  const all = blocks.flatMap((one) => one.shots);
+  const parts = [1, 2, 3].filter((at) => new Set(all.map((shot) => shot[at])).size > 1);
+  return block.shots.map((shot) => `${(parts.length ? parts : [3]).map((at) => shot[at]).join(" / ")}${shot[0] === "control" ? " (control)" : ""}`).join(" · ");
+}
+
+async function start() {
+  if (!operator()) { by("holder").focus(); outcome("Write your name first.", true); return; }
+  const { plan, digest, title, shots } = preview;
+  const text = `${title || plan}: ${shots} shots. The runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings by itself; a simulated bench it also resets and homes. Is everybody outside the guard, and the range clear?`;
+  const possible = () => mayOperate() && preview?.digest === digest;
+  if (!(await ask("Start the campaign?", text, "Start", possible))) return;
+  if (!possible()) return;
+  if (!(await releaseLease())) return;
+  const body = { number: randomNumber(), seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
+  const answer = await send(`/api/plan/${encodeURIComponent(plan)}/start`, body);
+  outcome(say(answer, answer.note), !answer.ok);
+}

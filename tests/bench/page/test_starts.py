@@ -1,0 +1,397 @@
+"""Campaigns started on the page, measured values entered on it, and the viewer: programs beside the page.
+
+The program is a script that notes its arguments and answers as `golfbench` would: the real one is started in
+test_browser_campaign.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.config import Configuration
+from bench.errors import BenchError, Refused
+from bench.network.free_port import free_port
+from bench.page import command_line, viewer_process
+from bench.page.answers import InvalidBody
+from bench.page.campaign_runner import CampaignRunner
+from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
+from bench.page.entry_forms import FORMS, form_arguments
+from bench.page.page_address import PageAddress
+from bench.page.plan_shelf import PlanShelf
+from bench.page.viewer_process import ViewerProcess
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.page.conftest import publishing
+from tests.bench.page.running_page import HURRY, RunningPage, running_page
+
+SCRIPT = "<script>alert(1)</script>"
+PROGRAM = """
+import json, sys, time
+from pathlib import Path
+folder, given = Path(sys.argv[1]), sys.argv[2:]
+with (folder / "asked").open("a") as file:
+    file.write(json.dumps(given) + "\\n")
+if given[:2] == ["campaign", "check"]:
+    trial = {"role": "test", "section": 1, "block": 1, "position": 1, "swing": "s", "club": "c", "ball": "b"}
+    print(json.dumps({"digest": "0123456789abcdef", "title": "x", "sequence": [trial] * 3}))
+elif given[:2] in (["campaign", "run"], ["campaign", "resume"]):
+    print("campaign x-1")
+    while not (folder / "end").exists():
+        time.sleep(0.01)
+    if (folder / "fail").exists():
+        sys.exit("error: bench b\\n  found:    held by Ann\\n  expected: a free bench\\n  to do:    Wait.")
+elif given[:1] == ["calibrate"] and "--x=9.0" in given:
+    sys.exit("error: calibrate ball\\n  found:    9\\n  expected: up to 3 m\\n  to do:    Measure again.")
+elif given[:1] == ["view"]:
+    if (folder / "fail").exists():
+        sys.exit("error: Rerun\\n  found:    nothing\\n  expected: it\\n  to do:    Install it.")
+    print("http://127.0.0.1:9999/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy", flush=True)
+    time.sleep(600)
+else:
+    print("ball version 1 of bench1 <script>alert(1)</script>")
+"""
+
+
+class NotingProgram:
+    """The script in place of `golfbench`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        file = folder / "golfbench.py"
+        file.write_text(PROGRAM)
+        self.command = (sys.executable, "-S", str(file), str(folder))
+
+    @property
+    def asked(self) -> list[list[str]]:
+        """Arguments of each call."""
+        file = self.folder / "asked"
+        return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+
+    def note(self, name: str) -> None:
+        """Make the script end ("end"), or fail ("fail")."""
+        (self.folder / name).touch()
+
+
+def wait_until(holds: Callable[[], bool], words: Callable[[], object]) -> None:
+    deadline = time.monotonic() + HURRY
+    while not holds():
+        assert time.monotonic() < deadline, words()
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[NotingProgram]:
+    found = NotingProgram(tmp_path)
+    yield found
+    found.note("end")
+
+
+@pytest.fixture
+def configuration(tmp_path: Path) -> Configuration:
+    given = loopback_configuration()
+    return replace(given, bench=replace(given.bench, data_dir=tmp_path / "data"))
+
+
+@pytest.fixture
+def page(configuration: Configuration, program: NotingProgram) -> Iterator[RunningPage]:
+    with ExitStack() as stack:
+        running = stack.enter_context(running_plane(FakeDesk(), configuration))
+        stack.enter_context(publishing(running))
+        page = stack.enter_context(running_page(configuration, golfbench=program.command))
+        with page.stream() as following:
+            following("state")
+        yield page
+
+
+def entered(page: RunningPage, path: str, seen: float | None = None, **content: Any) -> tuple[int, Any]:
+    page.numbers += 1
+    at = time.monotonic() if seen is None else seen
+    answer = page.post(path, {"number": f"entry-no-{page.numbers}", "seen": at, "by": "Ann"} | content)
+    return answer.status, answer.content
+
+
+# Programs --------------------------------------------------------------------------------------------
+
+
+def test_the_words_of_a_refused_command_are_kept() -> None:
+    one = "error: bench b\n  found:    held\n  expected: free\n  to do:    Wait."
+    fault = fault_of("golfbench campaign", 1, f"campaign x\n{one}\n")
+    assert (fault.place, fault.found, fault.expected, fault.cure) == ("bench b", "held", "free", "Wait.")
+    both = fault_of("golfbench campaign", 2, f"{one}\n{one.replace('bench b', 'bench c')}")
+    assert "bench b" in both.found
+    assert "bench c" in both.found
+    usage = fault_of("golfbench calibrate", 2, "Usage: ...\n╭─ Error ─╮\n│ No such option: --z │\n╰────╯")
+    assert "No such option: --z" in usage.found
+    assert fault_of("x", 70, "").found == "exit code 70"
+    assert len(fault_of("x", 70, "y" * 10_000).found) < 3000
+
+
+def test_commands_are_bounded_in_number_and_time(
+    program: NotingProgram, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench = CommandLine(program.command)
+    for _ in range(MAX_COMMANDS):
+        golfbench._free.acquire()
+    with pytest.raises(Refused, match="too many"):
+        golfbench.output("campaign", "air")
+    golfbench._free.release()
+    monkeypatch.setattr(command_line, "LONGEST_COMMAND", 0.2)
+    with pytest.raises(BenchError, match="still running"):
+        golfbench.output("campaign", "run")
+    golfbench.close()
+    with pytest.raises(Refused, match="the page ends"):
+        golfbench.output("campaign", "air")
+
+
+def test_a_page_that_ends_ends_its_commands(configuration: Configuration, program: NotingProgram) -> None:
+    golfbench = CommandLine(program.command)
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(golfbench.output, "campaign", "run")
+        wait_until(lambda: bool(program.asked), lambda: "not started")
+        golfbench.close()
+        with pytest.raises(BenchError):
+            waiting.result(HURRY)
+
+
+# Plans -----------------------------------------------------------------------------------------------
+
+
+def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> None:
+    folder = tmp_path / "plans"
+    folder.mkdir()
+    (folder / "mine.toml").write_text(f'# About mine\n[campaign]\ntitle = "Mine {SCRIPT}"\n')
+    (folder / "two-balls.toml").write_text("damaged = [")
+    (folder / "--help.toml").write_text("")
+    (folder / "linked.toml").symlink_to("/etc/passwd")
+    (folder / "deep.toml").mkdir()
+    shelf = PlanShelf(tmp_path)
+    listed = {one["name"]: one for one in shelf.listed()}
+    assert listed["mine"] == {
+        "name": "mine",
+        "title": f"Mine {SCRIPT}",
+        "about": "About mine",
+        "shipped": False,
+    }
+    assert listed["symmetry"]["shipped"]
+    assert not listed["two-balls"]["shipped"]
+    assert not {"--help", "linked", "deep"} & set(listed)
+    assert shelf.file("mine") == folder / "mine.toml"
+    for name in ("--help", "linked", "../secret", "..", "", "/etc/passwd", SCRIPT):
+        with pytest.raises(Refused) as refused:
+            shelf.file(name)
+        assert SCRIPT not in str(refused.value)
+
+
+def test_a_plan_is_checked_and_started_as_at_the_command_line(
+    page: RunningPage, program: NotingProgram, configuration: Configuration
+) -> None:
+    assert "two-balls" in [one["name"] for one in page.ask("GET", "/api/plans").content]
+    preview = page.post("/api/plan/two-balls/check", {}).content
+    assert preview["order"] == [{"section": 1, "block": 1, "shots": [["test", "s", "c", "b"]] * 3}]
+    given = {"digest": preview["digest"], "units": "us", "ask": True}
+    assert entered(page, "/api/plan/two-balls/start", seen=time.monotonic() - 60.0, **given)[0] == 409
+    with page.stream() as following:
+        status, content = entered(page, "/api/plan/two-balls/start", **given)
+        assert status == 200, content
+        assert following("runner") == {"what": "two-balls", "running": True, "text": ""}
+        status, content = entered(page, "/api/plan/two-balls/start", **given)
+        assert (status, "no other runner" in content["what"]) == (409, True)
+        wait_until(lambda: len(program.asked) == 2, lambda: program.asked)
+        run = program.asked[1]
+        options = ["--by=Ann", "--units=us", "--expect=0123456789abcdef", "--ask", "--"]
+        assert run[:-1] == ["campaign", "run", *options]
+        assert run[-1].endswith("campaigns/two-balls.toml")
+        program.note("fail")
+        program.note("end")
+        text = following("runner")["text"]
+        assert text == "bench b: held by Ann; expected a free bench. Wait."
+
+
+def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> None:
+    log, said = tmp_path / "data" / "runner.log", list[Any]()
+    runner = CampaignRunner(CommandLine(program.command), log, lambda topic, content: said.append(content))
+    runner.start("x-1", "resume", "--", "x-1")
+    wait_until(lambda: bool(program.asked), log.read_text)
+    process = runner._process
+    assert process is not None
+    assert (
+        os.getsid(process.pid) == process.pid != os.getsid(0)
+    )  # no signal of the page's terminal reaches it
+    unit = (Path(__file__).parents[3] / "systemd" / "golfbench-page@.service").read_text()
+    assert "\nKillMode=process\n" in unit
+    os.kill(process.pid, signal.SIGKILL)
+    wait_until(lambda: not said[-1]["running"], lambda: said)
+    assert "exit code -9" in said[-1]["text"]
+
+
+def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
+    (tmp_path / "data").write_text("no folder")
+    runner = CampaignRunner(CommandLine(program.command), tmp_path / "data" / "log", lambda *_: None)
+    with pytest.raises(BenchError):
+        runner.start("x-1", "resume", "--", "x-1")
+    assert program.asked == []
+
+
+# Measured values -------------------------------------------------------------------------------------
+
+BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2, "method": "tape", "note": "", "days": None}
+
+
+def test_values_are_shown_and_entered(page: RunningPage, program: NotingProgram) -> None:
+    shown = page.ask("GET", "/api/values").content
+    assert [one["kind"] for one in shown["entries"]] == ["encoders", "ball", "club", "valves"]
+    assert shown["air"] is None
+    assert {one["name"] for one in shown["forms"]} == set(FORMS)
+    status, content = entered(page, "/api/values/ball", **BALL)
+    assert (status, content["note"]) == (200, f"ball version 1 of bench1 {SCRIPT}")
+    options = ["--by=Ann", "--x=0.1", "--y=-1.5", "--uncertainty-mm=2.0", "--method=tape"]
+    assert program.asked == [["calibrate", "ball", *options]]
+    status, content = entered(page, "/api/values/ball", **(BALL | {"x": 9}))
+    assert status == 409
+    assert content["what"] == "Calibrate ball: 9; expected up to 3 m."
+    assert content["cure"] == "Measure again."
+
+
+def test_forms_become_arguments() -> None:
+    valves = {"centre": [0.01, -0.02, 0], "dead-band": [0.03, 0.03, 0.03], "uncertainty": 1e-3}
+    more = {"method": "", "note": "--config=/etc/passwd", "days": 30}
+    found = form_arguments(FORMS["valves"], valves | more, "--help")
+    assert found == [
+        *("calibrate", "valves", "--by=--help", "--centre", "0.01", "-0.02", "0.0"),
+        *("--dead-band", "0.03", "0.03", "0.03", "--uncertainty=0.001"),
+        *("--note=--config=/etc/passwd", "--expires-days=30"),
+    ]
+    measured = form_arguments(FORMS["valves"], {"instead": True, "method": "", "note": ""}, "Ann")
+    assert measured == ["calibrate", "valves", "--by=Ann", "--measure"]
+    poses = {"from-pose": [1, 2, 3], "uncertainty-deg": 0.1, "counts": [1, 2, 3]}
+    found = form_arguments(FORMS["encoders"], poses | {"method": "", "note": ""}, "Ann")
+    assert found[3:] == [
+        *("--from-pose", "1.0", "2.0", "3.0"),
+        "--uncertainty-deg=0.1",
+        "--counts",
+        "1",
+        "2",
+        "3",
+    ]
+    club = {
+        name: 1
+        for name in ("length", "loft-deg", "lie-deg", "length-uncertainty-mm", "angle-uncertainty-deg")
+    }
+    found = form_arguments(FORMS["club"], club | {"method": "", "note": "", "club": "--help"}, "Ann")
+    assert found[-2:] == ["--", "--help"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"x": "1; reboot"},
+        {"x": None},
+        {"x": True},
+        {"x": [1, 2, 3]},
+        {"x": 1e300},
+        {"method": "a\nb"},
+        {"method": None},
+        {"note": "x" * 201},
+        {"days": 0},
+        {"days": 1.5},
+        {"days": True},
+    ],
+)
+def test_what_is_no_value_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InvalidBody):
+        form_arguments(FORMS["ball"], BALL | wrong, "Ann")
+
+
+def test_three_values_are_three_numbers() -> None:
+    form = {"method": "", "note": "", "uncertainty-deg": 1}
+    for pose in ([1, 2], [1, 2, "3"], 1, {"a": 1}, [1, 2, float("nan")]):
+        with pytest.raises(InvalidBody):
+            form_arguments(FORMS["encoders"], form | {"from-pose": pose}, "Ann")
+    with pytest.raises(InvalidBody, match="whole"):
+        form_arguments(FORMS["encoders"], form | {"from-pose": [1, 2, 3], "counts": [1, 2, 2.5]}, "Ann")
+
+
+# The viewer ------------------------------------------------------------------------------------------
+
+
+def test_the_viewer_is_opened_by_its_link_only_and_ends_with_the_page(
+    page: RunningPage, program: NotingProgram
+) -> None:
+    own = {"sec-fetch-site": "same-origin"}
+    for headers in ({}, {"sec-fetch-site": "none"}, {"sec-fetch-site": "cross-site"}):
+        assert page.ask("GET", "/viewer", None, headers).status == 403
+    assert program.asked == []
+    for _ in range(2):
+        answer = page.ask("GET", "/viewer", None, own)
+        assert answer.status == 303, answer.body
+        assert answer.headers["location"].startswith("http://127.0.0.1:9999/?url=")
+    assert program.asked == [["view", "--web"]]
+    with page.stream() as following:
+        assert following("viewer") == {"open": True}
+        assert page.post("/api/viewer/close", {}).status == 200
+        assert following("viewer") == {"open": False}
+    program.note("fail")
+    answer = page.ask("GET", "/viewer", None, own)
+    assert (answer.status, answer.content["cure"]) == (409, "Install it.")
+
+
+def test_a_viewer_that_says_nothing_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_process, "START", 0.2)
+    silent = CommandLine((sys.executable, "-S", "-c", "import time; time.sleep(600)"))
+    viewer = ViewerProcess(silent, lambda *_: None)
+    with pytest.raises(BenchError, match="no URL"):
+        viewer.url()
+    assert viewer._process is None
+    viewer.close()
+
+
+# Roles -----------------------------------------------------------------------------------------------
+
+CHANGING = (
+    "/api/plan/two-balls/check",
+    "/api/plan/two-balls/start",
+    "/api/campaign/x-1/resume",
+    "/api/campaign/x-1/report",
+    "/api/values/ball",
+    "/api/viewer/close",
+)
+
+
+def test_what_starts_a_program_needs_the_operators_role(
+    configuration: Configuration, program: NotingProgram, tmp_path: Path
+) -> None:
+    tokens = tmp_path / "tokens"
+    tokens.write_text(f"viewer {'v' * 24}\n")
+    tokens.chmod(0o600)
+    address = PageAddress(port=free_port(), tokens=tokens)
+    with running_page(configuration, address, program.command) as page:
+        cookie = page.post("/api/sign-in", {"token": "v" * 24}).headers["set-cookie"].partition(";")[0]
+        body = {
+            "number": "number-1",
+            "seen": time.monotonic(),
+            "by": "Eve",
+            "digest": "0" * 16,
+            "units": "si",
+        }
+        for path in CHANGING:
+            assert page.post(path, body).status == 401, path
+            assert page.post(path, body, cookie=cookie).status == 403, path
+        for path in ("/api/plans", "/api/values"):
+            assert page.ask("GET", path).status == 401
+            assert page.ask("GET", path, None, {"cookie": cookie}).status == 200
+        own = {"sec-fetch-site": "same-origin"}
+        assert page.ask("GET", "/viewer", None, own).status == 401
+        assert page.ask("GET", "/viewer", None, own | {"cookie": cookie}).status == 403
+    assert program.asked == []
