@@ -18,6 +18,7 @@ from bench.commands.calibrate import app as calibration_app
 from bench.commands.campaign import app as campaign_app
 from bench.commands.certificates import certificates
 from bench.commands.cluster import cluster
+from bench.commands.commission import commission
 from bench.commands.compare import compare
 from bench.commands.export import export
 from bench.commands.faults import app as faults_app
@@ -64,6 +65,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(nodes)
 app.command()(launch_monitor)
+app.command()(commission)
 app.command()(learn)
 app.command()(identify)
 app.command()(tune)

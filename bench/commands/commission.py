@@ -1,0 +1,125 @@
+"""`golfbench commission`: from an unknown robot towards its first learned swing, step by step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.commands.session import Session
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from bench.commissioning.commissioning import Commissioning
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from sim.plant import PlantParameters
+
+Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
+Robot = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Configuration of the robot that really moves, with its faults; the bench assumes --config.",
+    ),
+]
+Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of state, records, robot.toml and report.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue after the last step done in DIR.")]
+
+
+def commission(
+    context: typer.Context,
+    output: Output,
+    sim: Simulated = False,
+    robot: Robot = None,
+    resume: Resume = False,
+) -> None:
+    """Measure an unknown robot's wiring, valves, air, friction and delays in five bounded steps.
+
+    Writes robot.toml, with standard errors, and a report to sign. Exits with 1 and says what to do if the
+    machine is wrong. Swings, gains and learning are not part of it yet: go on with identify, tune and learn.
+    """
+    from datetime import UTC, datetime
+
+    from bench.commands.progress import progress_bar
+    from bench.commissioning.commissioning import STEPS, begin
+    from bench.commissioning.commissioning import commission as commissioned
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.robot_file import robot_file
+    from bench.config import load_configuration
+    from bench.errors import BenchError
+    from bench.telemetry.whole_file import whole_file
+
+    if not sim:
+        cure = "Add --sim: commissioning of a running bench is not part of golfbench yet."
+        raise BenchError("commission", "no --sim", "a simulated robot", cure)
+    configuration = context.ensure_object(Session).configuration()
+    truth = configuration if robot is None else load_configuration(robot)
+    state = begin(output, configuration, simulated=True, resume=resume)
+    nominal = configuration.plant
+
+    def now() -> datetime:
+        return datetime.now(UTC)
+
+    try:
+        with (
+            progress_bar() as bar,
+            SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())) as machine,
+        ):
+            task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
+            known = commissioned(
+                state,
+                nominal,
+                machine,
+                now,
+                observe=lambda: (_loads(machine),),
+                on_step=lambda step: bar.update(task, description=step.title, completed=len(state.done)),
+            )
+    finally:
+        _write_report(state, nominal, now())
+    with whole_file(output / "robot.toml") as stream:
+        stream.write(robot_file(known, state.configuration, now().date()).encode())
+    _show(state)
+
+
+def _loads(machine: SimulatedMachine) -> str:
+    """Return the simulated robot's loads since it was switched on, in words."""
+    loads = machine.loads
+    return (
+        f"simulated loads so far: {100 * loads.stop_share:.0f} % of a cushion's rated energy ({loads.stop}), "
+        f"{100 * loads.pressure_share:.0f} % of a chamber's, head {1e3 * loads.lowest_clearance:.0f} mm "
+        f"above the ground, {loads.peak_head_speed:.1f} m/s"
+    )
+
+
+def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
+    """Write the report of what was done so far."""
+    from bench.commissioning.report import commissioning_report
+    from bench.telemetry.whole_file import whole_file
+
+    with whole_file(state.folder / "report.html") as stream:
+        stream.write(commissioning_report(state, nominal, made).encode())
+
+
+def _show(state: Commissioning) -> None:
+    """Print what was found."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="Commissioned robot")
+    for column in ("step", "value", "found", "standard error", "unit"):
+        table.add_column(column, justify="right" if column in ("found", "standard error") else "left")
+    for value in {value.key: value for value in state.values}.values():
+        table.add_row(value.step, value.key, f"{value.value:.6g}", f"{value.error:.2g}", value.unit)
+    console = Console()
+    console.print(table)
+    for step in state.done:
+        for note in step.notes:
+            console.print(f"{step.name}: {note}", highlight=False)
+    console.print(
+        f"Written: {state.folder / 'robot.toml'} and report.html. Swings, gains, limits and learning are not "
+        "part of commissioning yet: go on with golfbench identify, tune and learn.",
+        highlight=False,
+    )

@@ -1,0 +1,235 @@
+"""The run through the steps: state stored after each, resumable, the machine passive whatever ends it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.commissioning.known_robot import FoundValue, KnownRobot
+from bench.commissioning.leakage import Leakage
+from bench.commissioning.machine import CommissionedMachine
+from bench.commissioning.response_times import ResponseTimes
+from bench.commissioning.slow_moves import SlowMoves
+from bench.commissioning.steps import CommissioningStep, Traces
+from bench.commissioning.valve_edges import ValveEdges
+from bench.commissioning.wiring import Wiring
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration
+from bench.errors import BenchError
+from bench.telemetry.whole_file import whole_file
+from sim.plant import PlantParameters
+
+STATE_FILE = "commissioning.json"
+_VERSION = 1
+
+STEPS: tuple[CommissioningStep, ...] = (Wiring(), ValveEdges(), Leakage(), SlowMoves(), ResponseTimes())
+"""The steps in their order."""
+
+
+class DoneStep(NamedTuple):
+    """A step that was done."""
+
+    name: str
+    title: str
+    bounds: str
+    date: str
+    """ISO, UTC."""
+    seconds: float
+    """Time of the bench, s."""
+    record: str
+    """File of its traces, from the state's folder."""
+    values: tuple[FoundValue, ...]
+    notes: tuple[str, ...]
+
+
+class WrongFound(NamedTuple):
+    """What ended a commissioning."""
+
+    step: str
+    date: str
+    place: str
+    found: str
+    expected: str
+    cure: str
+
+
+@dataclass
+class Commissioning:
+    """State of a commissioning in its folder."""
+
+    folder: Path
+    digest: str
+    """Of the configured plant."""
+    configuration: str
+    """File of the configuration, the last of its files."""
+    simulated: bool
+    done: list[DoneStep] = field(default_factory=list)
+    wrong: WrongFound | None = None
+
+    @property
+    def values(self) -> list[FoundValue]:
+        """All values found, those of later steps last."""
+        return [value for step in self.done for value in step.values]
+
+    def next_step(self) -> CommissioningStep | None:
+        """Return the first step that is not done, None after the last."""
+        names = {step.name for step in self.done}
+        return next((step for step in STEPS if step.name not in names), None)
+
+    def save(self) -> None:
+        """Store the state, whole or not at all."""
+        content = {
+            "version": _VERSION,
+            "digest": self.digest,
+            "configuration": self.configuration,
+            "simulated": self.simulated,
+            "done": [
+                step._asdict() | {"values": [value._asdict() for value in step.values]} for step in self.done
+            ],
+            "wrong": None if self.wrong is None else self.wrong._asdict(),
+        }
+        with whole_file(self.folder / STATE_FILE) as stream:
+            stream.write(json.dumps(content, indent=1).encode())
+
+
+def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume: bool) -> Commissioning:
+    """Return the commissioning in `folder`: a new one, or with `resume` the one that was begun there.
+
+    Raises:
+        BenchError: there is one already, or none to resume, or it is of another configuration.
+    """
+    digest = plant_digest(configuration.plant)
+    path = folder / STATE_FILE
+    if not resume:
+        if path.exists():
+            cure = "Continue it with --resume, or name another folder."
+            raise BenchError(str(path), "a commissioning that was begun", "an empty folder", cure)
+        folder.mkdir(parents=True, exist_ok=True)
+        file = str(configuration.files[-1].resolve())
+        return Commissioning(folder, digest, file, simulated)
+    state = read_state(folder)
+    if state.digest != digest or state.simulated != simulated:
+        expected = f"the robot of {state.configuration}, {'' if state.simulated else 'not '}simulated"
+        cure = "Continue with the same --config and --sim, or begin in another folder."
+        raise BenchError(str(path), "another configured robot", expected, cure)
+    state.wrong = None
+    return state
+
+
+def read_state(folder: Path) -> Commissioning:
+    """Return the state stored in `folder`.
+
+    Raises:
+        BenchError: it is missing or cannot be read.
+    """
+    path = folder / STATE_FILE
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content["version"] != _VERSION:
+            raise ValueError(f"version {content['version']}")
+        done = [
+            DoneStep(
+                **step
+                | {
+                    "values": tuple(FoundValue(**value) for value in step["values"]),
+                    "notes": tuple(step["notes"]),
+                }
+            )
+            for step in content["done"]
+        ]
+        wrong = None if content["wrong"] is None else WrongFound(**content["wrong"])
+        digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
+        return Commissioning(folder, digest, configuration, simulated, done, wrong)
+    except FileNotFoundError:
+        cure = "Begin without --resume."
+        raise BenchError(str(path), "no such file", "a commissioning that was begun", cure) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        cure = "Begin again in another folder."
+        raise BenchError(str(path), str(error), "the state of a commissioning", cure) from None
+
+
+def plant_digest(plant: PlantParameters) -> str:
+    """Return the digest of the configured robot."""
+    return sha256(json.dumps(asdict(plant), sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def commission(
+    state: Commissioning,
+    nominal: PlantParameters,
+    machine: CommissionedMachine,
+    now: Callable[[], datetime],
+    *,
+    observe: Callable[[], tuple[str, ...]] = tuple,
+    on_step: Callable[[CommissioningStep], None] = lambda step: None,
+) -> KnownRobot:
+    """Do the steps of `state` that are not done; store it after each. The machine is passive at the end.
+
+    `observe` returns further notes after a step, such as a simulated robot's loads.
+
+    Raises:
+        WrongMachine: a step found the machine wrong; the state says so.
+        Refused: an interlock ended a step; it is repeated when resumed.
+    """
+    known = KnownRobot(nominal, state.values)
+    step = state.next_step()
+    try:
+        while step is not None:
+            on_step(step)
+            state.done.append(_do(step, state, machine, known, now, observe))
+            state.save()
+            known.add(state.done[-1].values)
+            step = state.next_step()
+    except WrongMachine as error:
+        step_name = "" if step is None else step.name
+        state.wrong = WrongFound(
+            step_name, now().isoformat(), error.place, error.found, error.expected, error.cure
+        )
+        state.save()
+        raise
+    finally:
+        machine.make_passive()
+    return known
+
+
+def _do(
+    step: CommissioningStep,
+    state: Commissioning,
+    machine: CommissionedMachine,
+    known: KnownRobot,
+    now: Callable[[], datetime],
+    observe: Callable[[], tuple[str, ...]],
+) -> DoneStep:
+    begun = machine.time
+    traces = step.measure(machine, known)
+    file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
+    write_traces(state.folder / file, traces)
+    result = step.estimate(traces, known)
+    return DoneStep(
+        step.name,
+        step.title,
+        step.bounds_text,
+        now().isoformat(),
+        machine.time - begun,
+        file,
+        result.values,
+        (*result.notes, *observe()),
+    )
+
+
+def write_traces(path: Path, traces: Traces) -> None:
+    """Write `traces` to `path`, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {
+        f"{name}/{column}": array
+        for name, trace in traces.items()
+        for column, array in trace.arrays().items()
+    }
+    with whole_file(path) as stream:
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]

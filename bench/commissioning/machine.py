@@ -1,0 +1,139 @@
+"""What moves the robot in commissioning: bounded sequences of valve openings, and the record of each.
+
+A step describes a motion as segments and bounds; a `CommissionedMachine` runs them tick by tick and returns
+what its sensors gave. Whatever ends a sequence early, the machine is passive then: spools centred, supply
+shut, vents open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import CHAMBERS, JOINTS, Triple
+
+Array = NDArray[np.float64]
+
+WAY = "way of the "
+"""Begin of the text of a bound on a joint's way."""
+
+
+class Until(NamedTuple):
+    """Condition that ends a segment before its time."""
+
+    kind: Literal["above", "moved", "rested"]
+    """Pressure of chamber `number` above `level` (Pa); joint `number` turned by `level` (rad) since the
+    sequence began; joint `number` at rest for `level` (s)."""
+    number: int
+    level: float
+
+
+class Segment(NamedTuple):
+    """A stretch of constant or evenly changing openings."""
+
+    duration: float
+    """Max duration, s."""
+    valve: Triple
+    """Openings at its begin."""
+    end: Triple | None = None
+    """Openings at its end, reached evenly; None: as at its begin."""
+    vents_shut: bool = False
+    until: Until | None = None
+
+
+class MotionBounds(NamedTuple):
+    """Limits of a sequence; beyond one of them the machine is made passive."""
+
+    speed: Triple
+    """Max speed of each joint, rad/s by its encoder."""
+    travel: Triple
+    """Max way of each joint from where the sequence began, rad by its encoder."""
+    pressure: float
+    """Max pressure of a chamber, Pa absolute."""
+    opening: float = 0.35
+    """Max opening of a valve."""
+    duration: float = 60.0
+    """Max duration of a sequence, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTrace:
+    """Sensor readings and commands of a sequence, one row a tick."""
+
+    time: Array
+    """(n,) s."""
+    first_count: NDArray[np.int64]
+    """(3,) counts of the first row."""
+    count: NDArray[np.int64]
+    """(n, 3) counts since the first row, unwrapped."""
+    pressure: Array
+    """(n, 6) Pa absolute, in the order of CHAMBERS."""
+    supply: Array
+    """(n,) Pa absolute."""
+    valve: Array
+    """(n, 3) openings commanded from this row on."""
+    vents_shut: NDArray[np.bool_]
+    """(n,) whether the vents are commanded shut from this row on."""
+    segment: NDArray[np.int64]
+    """(n,) number of the segment."""
+    tripped: str = ""
+    """Bound that ended the sequence; empty if none did."""
+    ended: tuple[bool, ...] = ()
+    """Whether the condition of each segment ended it."""
+
+    def angle(self, counts_per_revolution: int) -> Array:
+        """Return the encoders' angles (n, 3) rad since the first row, as the encoders count."""
+        return np.asarray(self.count * (2 * np.pi / counts_per_revolution))
+
+    def of_segment(self, *numbers: int) -> NDArray[np.bool_]:
+        """Return the rows (n,) of segments `numbers`."""
+        return np.isin(self.segment, numbers)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return its arrays by name, for a file."""
+        names = ("time", "first_count", "count", "pressure", "supply", "valve", "vents_shut", "segment")
+        return {name: getattr(self, name) for name in names}
+
+
+class CommissionedMachine(Protocol):
+    """Robot under commissioning, as its sensors and valves show it."""
+
+    @property
+    def time(self) -> float:
+        """Time since the machine was made ready, s."""
+
+    def set_supply(self, pressure: float) -> None:
+        """Set the pressure regulator to `pressure` (Pa absolute); infinite: as in service."""
+
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+        """Run `segments` with the supply on; afterwards the last openings stay in force.
+
+        The machine is passive after a bound was passed.
+
+        Raises:
+            Refused: emergency stop, guard or device end the work.
+        """
+
+    def vent(self, duration: float = 20.0) -> MotionTrace:
+        """Be passive until chambers are empty and joints rest, for at most `duration` (s)."""
+
+    def make_passive(self) -> None:
+        """Centre the spools, shut the supply, open the vents; never raises."""
+
+
+def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> str:
+    """Return the name of the bound that `speed` (3,), `way` (3,) or `pressure` (6,) passes, or nothing."""
+    for i, joint in enumerate(JOINTS):
+        if not abs(speed[i]) <= bounds.speed[i]:
+            return f"speed of the {joint} {abs(speed[i]):.1f} rad/s, bound {bounds.speed[i]:.1f} rad/s"
+        if not abs(way[i]) <= bounds.travel[i]:
+            return f"{WAY}{joint} {abs(way[i]):.2f} rad, bound {bounds.travel[i]:.2f} rad"
+    for k, chamber in enumerate(CHAMBERS):
+        if not pressure[k] <= bounds.pressure:
+            return (
+                f"pressure of {chamber} {1e-5 * pressure[k]:.2f} bar, bound {1e-5 * bounds.pressure:.2f} bar"
+            )
+    return ""

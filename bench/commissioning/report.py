@@ -1,0 +1,39 @@
+"""The report of a commissioning that a person can sign: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from importlib.resources import files
+
+import jinja2
+
+from bench.commissioning.commissioning import STEPS, Commissioning
+from bench.commissioning.known_robot import KnownRobot, value_at
+from bench.commissioning.robot_file import GUESSES
+from bench.commissioning.steps import CommissioningStep
+from sim.plant import PlantParameters
+
+
+def commissioning_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> str:
+    """Return the report of `state` as HTML; `nominal` is the robot as configured."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(
+        (files("bench.commissioning") / "commissioning.html.j2").read_text(encoding="utf-8")
+    )
+    known = KnownRobot(nominal, state.values)
+    done = {step.name for step in state.done}
+    return template.render(
+        state=state,
+        made=made,
+        minutes=sum(step.seconds for step in state.done) / 60,
+        configured=lambda key: f"{value_at(known.nominal, key):.6g}",
+        left=_titles([step for step in STEPS if step.name not in done]),
+        guesses=GUESSES,
+        steps=len(STEPS),
+    )
+
+
+def _titles(steps: list[CommissioningStep]) -> list[str]:
+    return [step.title for step in steps]

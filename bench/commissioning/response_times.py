@@ -1,0 +1,248 @@
+"""Step 5: the spools' frequency and the encoders' latency, from small steps.
+
+A valve that opens at a stop fills a chamber as its spool moves. A joint that coasts with closed valves
+compresses its air: pressures show its position without delay, and the encoder shows it later. The latency is
+that of the encoders behind the pressure sensors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
+
+from bench.commissioning.air_fit import (
+    AirTrace,
+    joint_angles,
+    nominal_values,
+    robust_errors,
+    spool_path,
+    way_per_angle,
+)
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot, with_values
+from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.moves import (
+    FOLD_ORDER,
+    MOVING,
+    PRESSING,
+    beyond,
+    centres,
+    fold,
+    move_to_stop,
+    openings,
+    require_within,
+    slow_bounds,
+)
+from bench.commissioning.steps import StepResult, Traces
+from bench.commissioning.wrong_machine import WrongMachine
+from drivers.base import JOINTS, Triple
+from sim.driver import joint_travel
+
+_STEP, _PUSH = 0.15, 0.08
+"""Openings beyond the edge: of a spool's step, of the push before a joint coasts."""
+_OPEN, _BETWEEN, _PULSES = 0.06, 0.4, 5
+"""s for which a step lasts, s between two, and their number."""
+_COAST, _PUSHES = 0.3, (0.3, 0.2)
+"""s of coasting, and shares of the travel at which the joint is let go."""
+_SEEN = 0.08
+"""s of a step's answer that count."""
+_SLOWEST = 2.0 * np.pi * 20.0
+"""Natural frequency of a spool below which it sticks, rad/s."""
+_MIN_COAST_SPEED = 0.05
+"""rad/s, mean speed below which a coasting joint says nothing about its encoder."""
+_LONGEST_LATENCY = 0.005
+"""s"""
+_PRESSURE_ERROR = 100.0
+"""Pa"""
+
+
+class ResponseTimes:
+    """Step 5."""
+
+    name = "response"
+    title = "Frequency of the spools, latency of the encoders"
+    bounds_text = "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute"
+
+    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+        """Step each valve at its lower stop, then let each joint coast with closed valves."""
+        machine.vent()
+        fold(machine, known)
+        bounds = slow_bounds(known.plant, 1.2 * PRESSING)
+        traces: dict[str, MotionTrace] = {}
+        for i, joint in enumerate(JOINTS):
+            machine.set_supply(MOVING)
+            trace = machine.run(_pulses(known, i), bounds)
+            require_within(trace, f"{joint} valve stepped at its stop")
+            traces[f"{joint} steps"] = trace
+        for i, joint in enumerate(JOINTS):
+            for n, share in enumerate(_PUSHES):
+                machine.set_supply(PRESSING)
+                trace = machine.run(_push(known, i, share), bounds)
+                require_within(trace, f"{joint} pushed")
+                traces[f"{joint} coasting {n + 1}"] = trace
+                move_to_stop(machine, known, i, "lower", FOLD_ORDER)
+        machine.vent()
+        return traces
+
+    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+        """Return the natural frequency of each spool, and the encoders' latency."""
+        values, notes = [], []
+        for i, key in enumerate(ACTUATOR_KEYS):
+            value, error = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
+            if value < _SLOWEST:
+                raise WrongMachine(
+                    f"{JOINTS[i]} valve",
+                    f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
+                    f"at least {_SLOWEST / (2 * np.pi):.0f} Hz",
+                    "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
+                )
+            values.append(FoundValue(f"{key}.valve.natural_frequency", value, error, "rad/s", self.name))
+        latencies = []
+        for i, joint in enumerate(JOINTS):
+            for name, trace in traces.items():
+                if name.startswith(f"{joint} coasting"):
+                    found = fit_latency(trace, known, i)
+                    if found is not None:
+                        latencies.append(found)
+                        notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
+        if latencies:
+            value, error = _weighted(np.array(latencies))
+            if value > _LONGEST_LATENCY:
+                raise WrongMachine(
+                    "encoders",
+                    f"{1e3 * value:.1f} ms later than the pressures",
+                    f"at most {1e3 * _LONGEST_LATENCY:.0f} ms",
+                    "Check the encoders' cycle time and filters on the bus.",
+                )
+            values.append(FoundValue("encoders.latency", max(value, 0.0), error, "s", self.name))
+        else:
+            notes.append("no joint coasted: the encoders' latency stays a guess")
+        return StepResult(tuple(values), tuple(notes))
+
+
+def _pulses(known: KnownRobot, joint: int) -> tuple[Segment, ...]:
+    def at(command: float) -> Triple:
+        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
+
+    closed, opened = at(centres(known)[joint]), at(beyond(known, joint, "lower", _STEP))
+    rest = Segment(_BETWEEN, closed)
+    return (rest, *((Segment(_OPEN, opened), rest) * _PULSES))
+
+
+def _push(known: KnownRobot, joint: int, share: float) -> tuple[Segment, ...]:
+    travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
+
+    def at(command: float) -> Triple:
+        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
+
+    closed = at(centres(known)[joint])
+    return (
+        Segment(1.0, closed),
+        Segment(
+            4.0,
+            at(beyond(known, joint, "upper", _PUSH)),
+            vents_shut=True,
+            until=Until("moved", joint, share * travel),
+        ),
+        Segment(_COAST, closed, vents_shut=True),
+        Segment(1.0, closed),
+    )
+
+
+def fit_spool(trace: MotionTrace, known: KnownRobot, actuator: int) -> tuple[float, float]:
+    """Return the spool's natural frequency (rad/s) of `actuator` and its error, from steps at a stop."""
+    plant = known.plant
+    air = AirTrace(trace, actuator, plant)
+    values = nominal_values(known, actuator)
+    nominal = plant.actuators[actuator].valve.natural_frequency
+    rows = _answers(trace, air.tick)
+    clusters = np.repeat(np.arange(len(rows)), rows.shape[1])
+    chamber = 1  # towards the lower stop
+
+    def residual(x: Array) -> Array:
+        valve = with_values(
+            plant, {f"{ACTUATOR_KEYS[actuator]}.valve.natural_frequency": nominal * float(x[0])}
+        ).actuators[actuator]
+        air.spool = spool_path(air.command, valve.valve.half_step_matrix(air.tick).ravel())
+        scaled = values.copy()
+        scaled[3] *= x[1]
+        content, added = air.content(scaled)
+        gap = (content - added)[rows, chamber]
+        slope = content[rows, chamber] / air.pressure[rows, chamber] / air.exponent
+        gap = (gap - gap[:, :1]) / slope
+        return np.concatenate([(gap / _PRESSURE_ERROR).ravel(), [(x[1] - 1.0) / 0.05]])
+
+    found = least_squares(residual, np.array([1.0, 1.0]), bounds=([0.05, 0.5], [5.0, 2.0]), xtol=1e-9)
+    error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
+    relative = float(np.hypot(error[0], 0.005))
+    return nominal * float(found.x[0]), nominal * relative
+
+
+def _answers(trace: MotionTrace, tick: float) -> NDArray[np.int64]:
+    """Return the rows (pulses, n) of the answers to the steps."""
+    opened = np.flatnonzero(np.diff(trace.segment % 2) > 0) + 1
+    length = round(_SEEN / tick)
+    return np.array(
+        [np.arange(row - 1, row - 1 + length) for row in opened if row + length < len(trace.time)]
+    )
+
+
+def fit_latency(trace: MotionTrace, known: KnownRobot, joint: int) -> tuple[float, float] | None:
+    """Return latency (s) of the encoder of `joint` and its error from coasting; None if it hardly moved."""
+    plant = known.plant
+    angle = joint_angles(trace, plant)[:, joint]
+    rows = np.flatnonzero(trace.of_segment(2))
+    settled = round(0.02 / plant.tick)
+    rows = rows[settled:]
+    if len(rows) < 100:
+        return None
+    speed = savgol_filter(angle, 11, 2, deriv=1, delta=plant.tick)[rows]
+    _, upper = joint_travel(plant)
+    if np.abs(speed).mean() < _MIN_COAST_SPEED or angle[rows].max() > upper[joint] - 0.02:
+        return None
+    shown = _shown_by_pressures(trace, known, joint, rows)
+    time = (rows - rows[0]) * plant.tick
+    latencies = []
+    for chamber in range(2):
+        late = angle[rows] - shown[:, chamber]
+        # Offset, leak, a wrong volume, and the latency itself, of second order in it.
+        basis = np.stack([np.ones_like(time), time, angle[rows] - angle[rows[0]], -speed, time**2], axis=1)
+        solution, *_ = np.linalg.lstsq(basis, late, rcond=None)
+        left = late - basis @ solution
+        blocks = (time / 0.02).astype(np.int64)
+        noise = max(float(np.std(left)), 1e-6)
+        error = robust_errors(basis / noise, left / noise, blocks)
+        latencies.append((float(solution[3]), float(error[3])))
+    value, error_ = _weighted(np.array(latencies))
+    return value, error_
+
+
+def _shown_by_pressures(trace: MotionTrace, known: KnownRobot, joint: int, rows: NDArray[np.int64]) -> Array:
+    """Return the joint's angles (m, 2) rad that the pressures of chambers A and B show at `rows`."""
+    plant = known.plant
+    air = AirTrace(trace, joint, plant)
+    values = nominal_values(known, joint)
+    content, added = air.content(values)
+    start = rows[0]
+    power = 1.0 / air.exponent
+    volume = (content[start] + added[rows] - added[start]) / air.pressure[rows] ** power
+    stroke_a = (volume[:, 0] - values[2]) / values[0]
+    stroke_b = (volume[:, 1] - values[2]) / values[1]
+    angle = joint_angles(trace, plant)[:, joint]
+    position_a = stroke_a - air.stroke_a[rows]
+    position_b = air.stroke_b[rows] - stroke_b
+    # Small differences of the actuator's coordinate, turned into angles by its lever at each row.
+    lever = way_per_angle(angle[rows], joint, plant)
+    return np.stack([angle[rows] + position_a / lever, angle[rows] + position_b / lever], axis=1)
+
+
+def _weighted(values: Array) -> tuple[float, float]:
+    """Return the weighted mean of `values` (n, 2), value and error, and its error by their scatter."""
+    weight = 1.0 / values[:, 1] ** 2
+    mean = float((values[:, 0] * weight).sum() / weight.sum())
+    error = float(weight.sum() ** -0.5)
+    if len(values) > 1:
+        spread = float((weight * (values[:, 0] - mean) ** 2).sum() / (len(values) - 1))
+        error *= max(1.0, spread**0.5)
+    return mean, error

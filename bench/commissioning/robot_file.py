@@ -1,0 +1,50 @@
+"""robot.toml: the commissioned robot as a configuration over the one it began with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from datetime import date
+
+from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
+
+GUESSES = (
+    "lengths, masses and inertias of links and club",
+    "damping of the spools",
+    "Stribeck speeds",
+    "polytropic exponent of the chambers",
+    "feed, manifold, dump and vent conductances of the supply",
+    "end stops",
+    "ball and ground",
+)
+"""Parts of the plant that no step measures yet: they stay as configured."""
+
+
+def robot_file(known: KnownRobot, base: str, made: date) -> str:
+    """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`."""
+    lines = [
+        f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
+        "# Stayed a guess, as configured: " + "; ".join(GUESSES) + ".",
+        f"base = {json.dumps(base)}",
+    ]
+    tables: dict[str, list[str]] = {}
+    for key, found in _keys(known.found.values()).items():
+        table, _, name = key.rpartition(".")
+        value = value_at(known.plant, key)
+        text = "[" + ", ".join(map(repr, value)) + "]" if isinstance(value, tuple) else repr(value)
+        errors = ", ".join(f"{one.error:.3g}" for one in found)
+        unit = f" {found[0].unit}" if found[0].unit else ""
+        note = f"± {errors}{unit}; {found[0].step}"
+        tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
+    for table in sorted(tables):
+        lines += ["", f"[plant.{table}]", *tables[table]]
+    return "\n".join(lines) + "\n"
+
+
+def _keys(found: Iterable[FoundValue]) -> dict[str, list[FoundValue]]:
+    """Return the values by their keys, elements of a list under the list's."""
+    keys: dict[str, list[FoundValue]] = {}
+    for value in found:
+        name, _, last = value.key.rpartition(".")
+        keys.setdefault(name if last.isdigit() else value.key, []).append(value)
+    return keys

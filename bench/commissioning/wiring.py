@@ -1,0 +1,353 @@
+"""Step 1: which valve moves which joint, which encoder sees it, the way it counts and its scale.
+
+With hardly any pressure and the vents open each valve is opened a little to either side: the chamber that
+fills shows where it is connected, and the opening at which it begins to fill where its edges are. The joints
+hardly move. Then each joint goes from stop to stop at a low pressure: its encoder has to count the travel
+that the robot's geometry has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.calibration.values import zero_counts
+from bench.commissioning.air_fit import way_per_angle
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment
+from bench.commissioning.moves import (
+    FOLD_ORDER,
+    StopMove,
+    fold,
+    move_to_stop,
+    require_within,
+    slow_bounds,
+)
+from bench.commissioning.steps import StepResult, Traces
+from bench.commissioning.wrong_machine import WrongMachine
+from drivers.base import CHAMBERS, JOINTS, Triple
+from sim.driver import joint_travel
+from sim.kane import bias_forces
+from sim.plant import PlantParameters
+
+FAINT = 1.3e5
+"""Supply of the ramps, Pa absolute."""
+_REACH = 0.15
+"""Opening to either side."""
+_RAMP, _BASELINE = 4.0, 1.0
+"""s from one side to the other, and before."""
+_FOOT = 1.5e3
+"""Pa by which a chamber rises where its valve begins to open."""
+_ANSWER = 8e3
+"""Pa by which a chamber changes that is connected to the valve."""
+_SUPPLY_SHARE = 0.8
+"""Min share of the set gauge pressure."""
+MAX_CENTRE, MAX_BAND = 0.06, 0.10
+"""Max offset and overlap of a valve that is right."""
+_SCALE_TOLERANCE = 0.03
+"""Max error of an encoder's travel, as a share, beside that of the geometry."""
+_LENGTH = 2e-3
+"""Tolerance of the robot's lengths, m."""
+_UNIFORM = 3**-0.5
+
+
+class ValveFeet(NamedTuple):
+    """Openings at which the chambers of a valve begin to fill."""
+
+    lower: float
+    """Of chamber B."""
+    upper: float
+    """Of chamber A."""
+
+
+class Wiring:
+    """Step 1."""
+
+    name = "wiring"
+    title = "Wiring, signs, and scale of the encoders"
+    bounds_text = (
+        f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
+        "speeds at which no cushion takes more than half its rated energy"
+    )
+
+    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+        """Ramp each valve, then move each joint from stop to stop."""
+        machine.vent()
+        machine.set_supply(FAINT)
+        bounds = slow_bounds(known.plant, 2.0 * FAINT)
+        traces: dict[str, MotionTrace] = {}
+        for i in FOLD_ORDER:
+            trace = machine.run(_ramp(i), bounds)
+            require_within(trace, f"{JOINTS[i]} valve a little open")
+            traces[f"{JOINTS[i]} ramp"] = trace
+        machine.vent()
+        known = KnownRobot(known.plant)
+        known.add(_valve_values(traces, known.plant))
+        moves = fold(machine, known)
+        for i in FOLD_ORDER[::-1]:
+            for side, name in (("upper", "up"), ("lower", "back")):
+                moves[f"{JOINTS[i]} {name}"] = move_to_stop(
+                    machine, known, i, "upper" if side == "upper" else "lower", FOLD_ORDER
+                )
+            _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
+        machine.vent()
+        for move, both in moves.items():
+            traces[move], traces[f"{move}, pressed"] = both
+        return traces
+
+    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+        """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
+        plant = known.plant
+        values = _valve_values(traces, plant)
+        encoders, notes = _encoder_values(traces, plant)
+        return StepResult((*values, *encoders), tuple(notes))
+
+
+def _ramp(valve: int) -> tuple[Segment, ...]:
+    def at(opening: float) -> Triple:
+        a, b, c = (opening if i == valve else 0.0 for i in range(3))
+        return a, b, c
+
+    return (
+        Segment(_BASELINE, at(0.0)),
+        Segment(_RAMP / 2, at(0.0), at(-_REACH)),
+        Segment(_RAMP, at(-_REACH), at(_REACH)),
+        Segment(_RAMP, at(_REACH), at(-_REACH)),
+        Segment(_RAMP / 2, at(-_REACH), at(0.0)),
+    )
+
+
+def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[FoundValue, ...]:
+    """Return rough centres and dead bands; raise WrongMachine if a valve is not connected as it should."""
+    responses = {i: _response(traces[f"{JOINTS[i]} ramp"]) for i in range(3)}
+    _require_supply(traces, plant)
+    _require_connected(responses, traces)
+    values = []
+    for i, key in enumerate(ACTUATOR_KEYS):
+        feet = valve_feet(traces[f"{JOINTS[i]} ramp"], i)
+        centre, band = (feet.lower + feet.upper) / 2, max((feet.upper - feet.lower) / 2, 0.0)
+        if abs(centre) > MAX_CENTRE or band > MAX_BAND:
+            raise WrongMachine(
+                f"{JOINTS[i]} valve",
+                f"centre at {centre:+.3f}, overlap {band:.3f}",
+                f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
+                "Adjust the valve's centre by its maker's manual, or replace the valve.",
+            )
+        values.append(FoundValue(f"{key}.valve.centre", centre, 0.004, "", Wiring.name))
+        values.append(FoundValue(f"{key}.valve.dead_band", band, 0.01, "", Wiring.name))
+    return tuple(values)
+
+
+def _response(trace: MotionTrace) -> Array:
+    """Return the rise of all chambers (6,) Pa from the lower end of the ramp to its upper end."""
+    rows = np.flatnonzero(trace.of_segment(2))
+    edge = max(len(rows) // 40, 1)
+    low, high = trace.pressure[rows[:edge]], trace.pressure[rows[-edge:]]
+    return np.asarray(high.mean(axis=0) - low.mean(axis=0))
+
+
+def valve_feet(trace: MotionTrace, valve: int) -> ValveFeet:
+    """Return where chambers A and B of `valve` begin to fill in the ramp `trace`."""
+    found = []
+    for segment, chamber in ((3, 2 * valve + 1), (2, 2 * valve)):
+        rows = np.flatnonzero(trace.of_segment(segment))
+        pressure = trace.pressure[rows, chamber]
+        plateau = pressure[len(rows) // 8 : len(rows) // 3]
+        level = np.median(plateau)
+        scatter = 1.4826 * np.median(np.abs(plateau - level))
+        low = pressure < level + max(_FOOT, 6.0 * scatter)
+        last = int(np.flatnonzero(low)[-1]) if low.any() else 0
+        found.append(float(trace.valve[rows[last], valve]))
+    return ValveFeet(*found)
+
+
+def _require_supply(traces: Traces, plant: PlantParameters) -> None:
+    trace = traces[f"{JOINTS[FOLD_ORDER[0]]} ramp"]
+    supply = float(np.median(trace.supply[trace.of_segment(1)]))
+    atmosphere = plant.supply.atmosphere
+    if supply - atmosphere < _SUPPLY_SHARE * (FAINT - atmosphere):
+        raise WrongMachine(
+            "supply",
+            f"{1e-5 * supply:.2f} bar with the regulator set to {1e-5 * FAINT:.2f} bar",
+            f"at least {1e-5 * (atmosphere + _SUPPLY_SHARE * (FAINT - atmosphere)):.2f} bar absolute",
+            "The supply is too low: check compressor, shut-off and soft-start valve, regulator and hoses.",
+        )
+
+
+def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
+    """Raise WrongMachine unless each valve fills its own chambers, A when it opens upwards."""
+    for i in FOLD_ORDER:
+        answer = responses[i]
+        a, b = answer[2 * i], -answer[2 * i + 1]
+        if a > _ANSWER and b > _ANSWER:
+            continue
+        if a < -_ANSWER and b < -_ANSWER:
+            raise WrongMachine(
+                f"{JOINTS[i]} valve",
+                "opens the wrong way: chamber B fills where A should",
+                "chamber A fills with a positive opening",
+                f"Its hoses A and B, or its signal's polarity, are reversed at the {JOINTS[i]}: swap them. "
+                "Or its two chamber sensors are.",
+            )
+        others = [j for j in range(3) if j != i and np.abs(answer[2 * j : 2 * j + 2]).min() > _ANSWER]
+        if others:
+            j = others[0]
+            raise WrongMachine(
+                f"{JOINTS[i]} valve",
+                f"fills the chambers of the {JOINTS[j]}",
+                f"those of the {JOINTS[i]}",
+                f"The valves of {JOINTS[i]} and {JOINTS[j]} are swapped: exchange their cables or hoses.",
+            )
+        raise _unconnected(i, a, b, traces[f"{JOINTS[i]} ramp"])
+
+
+def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> WrongMachine:
+    """Return the fault of a valve whose chambers do not both answer."""
+    if a > _ANSWER or b > _ANSWER:
+        chamber = CHAMBERS[2 * i + (1 if a > _ANSWER else 0)]
+        return WrongMachine(
+            f"{JOINTS[i]} valve",
+            f"{chamber} does not fill",
+            "both chambers fill, each to its side",
+            f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both.",
+        )
+    highest = float(trace.pressure[:, 2 * i : 2 * i + 2].max())
+    return WrongMachine(
+        f"{JOINTS[i]} valve",
+        f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)",
+        "chamber A fills with a positive opening, B with a negative one",
+        "Its spool is stuck or gets no signal: check plug and cable, then clean or replace the valve.",
+    )
+
+
+def stop_depths(trace: MotionTrace, joint: int, side: str, plant: PlantParameters) -> tuple[float, float]:
+    """Return how deep `joint` is pressed into its stop at the end of `trace` (rad), and the error."""
+    actuator = plant.actuators[joint]
+    lower, upper = joint_travel(plant)
+    pose = lower.copy()
+    pose[joint] = upper[joint] if side == "upper" else lower[joint]
+    pressure = trace.pressure[-1, 2 * joint : 2 * joint + 2] - plant.supply.atmosphere
+    force = float(pressure[0] * actuator.area_a - pressure[1] * actuator.area_b)
+    lever = float(way_per_angle(pose[[joint]], joint, plant)[0])
+    torque = force * lever - float(bias_forces(plant.robot, pose, np.zeros(3))[joint])
+    torque = max(torque if side == "upper" else -torque, 0.0)
+    stiffness = actuator.stop.stiffness * (lever**2 if joint == 1 else 1.0)
+    friction = actuator.friction.static * abs(lever) / stiffness
+    depth = torque / stiffness
+    return depth, float(np.hypot(0.15 * depth, friction))
+
+
+def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
+    """Raise WrongMachine unless the encoder of `joint`, and none else, saw its travel in `move`."""
+    way = np.abs(move.way) * (2 * pi / plant.encoders.counts_per_revolution)
+    lower, upper = joint_travel(plant)
+    travel = (upper - lower)[joint]
+    others = [j for j in range(3) if j != joint and way[j] > 0.5 * min(travel, (upper - lower)[j])]
+    if way[joint] < 0.3 * travel and others:
+        j = others[0]
+        raise WrongMachine(
+            f"{JOINTS[joint]} encoder",
+            f"does not move ({way[joint]:.2f} rad) when the {JOINTS[joint]} does; "
+            f"that of the {JOINTS[j]} does ({way[j]:.2f} rad)",
+            f"{travel:.2f} rad at the {JOINTS[joint]}",
+            f"The encoders of {JOINTS[joint]} and {JOINTS[j]} are swapped: exchange their cables.",
+        )
+    if way[joint] < 0.3 * travel:
+        raise WrongMachine(
+            f"{JOINTS[joint]} encoder",
+            f"moves by {way[joint]:.2f} rad between the stops",
+            f"{travel:.2f} rad",
+            "The joint is blocked, or its encoder's coupling is loose, or the encoder is stuck.",
+        )
+
+
+def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[FoundValue], list[str]]:
+    """Return signs and zeros; raise WrongMachine if a scale is wrong."""
+    counts = plant.encoders.counts_per_revolution
+    per_count = 2 * pi / counts
+    lower, upper = joint_travel(plant)
+    geometry = _stop_errors(plant)
+    signs, errors, ends = [1, 1, 1], [0.0, 0.0, 0.0], np.zeros((3, 2), dtype=np.int64)
+    depths = np.zeros((3, 2))
+    notes = []
+    for i, joint in enumerate(JOINTS):
+        up = StopMove(traces[f"{joint} up"], traces[f"{joint} up, pressed"])
+        back = StopMove(traces[f"{joint} back"], traces[f"{joint} back, pressed"])
+        _require_travel(i, up, plant)
+        signs[i] = 1 if up.way[i] > 0 else -1
+        (low, low_error), (high, high_error) = (
+            stop_depths(trace, i, side, plant)
+            for trace, side in ((back.pressing, "lower"), (up.pressing, "upper"))
+        )
+        seen = 0.5 * (abs(up.way[i]) + abs(back.way[i])) * per_count
+        travel = upper[i] - lower[i] + low + high
+        _require_scale(i, seen, travel, 3.0 * float(np.ptp(geometry[:, i])))
+        ends[i], depths[i] = (back.counts[i], up.counts[i]), (low, high)
+        mean_geometry = float(np.abs(geometry[:, i].mean()))
+        errors[i] = float(np.sqrt((low_error**2 + high_error**2) / 4 + mean_geometry**2 + per_count**2))
+        errors[i] = max(errors[i], abs(seen - travel) / 2)
+        notes.append(
+            f"{joint}: {seen:.4f} rad between the stops, {travel:.4f} rad by the geometry; "
+            + ("counts as configured" if signs[i] == plant.encoders.sign[i] else _REVERSED)
+        )
+    zeros = _zeros(ends, depths, signs, lower, upper, counts)
+    values = []
+    for i in range(3):
+        values.append(FoundValue(f"encoders.sign.{i}", signs[i], 0.0, "", Wiring.name))
+        error = errors[i] / per_count
+        values.append(FoundValue(f"encoders.zero_count.{i}", zeros[i], error, "counts", Wiring.name))
+    return values, notes
+
+
+_REVERSED = "counts backwards, encoder reversed against the configuration: robot.toml has its sign"
+
+
+def _zeros(
+    ends: NDArray[np.int64], depths: Array, signs: list[int], lower: Array, upper: Array, counts: int
+) -> Triple:
+    """Return the counts at angle zero: the mean of what both stops say."""
+    low = np.array(zero_counts(_three(ends[:, 0]), _three(lower - depths[:, 0]), _three(signs), counts))
+    high = np.array(zero_counts(_three(ends[:, 1]), _three(upper + depths[:, 1]), _three(signs), counts))
+    between = (high - low + counts / 2) % counts - counts / 2
+    a, b, c = ((low + between / 2) % counts).tolist()
+    return a, b, c
+
+
+def _three(values: Any) -> tuple[Any, Any, Any]:
+    a, b, c = np.asarray(values).tolist()
+    return a, b, c
+
+
+def _require_scale(joint: int, seen: float, travel: float, geometry: float) -> None:
+    if abs(seen / travel - 1.0) > _SCALE_TOLERANCE + geometry / travel:
+        raise WrongMachine(
+            f"{JOINTS[joint]} encoder",
+            f"{seen:.3f} rad between the stops: wrong scale, {seen / travel:.3f} times the travel",
+            f"{travel:.3f} rad, as the geometry has it",
+            "Correct plant.encoders.counts_per_revolution, a stop that was moved, or what blocks the way.",
+        )
+
+
+def _stop_errors(plant: PlantParameters) -> Array:
+    """Return standard deviations (2, 3) rad of the angles at lower and upper stops, from the lengths'."""
+    errors = np.zeros((2, 3))
+    robot = plant.robot
+    # Only the arm's stops are ends of a stroke; d theta2 / d length by the lever.
+    for k, extension in enumerate((plant.right_arm.lower, plant.right_arm.upper)):
+        pose = np.array(joint_travel(plant)[k])
+        lever = float(way_per_angle(pose[[1]], 1, plant)[0])
+        length = robot.l56 + extension
+        along = np.array(
+            [
+                1.0,
+                -(robot.l62 + robot.l23 * np.cos(pose[1])) / length,
+                -(robot.l62 + robot.l23 * np.cos(pose[1])) / length,
+                -(robot.l23 + robot.l62 * np.cos(pose[1])) / length,
+            ]
+        )
+        errors[k, 1] = _LENGTH * _UNIFORM * float(np.linalg.norm(along)) / abs(lever)
+    return errors

@@ -1,0 +1,206 @@
+"""Commissioning: state, resuming, wrong machines, and the errors of a drawn robot's values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.commissioning.commissioning import STEPS, Commissioning, begin, commission, read_state
+from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
+from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.report import commissioning_report
+from bench.commissioning.robot_file import robot_file
+from bench.commissioning.steps import StepResult, Traces
+from bench.commissioning.wiring import Wiring
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.errors import BenchError, Refused
+from sim.faults import Fault
+from sim.plant import PlantParameters
+from tests.bench.commissioning.drawn_robots import drawn_robot
+
+DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
+BOUNDS = MotionBounds((10.0, 10.0, 20.0), (6.0, 2.0, 3.0), 5e5)
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+class _Found:
+    """A step that moves nothing and finds the supply."""
+
+    title, bounds_text = "Nothing", "nothing moves"
+
+    def __init__(self, name: str, failing: bool = False) -> None:
+        self.name, self.failing, self.runs = name, failing, 0
+
+    def measure(self, machine: object, known: KnownRobot) -> Traces:
+        self.runs += 1
+        return {}
+
+    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+        if self.failing:
+            raise WrongMachine("supply", "3 bar", "6 bar", "Check it.")
+        return StepResult((FoundValue("supply.pressure", 7e5, 100.0, "Pa absolute", self.name),), ("done",))
+
+
+def _run(state: Commissioning, configuration: Configuration) -> KnownRobot:
+    with SimulatedMachine(configuration.plant, configuration.plant) as machine:
+        return commission(state, configuration.plant, machine, lambda: DAY)
+
+
+def test_values_by_their_keys() -> None:
+    plant = PlantParameters()
+    changed = with_values(plant, {"wrist.valve.centre": 0.01, "encoders.sign.1": -1.0})
+    assert changed.wrist.valve.centre == 0.01
+    assert changed.encoders.sign == (1, -1, 1)
+    assert isinstance(changed.encoders.sign[1], int)
+    assert value_at(changed, "encoders.sign.1") == -1
+    with pytest.raises(KeyError):
+        with_values(plant, {"wrist.valve.center": 0.0})
+
+
+def test_state_is_kept_after_each_step_and_resumed(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = _Found("first"), _Found("second", failing=True)
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
+    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    with pytest.raises(WrongMachine):
+        _run(state, configuration)
+    stored = read_state(tmp_path)
+    assert [step.name for step in stored.done] == ["first"]
+    assert stored.wrong is not None
+    assert stored.wrong.cure == "Check it."
+    assert "Check it." in commissioning_report(stored, configuration.plant, DAY)
+
+    with pytest.raises(BenchError, match="--resume"):
+        begin(tmp_path, configuration, simulated=True, resume=False)
+    second.failing = False
+    state = begin(tmp_path, configuration, simulated=True, resume=True)
+    known = _run(state, configuration)
+    assert (first.runs, second.runs) == (1, 2)
+    assert known.plant.supply.pressure == 7e5
+    assert read_state(tmp_path).wrong is None
+
+
+def test_another_robot_is_not_resumed(tmp_path: Path, configuration: Configuration) -> None:
+    begin(tmp_path, configuration, simulated=True, resume=False).save()
+    plant = replace(configuration.plant, wrist_lever=0.05)
+    with pytest.raises(BenchError, match="another configured robot"):
+        begin(tmp_path, replace(configuration, plant=plant), simulated=True, resume=True)
+    with pytest.raises(BenchError, match="Begin without --resume"):
+        begin(tmp_path / "empty", configuration, simulated=True, resume=True)
+
+
+def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configuration) -> None:
+    known = KnownRobot(configuration.plant)
+    known.add(
+        [
+            FoundValue("wrist.valve.centre", 0.0123, 1e-4, "", "valves"),
+            FoundValue("encoders.sign.2", -1.0, 0.0, "", "wiring"),
+            FoundValue("shoulder.valve.natural_frequency", 500.0, 5.0, "rad/s", "response"),
+        ]
+    )
+    path = tmp_path / "robot.toml"
+    path.write_text(robot_file(known, str(shipped_configuration().resolve()), DAY.date()))
+    plant = load_configuration(path).plant
+    assert plant == known.plant
+    assert "0.0123  # ± 0.0001; valves" in path.read_text()
+    assert "guess" in path.read_text()
+
+
+def test_a_passed_bound_makes_the_machine_passive() -> None:
+    plant = PlantParameters()
+    with SimulatedMachine(plant, plant) as machine:
+        machine.vent(1.0)
+        trace = machine.run((Segment(3.0, (0.3, 0.0, 0.0)),), BOUNDS._replace(speed=(0.2, 10.0, 20.0)))
+        assert trace.tripped.startswith("speed of the shoulder")
+        assert not machine.driver.applied.supply_enable
+
+
+@pytest.mark.parametrize("signal", ["emergency_stop_clear", "guard_closed"])
+def test_an_interlock_ends_a_motion(signal: str) -> None:
+    plant = PlantParameters()
+    with SimulatedMachine(plant, plant) as machine:
+        machine.driver.plant_state[signal] = False
+        with pytest.raises(Refused, match="--resume"):
+            machine.run((Segment(0.1, (0.1, 0.0, 0.0)),), BOUNDS)
+        assert not machine.driver.applied.supply_enable
+
+
+def test_chamber_sensors_are_needed() -> None:
+    plant = replace(PlantParameters(), pressure_sensors=False)
+    with pytest.raises(Refused, match="no pressure of shoulder vane A"):
+        SimulatedMachine(plant, plant)
+
+
+def _reversed(plant: PlantParameters) -> PlantParameters:
+    return replace(plant, encoders=replace(plant.encoders, sign=(1, -1, 1)))
+
+
+def _other_counts(plant: PlantParameters) -> PlantParameters:
+    return replace(plant, encoders=replace(plant.encoders, counts_per_revolution=2**16))
+
+
+def _as_is(plant: PlantParameters) -> PlantParameters:
+    return plant
+
+
+WRONG: dict[str, tuple[Callable[[PlantParameters], PlantParameters], tuple[Fault, ...], str, str]] = {
+    "valves swapped": (
+        _as_is,
+        (Fault("a", "wrist valve", "swapped", 1.0),),
+        "wrist valve",
+        "valves of wrist and arm are swapped",
+    ),
+    "valve reversed": (_as_is, (Fault("a", "arm valve", "scale", -1.0),), "arm valve", "wrong way"),
+    "spool stuck": (_as_is, (Fault("a", "shoulder valve", "stuck", 0.0),), "shoulder valve", "stuck"),
+    "supply too low": (_as_is, (Fault("a", "supply", "scale", 0.6),), "supply", "too low"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_machine_is_named(case: str) -> None:
+    change, faults, place, words = WRONG[case]
+    nominal = PlantParameters()
+    with SimulatedMachine(change(nominal), nominal, faults) as machine:
+        step, known = Wiring(), KnownRobot(nominal)
+
+        def take() -> None:
+            step.estimate(step.measure(machine, known), known)
+
+        with pytest.raises(WrongMachine) as error:
+            take()
+        assert place in error.value.place
+        assert words in str(error.value)
+        assert machine.loads.stop_share < 1.0
+
+
+@pytest.mark.slow
+def test_errors_cover_the_truth_of_a_drawn_robot(tmp_path: Path, configuration: Configuration) -> None:
+    truth = drawn_robot(3, configuration.plant)
+    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    with SimulatedMachine(truth, configuration.plant) as machine:
+        known = commission(state, configuration.plant, machine, lambda: DAY)
+        assert machine.loads.stop_share < 1.0
+        assert machine.loads.lowest_clearance > -0.005
+    assert len(state.done) == len(STEPS)
+    off = []
+    for key, found in known.found.items():
+        gap = found.value - float(value_at(truth, key))
+        if "zero_count" in key:
+            counts = truth.encoders.counts_per_revolution
+            gap = (gap + counts / 2) % counts - counts / 2
+        off.append(abs(gap) / found.error if found.error else abs(gap))
+    assert np.mean(np.array(off) < 1.96) >= 0.9, dict(zip(known.found, np.round(off, 1), strict=True))
+    assert max(off) < 5.0, dict(zip(known.found, np.round(off, 1), strict=True))
