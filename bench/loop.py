@@ -7,9 +7,10 @@ from time import monotonic_ns as now
 from typing import Any, Protocol
 
 import numpy as np
+from numba import carray
 
 from bench.clock import Clock
-from bench.compiled_tick import CompiledTick
+from bench.compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE, OVER, CompiledTick
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.states import give_up
 from bench.lifecycle import Cause, Phase, Request, State
@@ -27,6 +28,9 @@ from drivers.base import (
     unpack_command,
 )
 from drivers.base.compiled import new_record, numbers
+from drivers.base.native import compiled_call
+from drivers.base.native_calls import DECLINED, DONE, NativeCall, NativeCalls, NativeDriver
+from drivers.base.raw_memory import copy_bytes, pointer
 
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE."""
@@ -34,6 +38,9 @@ Cycles = np.ndarray[Any, Any]
 
 _BETWEEN_LOOKS = 10
 """Ticks between two looks at the phase."""
+
+_ROOM, _KEPT = 1, 2
+_SIZE = CYCLE.itemsize
 
 Publish = Callable[[Cycles], None]
 """Takes the record of one tick (a one-element array, overwritten in the next tick)."""
@@ -58,7 +65,7 @@ class Cycle:
         state: State = State.READY,
     ) -> None:
         """`name` is the driver's, for messages; `note_truth` fills the fields that only a plant knows."""
-        self.driver, self.publish, self.name = driver, publish, name
+        self.driver, self.name = driver, name
         self.marks = np.zeros(7, np.int64)
         self._marks = numbers(self.marks)
         self.record = new_record(CYCLE)
@@ -67,11 +74,23 @@ class Cycle:
         self._note_truth = note_truth
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
         self._read_record = _record_reading(driver)
+        self._calls = _native_calls(driver, note_truth)
+        self._publisher = publish
         self._state, self._parameters = new_control_state(state), parameters
         self._bind()
         for field in FIELDS:
             if field.name.startswith("plant_"):
                 self.record[field.name] = ABSENT
+
+    @property
+    def publish(self) -> Publish:
+        """Publisher of the records; another one may be set between two ticks."""
+        return self._publisher
+
+    @publish.setter
+    def publish(self, publish: Publish) -> None:
+        self._publisher = publish
+        self._bind_publisher()
 
     @property
     def state(self) -> ControlState:
@@ -96,9 +115,22 @@ class Cycle:
     def _bind(self) -> None:
         """Hand the records to the compiled part of the tick."""
         self._operational = numbers(self._state.control["device_operational"])
-        self._decide = CompiledTick(
-            self._state, self._parameters, self._readings, self._command, self.record, self.marks
+        self._run = self._decide = CompiledTick(
+            self._state,
+            self._parameters,
+            self._readings,
+            self._command,
+            self.record,
+            self.marks,
+            self._calls,
+            notes_truth=self._note_truth is not None,
         )
+        self._bind_publisher()
+
+    def _bind_publisher(self) -> None:
+        """Hand the publisher to the compiled part, unless it has failed."""
+        native: Callable[[], NativeCall] | None = getattr(self._publisher, "native_call", None)
+        self._run.publish_by(native() if native and self.publish_error is None else NativeCall())
 
     def request(self, request: int) -> None:
         """Put a `Request` to the next tick."""
@@ -117,21 +149,28 @@ class Cycle:
         """
         marks, decided = self._marks, False
         try:
-            marks[0] = now()
-            trusted = self._read(time)
-            before = 0 if trusted else int(self.state.control["cause"][0])
-            marks[1] = now()
-            self._decide(time)
-            decided = True
-            if not trusted:
-                self._blame_exception(before)
-            wanted = unpack_command(self._command)
-            applied = self.driver.write(wanted)
-            if applied != wanted:
-                self._note_applied(applied)
-            if self._note_truth is not None:
-                self._note_truth(self.record)
-            marks[5] = now()
+            stage = self._decide(time)
+            if stage == OVER:
+                return
+            decided = stage != AT_READ
+            if not decided:
+                trusted = self._read(time)
+                before = 0 if trusted else int(self.state.control["cause"][0])
+                marks[1] = now()
+                stage = self._decide(time, AT_DECIDE, OVER if trusted else AT_WRITE)
+                decided = True
+                if not trusted:
+                    self._blame_exception(before)
+            if stage == AT_WRITE:
+                wanted = unpack_command(self._command)
+                applied = self.driver.write(wanted)
+                if applied != wanted:
+                    self._note_applied(applied)
+                stage = AT_NOTE_TRUTH
+            if stage == AT_NOTE_TRUTH:
+                if self._note_truth is not None:
+                    self._note_truth(self.record)
+                marks[5] = now()
         except BaseException as error:
             self.give_up(time, decided=decided)
             where = f"driver {self.name!r}, tick {int(self.state.control['tick'][0])}"
@@ -139,8 +178,9 @@ class Cycle:
                 raise DriverError(f"{where}: {error}; the passive command was sent") from error
             error.add_note(f"{where}: the passive command was sent")
             raise
-        self._publish()
-        marks[6] = now()
+        if stage != OVER:
+            self._publish()
+            marks[6] = now()
 
     def _read(self, time: float) -> bool:
         """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
@@ -190,9 +230,10 @@ class Cycle:
         """Hand the record on; a publisher that fails lets the swing complete and is not asked again."""
         if self.publish_error is None:
             try:
-                self.publish(self.record)
+                self._publisher(self.record)
             except Exception as error:  # a publisher may fail in any way
                 self.publish_error = error
+                self._bind_publisher()
 
 
 def _record_reading(driver: Driver) -> Callable[[float, Any], None] | None:
@@ -203,23 +244,52 @@ def _record_reading(driver: Driver) -> Callable[[float, Any], None] | None:
     return driver.read_record if "read_record" in vars(first) else None
 
 
+def _native_calls(driver: Driver, note_truth: Publish | None) -> NativeCalls:
+    """Return the driver's native functions; none where a method that they stand for was replaced."""
+    if not isinstance(driver, NativeDriver):
+        return NativeCalls()
+    replaced = {"read", "read_record", "write", "operational", "native_calls"}
+    kind = next(kind for kind in type(driver).__mro__ if replaced & vars(kind).keys())
+    if "native_calls" not in vars(kind) or replaced & getattr(driver, "__dict__", {}).keys():
+        return NativeCalls()
+    calls = driver.native_calls()
+    own = note_truth is not None and note_truth == getattr(driver, "note_truth", None)
+    return calls if own else calls._replace(note_truth=NativeCall())
+
+
 class CycleArray:
     """A publisher that keeps the records in memory, all of it allocated beforehand."""
 
     def __init__(self, capacity: int) -> None:
         self._cycles = np.zeros(capacity, CYCLE)
         self._bytes = self._cycles.view(np.uint8).reshape(capacity, CYCLE.itemsize)
-        self._count = 0
+        self._block = np.array([self._cycles.ctypes.data, capacity, 0], np.int64)
+        """Address of the records, room for them, and how many are kept."""
+        self._numbers = numbers(self._block)
 
     def __call__(self, record: Cycles) -> None:
         """Keep a copy of `record`; IndexError when there is no room left."""
-        self._bytes[self._count] = record.view(np.ndarray).view(np.uint8)
-        self._count += 1
+        self._bytes[self._numbers[_KEPT]] = record.view(np.ndarray).view(np.uint8)
+        self._numbers[_KEPT] += 1
+
+    def native_call(self) -> NativeCall:
+        """Return the native function that keeps a copy of the CYCLE at an address."""
+        return NativeCall(_keep_native.address, self._block.ctypes.data)
 
     @property
     def cycles(self) -> Cycles:
         """The records kept so far."""
-        return self._cycles[: self._count]
+        return self._cycles[: self._numbers[_KEPT]]
+
+
+@compiled_call
+def _keep_native(block: int, record: int, _: int, time: float) -> int:
+    a = carray(pointer(block), 3, np.int64)
+    if a[_KEPT] >= a[_ROOM]:
+        return DECLINED
+    copy_bytes(record, a[0] + a[_KEPT] * _SIZE, _SIZE)
+    a[_KEPT] += 1
+    return DONE
 
 
 class Stepper(Protocol):

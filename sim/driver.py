@@ -10,20 +10,26 @@ import math
 from typing import Any
 
 import numpy as np
+from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.base import (
     COMMAND,
     PASSIVE,
     READINGS,
+    TRUTH,
     Command,
     DriverError,
     Readings,
     device_limited,
     pack_command,
+    unpack_command,
     unpack_readings,
 )
-from drivers.base.compiled import new_record
+from drivers.base.compiled import compiled, new_record, numbers
+from drivers.base.native import compiled_call, limit_command
+from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
+from drivers.base.raw_memory import copy_bytes, pointer
 from sim.faults import (
     Fault,
     Faults,
@@ -35,13 +41,40 @@ from sim.faults import (
     own_records,
     revive,
 )
+from sim.impact import IMPACT
 from sim.kane import bias_forces
 from sim.kinematics import theta2_from_right_arm
-from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state, sense
+from sim.plant import (
+    PLANT_PARAMETERS,
+    PLANT_STATE,
+    Plant,
+    PlantParameters,
+    advance,
+    build_plant,
+    initial_state,
+    sense,
+)
+from sim.robot import ROBOT
 from sim.truth import Contact, contact_in, note_truth
 
 _NEAR = 1e-6
 """Rounding tolerance of a time, as a share of a tick."""
+
+_PROGRESS = np.dtype(
+    [
+        ("is_open", "i8"),
+        ("has_begun", "i8"),
+        ("ticks", "i8"),
+        ("written", "i8"),
+        ("period", "f8"),
+        ("first", "f8"),
+        ("offset", "f8"),
+    ]
+)
+"""Where a SimDriver is: `ticks` since the first reading after opening, which was at `first` (s of the loop),
+and the tick of the last command; loop time minus plant time is `offset` (s)."""
+
+_READINGS_SIZE, _COMMAND_SIZE = READINGS.itemsize, COMMAND.itemsize
 
 
 def joint_travel(parameters: PlantParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -101,18 +134,33 @@ class SimDriver:
         if start.shape != (3,) or not np.all(np.isfinite(start)):
             raise ValueError(f"sim driver: start angles are {angle!r}, expected three finite numbers in rad")
         self.plant_state = initial_state(self.plant, start)
-        self.applied = PASSIVE
-        """Command in force."""
-        self._period = self.plant.parameters.tick
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
         pack_command(PASSIVE, self._command)
-        self._first_time: float | None = None
-        """Loop time of the first reading after opening, s."""
-        self._offset = 0.0
-        """Loop time minus plant time, s."""
-        self._ticks = self._written = 0
-        """Ticks since the first reading, and the tick of the last command."""
-        self._is_open = False
+        self._progress = new_record(_PROGRESS)
+        (
+            self._is_open,
+            self._has_begun,
+            self._ticks,
+            self._written,
+            self._period,
+            self._first,
+            self._offset,
+        ) = (numbers(self._progress[name]) for name in _PROGRESS.names or ())
+        self._period[0] = self.plant.parameters.tick
+        held = (*self.plant.records, self.plant_state, self._command, self._readings, self._progress)
+        self._block = np.array([array.ctypes.data for array in held], np.int64)
+
+    @property
+    def applied(self) -> Command:
+        """Command in force."""
+        return unpack_command(self._command)
+
+    def native_calls(self) -> NativeCalls:
+        """Return the native functions; none with faults."""
+        if self.faults is not None:
+            return NativeCalls()
+        functions = _read_native, _write_native, _note_truth_native
+        return NativeCalls(*(NativeCall(one.address, self._block.ctypes.data) for one in functions))
 
     @property
     def operational(self) -> bool:
@@ -121,11 +169,11 @@ class SimDriver:
 
     def open(self) -> None:
         """Start with the passive command at the present plant state; DriverError if already open."""
-        if self._is_open:
+        if self._is_open[0]:
             raise DriverError("sim driver: open() while already open; call close() first")
         self._apply(PASSIVE)
-        self._first_time, self._ticks = None, 0
-        self._is_open = True
+        self._has_begun[0] = self._ticks[0] = 0
+        self._is_open[0] = True
         if self.faults is not None:
             revive(self.faults)
 
@@ -147,40 +195,41 @@ class SimDriver:
         """
         self._advance_to(time)
         record[...] = self._readings
-        if self._offset != 0.0:
-            record["time"] += self._offset
-            record["encoder_time"] += self._offset
+        offset = self._offset[0]
+        if offset != 0.0:
+            record["time"] += offset
+            record["encoder_time"] += offset
 
     def _advance_to(self, time: float) -> None:
         """Let `_readings` be those of the last whole tick at or before `time` (s)."""
         self._require_open("read")
-        if self._first_time is None and math.isfinite(time):
-            self._first_time = time
-            self._offset = time - float(self.plant_state["time"][0])
-        first = self._first_time or 0.0
-        part = (time - first) / self._period + _NEAR
-        if not self._ticks <= part < math.inf:
+        if not self._has_begun[0] and math.isfinite(time):
+            self._has_begun[0], self._first[0] = True, time
+            self._offset[0] = time - float(self.plant_state["time"][0])
+        first, period, ticks = self._first[0] if self._has_begun[0] else 0.0, self._period[0], self._ticks[0]
+        part = (time - first) / period + _NEAR
+        if not ticks <= part < math.inf:
             raise DriverError(
                 f"sim driver: read() at invalid time {time} s, expected finite and at least "
-                f"{first + self._ticks * self._period} s; pass the loop's monotonic time"
+                f"{first + ticks * period} s; pass the loop's monotonic time"
             )
         due = int(part)
         if self.faults is None:
-            for _ in range(due - self._ticks):
+            for _ in range(due - ticks):
                 advance(*self.plant.records, self.plant_state, self._command)
             sense(self.plant.plant, self.plant_state, self._readings)
         else:
             self._read_faulty(self.faults, due)
-        self._ticks = due
+        self._ticks[0] = due
 
     def _read_faulty(self, faults: Faults, due: int) -> None:
         """Advance the plant to tick `due` and read it, both with its faults."""
         robot, plant, _ = self.plant.records
         if due == 0:
             notice_onsets(faults, plant, self.plant_state, self.phase)
-        for k in range(self._ticks, due):
+        for k in range(self._ticks[0], due):
             # Without a write in a tick, the bench was silent in it.
-            deliver_command(faults, plant, self._command, k == self._written)
+            deliver_command(faults, plant, self._command, k == self._written[0])
             break_parts(faults, robot, plant, self.plant_state)
             advance(*self.plant.records, self.plant_state, faults.sent)
             notice_onsets(faults, plant, self.plant_state, self.phase)
@@ -202,7 +251,7 @@ class SimDriver:
     def close(self) -> None:
         """Make the device passive and close it, in any state."""
         self.make_passive()
-        self._is_open = False
+        self._is_open[0] = False
 
     def place_ball(self) -> None:
         """Put a ball on the tee by hand."""
@@ -218,11 +267,66 @@ class SimDriver:
         note_truth(self.plant_state, cycle)
 
     def _apply(self, command: Command) -> Command:
-        self.applied = command
-        self._written = self._ticks
+        self._written[0] = self._ticks[0]
         pack_command(command, self._command)
         return command
 
     def _require_open(self, call: str) -> None:
-        if not self._is_open:
+        if not self._is_open[0]:
             raise DriverError(f"sim driver: {call}() while closed; call open() first")
+
+
+@compiled
+def read_plant(block: int, record: int, time: float) -> int:
+    """Advance the plant of a SimDriver's `block` as `read_record` does; the readings go to `record`."""
+    a = carray(pointer(block), 7, np.int64)
+    progress = carray(pointer(a[6]), 1, _PROGRESS)[0]
+    if progress.is_open == 0 or progress.has_begun == 0:
+        return DECLINED
+    part = (time - progress.first) / progress.period + _NEAR
+    if not progress.ticks <= part < np.inf:
+        return DECLINED
+    robot, plant = carray(pointer(a[0]), 1, ROBOT), carray(pointer(a[1]), 1, PLANT_PARAMETERS)
+    impact, state = carray(pointer(a[2]), 1, IMPACT), carray(pointer(a[3]), 1, PLANT_STATE)
+    due = int(part)
+    for _ in range(due - progress.ticks):
+        advance(robot, plant, impact, state, carray(pointer(a[4]), 1, COMMAND))
+    sense(plant, state, carray(pointer(a[5]), 1, READINGS))
+    progress.ticks = due
+    copy_bytes(a[5], record, _READINGS_SIZE)
+    if progress.offset != 0.0:
+        out = carray(pointer(record), 1, READINGS)[0]
+        out.time += progress.offset
+        for i in range(3):
+            out.encoder_time[i] += progress.offset
+    return DONE | OPERATIONAL
+
+
+@compiled
+def write_plant(block: int, command: int, applied: int) -> int:
+    """Apply the COMMAND at `command` within the device's limits, and write it to `applied`."""
+    a = carray(pointer(block), 7, np.int64)
+    progress = carray(pointer(a[6]), 1, _PROGRESS)[0]
+    if progress.is_open == 0:
+        return DECLINED
+    limit_command(carray(pointer(command), 1, COMMAND), carray(pointer(applied), 1, COMMAND))
+    copy_bytes(applied, a[4], _COMMAND_SIZE)
+    progress.written = progress.ticks
+    return DONE
+
+
+@compiled_call
+def _read_native(block: int, record: int, _: int, time: float) -> int:
+    return read_plant(block, record, time)
+
+
+@compiled_call
+def _write_native(block: int, command: int, applied: int, time: float) -> int:
+    return write_plant(block, command, applied)
+
+
+@compiled_call
+def _note_truth_native(block: int, truth: int, _: int, time: float) -> int:
+    a = carray(pointer(block), 7, np.int64)
+    note_truth(carray(pointer(a[3]), 1, PLANT_STATE), carray(pointer(truth), 1, TRUTH))
+    return DONE

@@ -16,6 +16,7 @@ import numpy as np
 from bench.errors import BenchError, ExitCode
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
+from drivers.base.native_calls import NativeCall
 
 CAPACITY = 16384
 """Records; over 16 s of a loop at 1 kHz."""
@@ -55,6 +56,12 @@ class RingWriter:
             ValueError: `record` has not the size of a CYCLE.
         """
         self._slots.put(record.tobytes())
+
+    def native_call(self) -> NativeCall:
+        """Return the native function that copies the CYCLE at an address straight into the ring."""
+        from drivers.base.compiled_slots import put_native  # here, as readers need no compiler
+
+        return NativeCall(put_native.address, self._slots.block.ctypes.data)
 
     def close(self) -> None:
         """Unmap; the file stays. Allowed twice."""

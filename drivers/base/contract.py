@@ -131,6 +131,20 @@ COMMAND = np.dtype(
 """`Command` as a record for compiled code and shared memory, same names."""
 
 
+TRUTH = np.dtype(
+    [
+        ("plant_angle", "f8", (3,)),
+        ("plant_velocity", "f8", (3,)),
+        ("plant_pressure", "f8", (6,)),
+        ("plant_effort", "f8", (3,)),
+        ("plant_head_position", "f8", (2,)),
+        ("plant_head_speed", "f8"),
+    ],
+    align=True,
+)
+"""Fields of a cycle record that only a simulated plant knows, same names."""
+
+
 def pack_readings(readings: Readings, record: np.ndarray[Any, Any]) -> None:
     """Write `readings` into a READINGS record (a one-element array); 1.2 us.
 

@@ -38,13 +38,18 @@ _HEADER = struct.Struct("=8sI12sQQ16s")
 _SHARED = getattr(mmap, "MAP_SHARED", 0) | getattr(mmap, "MAP_POPULATE", 0)
 """All pages at once, so that no tick pays for a page fault; other systems than Linux only import this."""
 
-_HEAD = 64
+HEAD = 64
 """Byte of the head word: on a cache line of its own, as are the slots."""
-_FIRST = 128
+FIRST = 128
 """Byte of slot 0."""
 _LINE = 64
 _BEGIN, _CHECK, _RECORD = 0, 1, 2
 """Words of a slot."""
+
+ADDRESS, MASK, STRIDE, SIZE, WRITTEN, READ = range(6)
+"""Words of `MappedSlots.block`: address of the file in memory (0 once it is closed), number of slots minus
+one, bytes from slot to slot, bytes of a record, number of the last record put from here, and number of the
+last one that compiled code has read here (0 before the first)."""
 
 
 class SharedMemoryError(RuntimeError):
@@ -59,7 +64,10 @@ class SharedMemoryError(RuntimeError):
 
 
 class MappedSlots:
-    """The slots of one file. Of all processes that map it, one may `put`."""
+    """The slots of one file. Of all processes that map it, one may `put`.
+
+    `block` is what compiled code needs to do the same (`drivers.base.compiled_slots`).
+    """
 
     def __init__(self, memory: mmap.mmap, slots: int, size: int) -> None:
         """Take over `memory`, a checked file with `slots` slots for records of `size` bytes."""
@@ -70,8 +78,9 @@ class MappedSlots:
         self._mask = slots - 1
         self._stride = _stride(size)
         self._end = (_RECORD * 8 + size + 7) // 8
-        self._written = 0
-        """Number of the last record put from here, 0 before the first."""
+        self.block = np.zeros(6, np.int64)
+        self.block[:WRITTEN] = _address(memory), slots - 1, self._stride, size
+        self._block = self.block.data
 
     @classmethod
     def create(cls, path: Path, kind: str, dtype: np.dtype[Any], slots: int) -> Self:
@@ -85,7 +94,7 @@ class MappedSlots:
         """
         if slots < 2 or slots & (slots - 1):
             raise ValueError(f"{slots} slots, expected a power of two from 2 on")
-        size = _FIRST + slots * _stride(dtype.itemsize)
+        size = FIRST + slots * _stride(dtype.itemsize)
         partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
         try:
             descriptor = os.open(partial, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
@@ -136,7 +145,7 @@ class MappedSlots:
             ) from error
         try:
             slots = _checked(path, descriptor, kind, dtype)
-            size = _FIRST + slots * _stride(dtype.itemsize)
+            size = FIRST + slots * _stride(dtype.itemsize)
             protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
             return cls(mmap.mmap(descriptor, size, _SHARED, protection), slots, dtype.itemsize)
         finally:
@@ -145,7 +154,7 @@ class MappedSlots:
     @property
     def head(self) -> int:
         """Number of the newest record; 0 before the first."""
-        return self._words[_HEAD >> 3]
+        return self._words[HEAD >> 3]
 
     def put(self, data: bytes) -> None:
         """Write the next record, in place of the oldest; a few us, never waits.
@@ -156,21 +165,21 @@ class MappedSlots:
         if len(data) != self.size:
             raise ValueError(f"a record of {len(data)} bytes, expected {self.size}")
         words = self._words
-        sequence = (self._written or self._last_written()) + 1
-        start = _FIRST + (sequence & self._mask) * self._stride
+        sequence = (self._block[WRITTEN] or self._last_written()) + 1
+        start = FIRST + (sequence & self._mask) * self._stride
         word = start >> 3
         words[word] = sequence
         start += _RECORD * 8
         self._memory[start : start + self.size] = data
         words[word + _CHECK] = crc32(data, sequence & 0xFFFFFFFF)
         words[word + self._end] = sequence
-        words[_HEAD >> 3] = sequence
-        self._written = sequence
+        words[HEAD >> 3] = sequence
+        self._block[WRITTEN] = sequence
 
     def fetch(self, sequence: int) -> bytes | None:
         """Return record number `sequence`; None when it is gone, being overwritten or not there yet."""
         words = self._words
-        start = _FIRST + (sequence & self._mask) * self._stride
+        start = FIRST + (sequence & self._mask) * self._stride
         word = start >> 3
         if words[word + self._end] != sequence:
             return None
@@ -183,6 +192,7 @@ class MappedSlots:
 
     def close(self) -> None:
         """Unmap; the file stays. Allowed twice."""
+        self._block[ADDRESS] = 0
         self._words.release()
         self._memory.close()
 
@@ -190,6 +200,11 @@ class MappedSlots:
         """Return the last whole record's number: a writer before us may have died between end and head."""
         head = self.head
         return head if self.fetch(head + 1) is None else head + 1
+
+
+def _address(memory: mmap.mmap) -> int:
+    """Return the address of `memory`, which no array refers to afterwards."""
+    return np.frombuffer(memory, np.uint8).ctypes.data
 
 
 def _stride(size: int) -> int:
@@ -233,7 +248,7 @@ def _checked(path: Path, descriptor: int, kind: str, dtype: np.dtype[Any]) -> in
             f"{dtype.itemsize} bytes, type {_digest(dtype).hex()}",
             cure,
         )
-    whole = _FIRST + slots * _stride(size)
+    whole = FIRST + slots * _stride(size)
     if slots < 2 or slots & (slots - 1) or status.st_size != whole:
         raise SharedMemoryError(
             str(path), f"{status.st_size} bytes with {slots} slots", f"{whole} bytes", "Restart the bench."

@@ -64,6 +64,11 @@ class SharedRecord:
         """Version of the newest value, 0 before the first write; a cheap test for a new value."""
         return self._slots.head
 
+    @property
+    def block(self) -> np.ndarray[Any, Any]:
+        """Words for compiled code, see `drivers.base.compiled_slots`."""
+        return self._slots.block
+
     def read(self, into: np.ndarray[Any, Any]) -> int:
         """Copy the newest whole value into `into` (a one-element array of the dtype); return its version.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.base import COMMAND, READINGS, Triple
+from drivers.base import COMMAND, READINGS, TRUTH, Triple
 from sim.faults import Fault
 from sim.plant import PlantParameters
 
@@ -53,19 +53,6 @@ PLANT_COMMAND = np.dtype(
     align=True,
 )
 """`counter` changes with every command; `session` and `mode` are explained in `sim.live.valve_watchdog`."""
-
-TRUTH = np.dtype(
-    [
-        ("plant_angle", "f8", (3,)),
-        ("plant_velocity", "f8", (3,)),
-        ("plant_pressure", "f8", (6,)),
-        ("plant_effort", "f8", (3,)),
-        ("plant_head_position", "f8", (2,)),
-        ("plant_head_speed", "f8"),
-    ],
-    align=True,
-)
-"""Fields of a cycle record that only the plant knows, same names."""
 
 CONTACT = np.dtype(
     [

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.compiled_tick import CompiledTick
+from bench.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.settings import build_controller
 from bench.control.step import step
@@ -56,7 +56,7 @@ def test_it_gives_the_bits_of_the_step(parameters: ControlParameters) -> None:
     for k in range(400):
         read_into(one, driver, k)
         read_into(other, twin, k)
-        tick(1e-3 * k)
+        tick(1e-3 * k, AT_DECIDE)
         step(other.state, parameters, other.readings, 1e-3 * k, other.command, other.cycle)
         assert one.bits() == other.bits(), k
     assert one.cycle["state"][0] == State.ARMED
@@ -65,9 +65,9 @@ def test_it_gives_the_bits_of_the_step(parameters: ControlParameters) -> None:
 def test_the_instants_are_those_of_the_loops_clock(parameters: ControlParameters) -> None:
     records = Records()
     tick = records.tick(parameters)
-    tick(0.0)
+    tick(0.0, AT_DECIDE)
     begin = monotonic_ns()
-    tick(1e-3)
+    assert tick(1e-3, AT_DECIDE) == AT_WRITE
     end = monotonic_ns()
     marks = records.marks.tolist()
     assert begin <= marks[2] <= marks[3] <= marks[4] <= end

@@ -31,7 +31,7 @@ class Pair(NamedTuple):
         ours, theirs, driver = self.compiled.plant_state, self.driver.plant_state, self.driver
         if theirs["time"][0] < ours["time"][0]:  # the driver would move at its next reading
             advance(*driver.plant.records, theirs, driver._command)
-            driver._ticks += 1
+            driver._ticks[0] += 1
         ours[field] = theirs[field] = value
 
     def tee(self, raised: bool) -> None:

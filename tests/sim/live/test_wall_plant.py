@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import PASSIVE, READINGS, Command, pack_readings, unpack_command
+from drivers.base import PASSIVE, READINGS, TRUTH, Command, pack_readings, unpack_command
 from drivers.base.compiled import new_record
 from sim.ball import Ball
 from sim.driver import SimDriver
 from sim.impact import impact_parameters
 from sim.kinematics import forward_kinematics, inverse_kinematics
-from sim.live.exchange import BALL, CONTACT, PLANT_COMMAND, PLANT_SURROUNDINGS, TRUTH, PlantPlan
+from sim.live.exchange import BALL, CONTACT, PLANT_COMMAND, PLANT_SURROUNDINGS, PlantPlan
 from sim.live.valve_watchdog import Mode
 from sim.live.wall_plant import WallPlant
 from sim.plant import PlantParameters

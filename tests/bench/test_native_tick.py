@@ -1,0 +1,276 @@
+"""A tick that is one call into compiled code has the bits of a tick in Python, and leaves it the rest."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.compiled_tick import AT_READ, OVER
+from bench.control.records import ControlParameters
+from bench.control.settings import build_controller
+from bench.lifecycle import Cause, Request
+from bench.loop import Cycle, CycleArray
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.ring import RingReader, RingWriter
+from drivers.base import COMMAND, Command, DriverError, device_limited, pack_command, unpack_command
+from drivers.base.compiled import new_record
+from drivers.base.native import limit_command
+from drivers.base.native_calls import NativeCalls
+from drivers.base.shared_record import SharedRecord
+from sim.driver import SimDriver
+from sim.faults import Fault
+from sim.live.driver import ProcessPlantDriver
+from sim.live.exchange import (
+    COMMAND_FILE,
+    PLANT_COMMAND,
+    PLANT_REPORT,
+    PLANT_SURROUNDINGS,
+    REPORT_FILE,
+    SURROUNDINGS_FILE,
+)
+from sim.live.paced_driver import PacedPlantDriver
+from sim.plant import PlantParameters
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+
+PERIOD = PlantParameters().tick
+
+
+class PlainSim(SimDriver):
+    def native_calls(self) -> NativeCalls:
+        return NativeCalls()
+
+
+class PlainPaced(PacedPlantDriver):
+    def native_calls(self) -> NativeCalls:
+        return NativeCalls()
+
+
+class PlainProcess(ProcessPlantDriver):
+    def native_calls(self) -> NativeCalls:
+        return NativeCalls()
+
+
+@pytest.fixture(scope="module")
+def parameters() -> ControlParameters:
+    return build_controller(PlantParameters(), load_profile(find_profile("default")))
+
+
+class Bench:
+    """A cycle that keeps its records, and what it took to run it."""
+
+    def __init__(self, driver: Any, parameters: ControlParameters, room: int = 4000) -> None:
+        self.driver, self.kept = driver, CycleArray(room)
+        self.cycle = Cycle(driver, parameters, self.kept, name="sim", note_truth=driver.note_truth)
+        self.decide = self.cycle._decide
+        self.calls: list[int] = []
+        """Stage at which each call into compiled code ended."""
+        self.cycle._decide = self._called  # type: ignore[assignment]
+
+    def _called(self, *arguments: Any) -> int:
+        self.calls.append(self.decide(*arguments))
+        return self.calls[-1]
+
+    def run(self, begin: int, end: int, offset: float = 0.0) -> None:
+        for k in range(begin, end):
+            self.cycle.run_tick(offset + k * PERIOD)
+
+
+def assert_same(one: Bench, other: Bench) -> None:
+    assert one.kept.cycles.tobytes() == other.kept.cycles.tobytes()
+    for ours, theirs in zip(one.cycle.state, other.cycle.state, strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    assert getattr(one.driver, "applied", None) == getattr(other.driver, "applied", None)
+
+
+def test_a_tick_is_one_call_with_the_bits_of_python(parameters: ControlParameters) -> None:
+    benches = [Bench(kind(), parameters) for kind in (SimDriver, PlainSim)]
+    for bench in benches:
+        bench.driver.open()
+        bench.run(0, 20, 5.0)
+        bench.cycle.request(Request.ARM)
+        bench.run(20, 2500, 5.0)
+        bench.cycle.request(Request.SWING)
+        bench.run(2500, 4000, 5.0)
+    one, other = benches
+    assert_same(one, other)
+    assert one.driver.plant_state.tobytes() == other.driver.plant_state.tobytes()
+    assert one.calls[0] == AT_READ  # the first reading sets the clock
+    assert set(one.calls[2:]) == {OVER}
+    assert np.isfinite(one.kept.cycles["plant_angle"]).all()
+    assert np.all(np.diff(one.cycle.marks) >= 0)
+
+
+def test_faults_are_pythons(parameters: ControlParameters) -> None:
+    driver = SimDriver(faults=(Fault("blind", "ball sensor", "off"),))
+    assert driver.native_calls() == NativeCalls()
+
+
+@pytest.mark.parametrize("replaced", ["read", "read_record", "write"])
+def test_a_method_that_was_replaced_is_called(parameters: ControlParameters, replaced: str) -> None:
+    called = []
+
+    def note(self: SimDriver, *arguments: Any) -> Any:
+        called.append(replaced)
+        return getattr(SimDriver, replaced)(self, *arguments)
+
+    driver = type("Replaced", (SimDriver,), {replaced: note})()
+    driver.open()
+    Bench(driver, parameters).run(0, 3)
+    assert len(called) >= 3
+
+
+def test_a_closed_driver_and_a_wrong_time_fail_as_in_python(parameters: ControlParameters) -> None:
+    bench = Bench(SimDriver(), parameters)
+    bench.driver.open()
+    bench.run(0, 10)
+    bench.cycle.run_tick(math.nan)  # readings that fail
+    assert isinstance(bench.cycle.read_error, DriverError)
+    assert bench.kept.cycles["trip"][-1] == Cause.EXCEPTION
+    bench.driver.close()
+    with pytest.raises(DriverError, match="write"):
+        bench.cycle.run_tick(11 * PERIOD)
+
+
+def test_a_publisher_without_room_fails_as_in_python(parameters: ControlParameters) -> None:
+    bench = Bench(SimDriver(), parameters, room=5)
+    bench.driver.open()
+    bench.run(0, 8)
+    assert isinstance(bench.cycle.publish_error, IndexError)
+    assert bench.kept.cycles["tick"].tolist() == [1, 2, 3, 4, 5]
+    bench.cycle.publish = later = CycleArray(5)
+    bench.run(8, 9)
+    assert len(later.cycles) == 0  # a publisher that failed is not asked again
+
+
+def test_the_ring_gets_every_record(parameters: ControlParameters, tmp_path: Path) -> None:
+    bench = Bench(SimDriver(), parameters)
+    ring = RingWriter(tmp_path / "ring", 64)
+    bench.cycle.publish = ring
+    bench.driver.open()
+    reader = RingReader(tmp_path / "ring", from_oldest=True)
+    bench.run(0, 50)
+    assert bench.calls[-1] == OVER
+    found = reader.read()
+    assert found["tick"].tolist() == list(range(1, 51))
+    assert found[-1].tobytes() == bench.cycle.record[0].tobytes()
+    ring.close()
+    bench.run(50, 51)
+    assert isinstance(bench.cycle.publish_error, ValueError)
+    reader.close()
+
+
+def test_surroundings_and_contacts_of_a_paced_plant(parameters: ControlParameters, tmp_path: Path) -> None:
+    found = []
+    benches = []
+    for kind in (PacedPlantDriver, PlainPaced):
+        folder = tmp_path / kind.__name__
+        folder.mkdir()
+        bench = Bench(kind(folder, PlantParameters()), parameters)
+        bench.driver.open()
+        bench.run(0, 10)
+        outside = SharedRecord.open(folder / SURROUNDINGS_FILE, PLANT_SURROUNDINGS)
+        around = np.zeros(1, PLANT_SURROUNDINGS)
+        around["emergency_stop_clear"] = around["guard_closed"] = True
+        around["encoder_valid"] = 1
+        around["ball_handled"] = around["ball_present"] = 1
+        outside.write(around)
+        bench.run(10, 20)
+        around["frozen"] = True
+        outside.write(around)
+        bench.run(20, 25)
+        around["frozen"] = False
+        outside.write(around)
+        bench.run(25, 30)
+        bench.driver._driver.plant_state["struck"] = True
+        bench.run(30, 35)
+        report, shared = np.zeros(1, PLANT_REPORT), SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
+        assert shared.read(report) == 1
+        found.append(report.tobytes())
+        outside.close()
+        shared.close()
+        benches.append(bench)
+        bench.driver.close()
+    assert_same(*benches)
+    assert found[0] == found[1]
+    assert benches[0].calls[-1] == OVER
+
+
+class PlantOfFiles:
+    """A plant process's files, written by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self.command = SharedRecord.create(folder / COMMAND_FILE, PLANT_COMMAND)
+        self.report = SharedRecord.create(folder / REPORT_FILE, PLANT_REPORT)
+        self.record = new_record(PLANT_REPORT)
+        self.record["node"]["watchdog"], self.record["node"]["operational"] = 0.01, True
+        self.record["node"]["session"] = 1
+        self.report.write(np.asarray(self.record))
+
+    def answer(self, *_: object) -> None:
+        """Begin the session that the driver waits for."""
+        self.record["node"]["session"] = 2
+        self.report.write(np.asarray(self.record))
+
+    def move(self, k: int, operational: bool = True) -> None:
+        random = np.random.default_rng(k)
+        readings, truth = self.record["readings"], self.record["truth"]
+        readings["encoder_count"], readings["encoder_time"] = random.integers(0, 1000, 3), 5.0 + k * PERIOD
+        readings["encoder_valid"], readings["chamber_pressure"] = 1, random.uniform(1e5, 5e5, 6)
+        truth["plant_angle"], truth["plant_head_speed"] = random.uniform(0, 1, 3), k
+        self.record["node"]["operational"] = operational
+        self.report.write(np.asarray(self.record))
+
+    def close(self) -> None:
+        self.command.close()
+        self.report.close()
+
+
+def test_a_plant_in_its_own_process(parameters: ControlParameters, tmp_path: Path) -> None:
+    benches, sent = [], []
+    for kind in (ProcessPlantDriver, PlainProcess):
+        plant = PlantOfFiles(tmp_path / kind.__name__)
+        bench = Bench(kind(tmp_path / kind.__name__), parameters)
+        bench.driver._wait = plant.answer
+        bench.driver.open()
+        command = np.zeros(1, PLANT_COMMAND)
+        for k in range(60):
+            if k % 7:  # else the plant has stalled
+                plant.move(k, operational=k < 40)
+            bench.run(k, k + 1, 5.0)
+            plant.command.read(command)
+            sent.append(command.tobytes())
+        with pytest.raises(DriverError, match="invalid time"):
+            bench.driver.read(4.0)
+        benches.append(bench)
+        bench.driver.close()
+        plant.close()
+    assert_same(*benches)
+    assert sent[:60] == sent[60:]
+    assert set(benches[0].calls) == {OVER}
+
+
+finite_or_not = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    valve=st.tuples(*[finite_or_not | st.floats(-1.5, 1.5)] * 3),
+    bits=st.tuples(*[st.booleans()] * 6),
+)
+def test_a_device_limits_alike(valve: tuple[float, float, float], bits: tuple[bool, ...]) -> None:
+    command = Command(valve, *bits)
+    given_, applied, expected = (new_record(COMMAND) for _ in range(3))
+    pack_command(command, given_)
+    limit_command(given_, applied)
+    pack_command(device_limited(command), expected)
+    assert applied.tobytes() == expected.tobytes(), (unpack_command(applied), device_limited(command))
