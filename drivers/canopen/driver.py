@@ -22,6 +22,7 @@ import errno
 import math
 import struct
 import time as wall
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -37,6 +38,7 @@ from drivers.base import (
     believed,
     device_limited,
 )
+from drivers.base.native_calls import NativeCalls
 from drivers.can_bus import ERROR, FRAME
 from drivers.canopen.counters import BusCounters
 from drivers.canopen.frames import (
@@ -61,7 +63,9 @@ from drivers.canopen.frames import (
     max_rate,
     pressure_groups,
 )
-from drivers.canopen.link import FrameLink, open_link
+from drivers.canopen.link import FrameLink, SocketcanLink, open_link
+from drivers.canopen.native_state import FIXED, SHARED, NativeState
+from drivers.canopen.native_tick import MAX_WAITING, failure, words_of
 from drivers.canopen.services import Node
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 from drivers.canopen.setup import set_up_encoder, set_up_valve_node
@@ -72,8 +76,6 @@ _BOOT_UP, _OPERATIONAL = 0, 5
 """States in a heartbeat."""
 _ALL = 0b111
 """Bit mask: samples of all encoders are expected."""
-_MAX_WAITING = 64
-"""Maximum frames processed at once: more than a bus of 1 Mbit/s carries in three ticks of a millisecond."""
 _MISSED = 3.0
 """Periods without a frame after which a node is lost."""
 _MAX_STEP = 5.0
@@ -111,21 +113,22 @@ class CanopenDriver:
         """
         self.settings = settings or CanopenSettings()
         self.period, self.watchdog = period, watchdog
-        self.counters = BusCounters()
+        self._counters = BusCounters()
         self.trouble = ""
         """Why it is not operational; empty while operational."""
         self._has_failed = False
         """A fault occurred that reopening has not cleared yet."""
         self.load = bus_load(self.settings, period, watchdog)
         """Maximum bus load as a share."""
-        self.applied = PASSIVE
-        """Last command sent."""
+        self._applied = PASSIVE
         self._counts, self.clock, self._open_bus = counts_per_revolution, clock, open_bus
         self._link: FrameLink | None = None
         encoders, valve_node = self.settings.encoders, self.settings.valve_node
         self._numbers = (*encoders.nodes, valve_node.node)
         self._roles = (*(f"encoder of the {joint}" for joint in JOINTS), "valves and interlocks")
         self._range = [counts_per_revolution] * 3
+        self.max_step = _MAX_STEP * period
+        """Max time that one tick adds to the time without frames, s."""
         self._sync = frame(SYNC)
         self._beat = frame(HEARTBEAT + self.settings.master, bytes([_OPERATIONAL]))
         self._beat_period = beat_period(watchdog)
@@ -135,6 +138,9 @@ class CanopenDriver:
         self._max_input_gap = _MISSED * self.settings.interlock_period
         self._max_pressure_gap = _MISSED * self.settings.pressure_ticks * period
         self._takers = self._make_takers()
+        self._native = NativeState(self.settings)
+        self._pending: deque[bytes] = deque()
+        """Frames received by compiled code and not taken."""
         self._forget()
 
     def _set_scales(self, valve_node: ValveNodeSettings) -> None:
@@ -193,9 +199,26 @@ class CanopenDriver:
         self._states = [-1] * 4
         self._beaten = -math.inf
         self._room_since = ABSENT
+        self._pending.clear()
+        self._waiting_until = math.nan
+        """Time-out of the answers to a SYNC that compiled code has sent, s."""
+        self._receive_error = self._send_error = 0
+        """Failures (errno) that compiled code has met."""
         self._answer: tuple[int, bytes] | None = None
         self._listening = False
         """Startup is complete: state and error reports of nodes are evaluated."""
+
+    @property
+    def counters(self) -> BusCounters:
+        """Counters of frames and failures."""
+        self._take_over()
+        return self._counters
+
+    @property
+    def applied(self) -> Command:
+        """Last command sent."""
+        self._take_over()
+        return self._applied
 
     @property
     def operational(self) -> bool:
@@ -216,7 +239,7 @@ class CanopenDriver:
         self._check_load()
         self._has_failed |= bool(self.trouble)
         self._forget()
-        self.trouble, self.applied = "", PASSIVE
+        self.trouble, self._applied = "", PASSIVE
         self._link = self._open_bus(self.settings, sorted(self._takers))
         try:
             self._begin()
@@ -228,7 +251,7 @@ class CanopenDriver:
         except BaseException:
             self._detach()
             raise
-        self.counters.recoveries += self._has_failed
+        self._counters.recoveries += self._has_failed
         self._has_failed = False
 
     def _check_load(self) -> None:
@@ -315,6 +338,7 @@ class CanopenDriver:
 
     def close(self) -> None:
         """Make the device passive, stop its nodes and close the bus. Allowed in any state, also twice."""
+        self._take_over()
         if self._link is not None:
             self.make_passive()
             with suppress(Exception):  # whatever the state of the bus
@@ -322,7 +346,7 @@ class CanopenDriver:
                 for number in self._numbers[:_VALVE_NODE]:
                     self._order(_ENTER_PRE_OPERATIONAL, number)
         self._detach()
-        self.applied = PASSIVE
+        self._applied = PASSIVE
 
     def _detach(self) -> None:
         link, self._link = self._link, None
@@ -332,7 +356,8 @@ class CanopenDriver:
 
     def make_passive(self) -> None:
         """Send the passive command if the bus is open; otherwise already passive. Never raises."""
-        self.applied = PASSIVE
+        self._take_over()
+        self._applied = PASSIVE
         if self._link is not None:
             with suppress(Exception):
                 self._link.send_frame(self._passive_frame)
@@ -348,6 +373,7 @@ class CanopenDriver:
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.
         """
+        self._take_over()
         link = self._link
         if link is None:
             raise DriverError("canopen driver: read() while closed; call open() first")
@@ -356,30 +382,33 @@ class CanopenDriver:
                 f"canopen driver: read() at invalid time {time} s, expected finite and at least "
                 f"{self._time} s; pass CLOCK_MONOTONIC"
             )
-        self._listened += min(time - self._time, _MAX_STEP * self.period)
+        self._listened += min(time - self._time, self.max_step)
         self._time = time
-        counters, clock = self.counters, self.clock
-        self._in_time = False
+        counters, clock = self._counters, self.clock
         try:
-            for _ in range(_MAX_WAITING):  # received since the last tick
-                waiting = link.receive_frame(0.0)
-                if waiting is None:
-                    break
-                self._take(waiting)
-            else:
-                counters.floods += 1
-            if self._awaited:
-                self._note_missing()
-            sent = self._send(link, self._sync)
-            if not math.isnan(sent):
-                counters.syncs += 1
-                self._sync_time, self._awaited, self._came, self._in_time = sent, _ALL, 0, True
-                end = clock() + self.settings.answer_time
-                while self._awaited and (left := end - clock()) > 0.0:
-                    waiting = link.receive_frame(left)
+            if math.isnan(self._waiting_until):
+                self._in_time = False
+                for _ in range(MAX_WAITING):  # received since the last tick
+                    waiting = self._receive(link, 0.0)
                     if waiting is None:
                         break
                     self._take(waiting)
+                else:
+                    counters.floods += 1
+                if self._awaited:
+                    self._note_missing()
+                sent = self._send(link, self._sync)
+                if not math.isnan(sent):
+                    counters.syncs += 1
+                    self._sync_time, self._awaited, self._came, self._in_time = sent, _ALL, 0, True
+                    self._waiting_until = clock() + self.settings.answer_time
+            if not math.isnan(self._waiting_until):
+                while self._awaited and (left := self._waiting_until - clock()) > 0.0:
+                    waiting = self._receive(link, left)
+                    if waiting is None:
+                        break
+                    self._take(waiting)
+                sent = self._sync_time
                 if (on_wire := link.sync_time(sent)) != sent:
                     self._sync_time = on_wire
                     for joint in range(3):
@@ -388,6 +417,7 @@ class CanopenDriver:
         except OSError as error:
             counters.receive_failures += 1
             self._note_trouble(f"receiving failed: {error}")
+        self._waiting_until = math.nan
         self._supervise()
         return self._readings(time)
 
@@ -397,6 +427,7 @@ class CanopenDriver:
         Raises:
             DriverError: not open.
         """
+        self._take_over()
         link = self._link
         if link is None:
             raise DriverError("canopen driver: write() while closed; call open() first")
@@ -406,12 +437,13 @@ class CanopenDriver:
             self._send(link, self._beat)
         sent = self._send(link, self._passive_frame if applied is PASSIVE else self._packed(applied))
         if not math.isnan(sent):
-            self.applied, self._room_since = applied, ABSENT
+            self._applied, self._room_since = applied, ABSENT
         elif math.isnan(self._room_since):
             self._room_since = self._time
         elif self._time - self._room_since > _MAX_NO_ROOM * self.watchdog:
             self._note_trouble("the interface's transmit queue is full")
-        return PASSIVE if self.trouble else self.applied
+        self._hand_over(link)
+        return PASSIVE if self.trouble else self._applied
 
     def _packed(self, command: Command) -> bytes:
         """Return the frame of `command`, already limited."""
@@ -436,14 +468,26 @@ class CanopenDriver:
     def _send(self, link: FrameLink, whole: bytes) -> float:
         """Send a frame; return the send time (s), NaN on failure."""
         try:
+            if self._send_error:
+                number, self._send_error = self._send_error, 0
+                raise failure(number)
             return link.send_frame(whole)
         except OSError as error:
             if error.errno in (errno.ENOBUFS, errno.EAGAIN):
-                self.counters.no_room += 1
+                self._counters.no_room += 1
             else:
-                self.counters.send_failures += 1
+                self._counters.send_failures += 1
                 self._note_trouble(f"sending failed: {error}")
             return math.nan
+
+    def _receive(self, link: FrameLink, timeout: float) -> bytes | None:
+        """Return the next frame, or None after `timeout` s; OSError on failure."""
+        if self._pending:
+            return self._pending.popleft()
+        if self._receive_error:
+            number, self._receive_error = self._receive_error, 0
+            raise failure(number)
+        return link.receive_frame(timeout)
 
     def _readings(self, time: float) -> Readings:
         inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
@@ -493,7 +537,7 @@ class CanopenDriver:
 
     def _take(self, whole: bytes) -> None:
         """Process one received frame."""
-        counters = self.counters
+        counters = self._counters
         counters.frames += 1
         identifier, length, data = FRAME.unpack(whole)
         taker = self._takers.get(identifier)  # identifiers with flags are foreign
@@ -512,12 +556,12 @@ class CanopenDriver:
         """
         for joint in range(3):
             if self._awaited >> joint & 1:
-                self.counters.missing += 1
+                self._counters.missing += 1
                 self._owed[joint] = 0 if self._came >> joint & 1 else self._owed[joint] + 1
         self._awaited = 0
 
     def _take_position(self, joint: int, data: bytes) -> None:
-        counters, bit = self.counters, 1 << joint
+        counters, bit = self._counters, 1 << joint
         if len(data) != POSITION_LENGTH:
             counters.wrong_length += 1
             return
@@ -541,16 +585,16 @@ class CanopenDriver:
 
     def _take_inputs(self, data: bytes) -> None:
         if len(data) != INPUTS_LENGTH:
-            self.counters.wrong_length += 1
+            self._counters.wrong_length += 1
             return
-        self.counters.inputs += 1
+        self._counters.inputs += 1
         self._inputs, self._inputs_received = data[0], self._listened
 
     def _take_pressures(self, n: int, group: tuple[int, ...], packed: struct.Struct, data: bytes) -> None:
         if len(data) != packed.size:
-            self.counters.wrong_length += 1
+            self._counters.wrong_length += 1
             return
-        self.counters.pressures += 1
+        self._counters.pressures += 1
         self._pressures_received[n] = self._listened
         for channel, count in zip(group, packed.unpack(data), strict=True):
             self._pressures[channel] = self._pressure_of(count)
@@ -561,24 +605,24 @@ class CanopenDriver:
 
     def _take_heartbeat(self, index: int, data: bytes) -> None:
         if len(data) != 1:
-            self.counters.wrong_length += 1
+            self._counters.wrong_length += 1
             return
         state = data[0] & 0x7F
         self._last_heard[index], self._states[index] = self._listened, state
         who = f"node {self._numbers[index]} ({self._roles[index]})"
         if state == _BOOT_UP:
-            self.counters.boot_ups += 1
+            self._counters.boot_ups += 1
             self._note_trouble(f"{who} has restarted")
         else:
-            self.counters.heartbeats += 1
+            self._counters.heartbeats += 1
             if state != _OPERATIONAL:
                 self._note_trouble(f"{who} has left the operational state for state {state}")
 
     def _take_emergency(self, index: int, data: bytes) -> None:
         if len(data) != EMERGENCY_LENGTH:
-            self.counters.wrong_length += 1
+            self._counters.wrong_length += 1
             return
-        self.counters.emergencies += 1
+        self._counters.emergencies += 1
         code = data[0] | data[1] << 8
         if index < _VALVE_NODE:
             self._faulty[index] = code != 0
@@ -587,12 +631,12 @@ class CanopenDriver:
             self._note_trouble(f"{who} reports error {code:04X}h, register {data[2]:02X}h")
 
     def _take_answer(self, number: int, data: bytes) -> None:
-        self.counters.services += 1
+        self._counters.services += 1
         self._answer = SDO_RESPONSE + number, data
 
     def _take_error(self, identifier: int, data: bytes) -> None:
         """Process an error frame of the interface (linux/can/error.h)."""
-        counters = self.counters
+        counters = self._counters
         counters.error_frames += 1
         if identifier & _BUS_OFF:
             counters.bus_off += 1
@@ -620,6 +664,44 @@ class CanopenDriver:
                 self._pressures_received[n] = -math.inf
                 for channel in self._pressure_groups[n]:
                     self._pressures[channel] = INVALID
+
+    # Ticks in compiled code ----------------------------------------------------------------------
+
+    def native_calls(self) -> NativeCalls:
+        """Return the native functions; they decline on anything but a raw SocketCAN socket."""
+        return self._native.calls()
+
+    def _hand_over(self, link: FrameLink) -> None:
+        """Let compiled code run the next ticks if it can."""
+        if (
+            not (self._native.is_wanted and isinstance(link, SocketcanLink) and self._listening)
+            or (self.trouble or self._pending or self._receive_error or self._send_error)
+            or not math.isnan(self._room_since)
+            or self.clock is not wall.monotonic
+        ):
+            return
+        values = {field: getattr(self, name) for field, name in (SHARED | FIXED).items()}
+        values |= {"sync": words_of(self._sync), "beat": words_of(self._beat), "applied": self._applied}
+        values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.ahead}
+        values["answer_time"] = self.settings.answer_time
+        self._native.store(values, self._pressures, self._pressures_received)
+
+    def _take_over(self) -> None:
+        """Go on in Python from the state of compiled code, if that has the newest."""
+        if not self._native.leads[0]:
+            return
+        values = self._native.load()
+        for field, name in SHARED.items():
+            setattr(self, name, values[field])
+        self._pressures |= values["pressures"]
+        self._pressures_received, self._applied = values["pressures_received"], values["applied"]
+        for name, count in values["counters"].items():
+            setattr(self._counters, name, getattr(self._counters, name) + count)
+        self._waiting_until = values["end"] if values["waiting"] else math.nan
+        self._pending.extend(values["pending"])
+        self._receive_error, self._send_error = values["receive_error"], values["send_error"]
+        if isinstance(self._link, SocketcanLink):
+            self._link.echoed, self._link.ahead = values["echoed"], values["ahead"]
 
     # Bus access during startup -------------------------------------------------------------------
 

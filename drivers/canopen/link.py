@@ -60,11 +60,17 @@ class SocketcanLink:
 
     def __init__(self, bus: SocketcanBus) -> None:
         self._bus, self._socket = bus, bus.socket
-        self._echoed = -math.inf
-        self._ahead = time.time_ns() - time.monotonic_ns()
+        self.echoed = -math.inf
+        """Time of transmission of the last own SYNC, s."""
+        self.ahead = time.time_ns() - time.monotonic_ns()
         """Offset of the time stamp clock to CLOCK_MONOTONIC, ns."""
         with suppress(OSError):  # needs CAP_NET_ADMIN
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
+
+    @property
+    def descriptor(self) -> int:
+        """File descriptor of the socket, for compiled code."""
+        return int(self._socket.fileno())
 
     def send_frame(self, frame: bytes) -> float:
         """Send `frame` and return the send time (s, CLOCK_MONOTONIC); OSError on failure."""
@@ -91,17 +97,17 @@ class SocketcanLink:
 
     def sync_time(self, sent: float) -> float:
         """Return when the SYNC sent at `sent` was on the wire, or `sent` if not yet known (s)."""
-        return self._echoed if sent <= self._echoed < sent + _MAX_ECHO_DELAY else sent
+        return self.echoed if sent <= self.echoed < sent + _MAX_ECHO_DELAY else sent
 
     def _note_echo(self, ancillary: list[tuple[int, int, bytes]]) -> None:
         """Note when the own SYNC was transmitted; the filters pass no other own frame."""
         before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < _MAX_CLOCK_READ:  # else the thread was interrupted: keep the last offset
-            self._ahead = now - (before + after) // 2
+            self.ahead = now - (before + after) // 2
         for _, kind, content in ancillary:
             if kind == SO_TIMESTAMPNS:
                 seconds, rest = _STAMP.unpack(content)
-                self._echoed = 1e-9 * (seconds * 1_000_000_000 + rest - self._ahead)
+                self.echoed = 1e-9 * (seconds * 1_000_000_000 + rest - self.ahead)
 
     def shutdown(self) -> None:
         """Close the interface. May be called twice."""

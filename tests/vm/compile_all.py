@@ -14,6 +14,7 @@ from bench.shot.recorded_shot import FlightConditions, warm_up_shots
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
+from drivers.canopen.driver import CanopenDriver
 from drivers.mock import MockDriver
 from sim.nodes.plan import NodesPlan
 from sim.nodes.process import run_nodes
@@ -44,6 +45,7 @@ def main() -> None:
         driver.close()
         ring.close()
         bus = c.canopen
+        CanopenDriver(bus).native_calls()
         plan = NodesPlan(
             "local_socket",
             str(folder / "bus"),

@@ -1,0 +1,127 @@
+"""The state of a CANopen driver as memory of its compiled ticks, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numba
+
+from drivers.base import unpack_command
+from drivers.base.compiled import new_record, numbers
+from drivers.base.native_calls import NativeCall, NativeCalls
+from drivers.canopen.frames import pressure_groups
+from drivers.canopen.native_tick import (
+    COUNTED,
+    IS_SUPPORTED,
+    LINK_STATE,
+    NOWHERE,
+    left_over,
+    prepare,
+    read_native,
+    write_native,
+)
+from drivers.canopen.settings import CanopenSettings
+
+SHARED = {
+    "time": "_time",
+    "listened": "_listened",
+    "sync_time": "_sync_time",
+    "awaited": "_awaited",
+    "came": "_came",
+    "in_time": "_in_time",
+    "owed": "_owed",
+    "counts": "_count",
+    "sampled": "_sampled",
+    "seen": "_seen",
+    "faulty": "_faulty",
+    "inputs": "_inputs",
+    "inputs_received": "_inputs_received",
+    "last_heard": "_last_heard",
+    "beaten": "_beaten",
+}
+"""Fields that compiled code changes, with the names of `CanopenDriver`."""
+FIXED = {
+    "nodes": "_numbers",
+    "counts_per_revolution": "_counts",
+    "range": "_range",
+    "input_bits": "_input_bits",
+    "vent_bits": "_vent_bits",
+    "output_bits": "_output_bits",
+    "valve_centre": "_valve_centre",
+    "valve_span": "_valve_span",
+    "pressure_zero": "_pressure_zero",
+    "pressure_scale": "_pressure_scale",
+    "believable": "_believable",
+    "max_step": "max_step",
+    "beat_period": "_beat_period",
+    "max_silence": "_max_silence",
+    "max_input_gap": "_max_input_gap",
+    "max_pressure_gap": "_max_pressure_gap",
+    "command_identifier": "_command_identifier",
+}
+"""Fields that it only reads."""
+LOADED = (*SHARED, "waiting", "end", "receive_error", "send_error", "echoed", "ahead")
+
+
+class NativeState:
+    """The record of a driver's compiled ticks."""
+
+    def __init__(self, settings: CanopenSettings) -> None:
+        self._settings = settings
+        self._state = new_record(LINK_STATE)
+        self._channels = settings.valve_node.analogue_inputs
+        self.leads = numbers(self._state["leads"])
+        """Whether compiled code has the newest state (one number)."""
+        self.is_wanted = False
+        """Whether somebody asked for the native functions."""
+
+    def calls(self) -> NativeCalls:
+        """Return the native functions; none on a system with other structures of the kernel."""
+        if not IS_SUPPORTED or numba.config.DISABLE_JIT:
+            return NativeCalls()
+        self.is_wanted = True
+        block = self._state.ctypes.data
+        return NativeCalls(NativeCall(read_native.address, block), NativeCall(write_native.address, block))
+
+    def store(self, values: Mapping[str, Any], pressures: Mapping[int, float], received: list[float]) -> None:
+        """Take the state, whose ticks are compiled from now on.
+
+        `values` are fields of LINK_STATE; `pressures` (Pa) are keyed by analogue input, 0 where none is
+        fitted, and `received` is when each of their groups came (s).
+        """
+        state, channels, node = self._state[0], self._channels, self._settings.valve_node
+        for name in ("waiting", "receive_error", "send_error", "at", "count"):
+            state[name] = 0
+        for name, value in values.items():
+            state[name] = value
+        place = {channel: k for k, channel in enumerate(channels)} | {0: NOWHERE}
+        for channel, k in place.items():
+            state["pressures"][k] = pressures[channel]
+        state["supply"] = place[node.supply_pressure]
+        state["chambers"] = [place[channel] for channel in node.chamber_pressures]
+        sizes = [len(group) for group in pressure_groups(node)]
+        state["group_sizes"], state["pressures_received"] = (sizes + [0, 0])[:2], (received + [0.0, 0.0])[:2]
+        prepare(self._state)
+        self.leads[0] = True
+
+    def load(self) -> dict[str, Any]:
+        """Return the state in plain values and let Python lead.
+
+        `pressures` are keyed by analogue input, `counters` by name: what is to be added to them; `pending`
+        are the frames received and not taken.
+        """
+        state = self._state[0]
+        self.leads[0] = False
+        groups = len(pressure_groups(self._settings.valve_node))
+        values: dict[str, Any] = {name: state[name].tolist() for name in LOADED}
+        for name in ("seen", "faulty"):
+            values[name] = [one != 0 for one in values[name]]
+        found = state["pressures"].tolist()
+        values["pressures"] = {channel: found[k] for k, channel in enumerate(self._channels)}
+        values["pressures_received"] = state["pressures_received"][:groups].tolist()
+        values["counters"] = dict(zip(COUNTED, state["counters"].tolist(), strict=True))
+        state["counters"] = 0
+        values["applied"] = unpack_command(self._state["applied"])
+        values["pending"] = left_over(self._state)
+        return values

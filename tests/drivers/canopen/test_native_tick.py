@@ -1,0 +1,340 @@
+"""Compiled ticks of the CANopen driver on a socket beside those in Python: the same frames, readings, counts.
+
+The socket is a pair of packet sockets with nodes of a few lines behind it; what only SocketCAN has, echoes
+with time stamps, is put into the kernel's structures by hand.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from drivers.base import COMMAND, READINGS, Command, Readings, pack_command, unpack_command, unpack_readings
+from drivers.base.compiled import new_record
+from drivers.base.native_calls import DECLINED, NativeCall
+from drivers.can_bus import ERROR, FRAME
+from drivers.canopen.driver import CanopenDriver
+from drivers.canopen.link import SocketcanLink
+from drivers.canopen.native_tick import IS_SUPPORTED, LINK_STATE, _take_batch, prepare
+from drivers.canopen.settings import CanopenSettings
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT) or not IS_SUPPORTED, reason="nothing is compiled"
+)
+
+PERIOD = 0.001
+PATIENCE = 20.0
+SETTINGS = CanopenSettings(answer_time=0.02)
+NODE = SETTINGS.valve_node.node
+MOVING = Command((0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, guard_lock=False, beacon=True)
+
+Frames = list[tuple[int, bytes]]
+
+
+class PairBus:
+    """One end of a pair of sockets as the bus that python-can would open."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self.socket = end
+
+    def shutdown(self) -> None:
+        self.socket.close()
+
+
+class Nodes:
+    """Answers every SYNC by what `script` returns for its number, from 0 on; notes all frames it hears."""
+
+    def __init__(self, script: Callable[[int], Frames]) -> None:
+        self.ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.bus, self._script = PairBus(theirs), script
+        self.heard: list[bytes] = []
+        self.answered = 0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        syncs = 0
+        while whole := self.ours.recv(FRAME.size):
+            self.heard.append(whole)
+            if FRAME.unpack(whole)[0] == 0x80:
+                for identifier, data in self._script(syncs):
+                    self.ours.send(FRAME.pack(identifier, len(data), data[:8]))
+                syncs += 1
+            self.answered += 1
+
+    def wait_for_command(self, before: int) -> None:
+        """Wait until a command has been heard after the first `before` frames, and all is answered."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            heard = list(self.heard)
+            commanded = any(FRAME.unpack(whole)[0] == 0x200 + NODE for whole in heard[before:])
+            if commanded and self.answered >= len(heard):
+                return
+            assert time.monotonic() < deadline, f"{heard[before:]} heard, {self.answered} answered"
+            time.sleep(0.0001)
+
+    def end(self) -> None:
+        self.ours.shutdown(socket.SHUT_RDWR)
+        self._thread.join(PATIENCE)
+        self.ours.close()
+
+
+class Started(CanopenDriver):
+    """The driver with nodes that need no setting up."""
+
+    def _begin(self) -> None:
+        self._listening, self._states = True, [5] * 4
+        self._pressures_received = [0.0] * len(self._pressure_groups)
+
+
+def call(native: NativeCall, first: np.ndarray, second: np.ndarray | None, now: float) -> int:
+    words = [ctypes.c_int64] * 4
+    function = ctypes.CFUNCTYPE(*words, ctypes.c_double)(native.function)
+    return int(function(native.block, first.ctypes.data, 0 if second is None else second.ctypes.data, now))
+
+
+class Rig:
+    """A driver on nodes; `native`: its ticks are compiled wherever they can be."""
+
+    def __init__(
+        self, script: Callable[[int], Frames], *, native: bool, settings: CanopenSettings = SETTINGS
+    ) -> None:
+        self.nodes = Nodes(script)
+        self.driver = Started(
+            settings,
+            period=PERIOD,
+            watchdog=0.1,
+            open_bus=lambda *_: SocketcanLink(self.nodes.bus),  # type: ignore[arg-type]
+        )
+        self.calls = self.driver.native_calls() if native else None
+        self.declined: list[tuple[int, str]] = []
+        self.readings: list[Readings] = []
+        self.applied: list[Command] = []
+        self.ticks = self.sent = 0
+        self.driver.open()
+
+    def tick(self, command: Command = MOVING) -> None:
+        now = 1000.0 + PERIOD * self.ticks
+        self.readings.append(self._read(now))
+        self.applied.append(self._write(command, now))
+        self.ticks += 1
+
+    def _read(self, now: float) -> Readings:
+        record = new_record(READINGS)
+        if self.calls and call(self.calls.read, record, None, now) != DECLINED:
+            return unpack_readings(record)
+        self.declined.append((self.ticks, "read"))
+        return self.driver.read(now)
+
+    def _write(self, command: Command, now: float) -> Command:
+        given, applied = new_record(COMMAND), new_record(COMMAND)
+        pack_command(command, given)
+        if self.calls and call(self.calls.write, given, applied, now) != DECLINED:
+            return unpack_command(applied)
+        self.declined.append((self.ticks, "write"))
+        return self.driver.write(command)
+
+    def run(self, ticks: int, command: Callable[[int], Command] = lambda _: MOVING) -> None:
+        """Run ticks, each after the nodes have heard all of the one before."""
+        for _ in range(ticks):
+            before = len(self.nodes.heard)
+            self.tick(command(self.ticks))
+            self.nodes.wait_for_command(before)
+
+    def end(self) -> None:
+        self.driver.close()
+        self.nodes.end()
+
+
+class Found(NamedTuple):
+    """All that must be alike."""
+
+    frames: list[bytes]
+    readings: list[tuple[Any, ...]]
+    applied: list[Command]
+    counters: dict[str, int]
+    trouble: str
+
+
+def found(rig: Rig) -> Found:
+    readings = [
+        one._replace(encoder_time=(0.0,) * 3, encoder_age=(0.0,) * 3)[0:]
+        for one in map(canonical, rig.readings)
+    ]
+    return Found(
+        list(rig.nodes.heard), readings, rig.applied, rig.driver.counters.counts(), rig.driver.trouble
+    )
+
+
+def canonical(readings: Readings) -> Readings:
+    """Return the readings with NaN as text, which equals itself."""
+    text: Any = [tuple(map(repr, part)) for part in (readings.chamber_pressure, readings.vent_open)]
+    supply: Any = repr(readings.supply_pressure)
+    return readings._replace(chamber_pressure=text[0], vent_open=text[1], supply_pressure=supply)
+
+
+def positions(k: int, joints: tuple[int, ...] = (0, 1, 2)) -> Frames:
+    return [
+        (0x280 + SETTINGS.encoders.nodes[joint], (1000 * joint + 7 * k).to_bytes(4, "little"))
+        for joint in joints
+    ]
+
+
+def heartbeats() -> Frames:
+    return [(0x700 + node, b"\x05") for node in (*SETTINGS.encoders.nodes, NODE)]
+
+
+PRESSURES = [
+    (0x280 + NODE, b"\x10\x27\xff\x7f\x00\x80\xf0\xd8"),
+    (0x380 + NODE, b"\x10\x20\x01\x00\x02\x00"),
+]
+ODD: dict[int, Frames] = {
+    2: [(0x180 + NODE, b"\x0f")],
+    4: heartbeats(),
+    5: PRESSURES,
+    7: [(0x280 + SETTINGS.encoders.nodes[1], b"\1\2\3")],
+    8: [(0x333, b"foreign")],
+    10: [(0x80 + SETTINGS.encoders.nodes[0], bytes([0, 0x50, 1, 0, 0, 0, 0, 0]))],
+    12: [(0x80 + SETTINGS.encoders.nodes[0], bytes(8))],
+    14: [(0x04 | ERROR, bytes([0, 1, 0, 0, 0, 0, 0, 0]))],
+    15: positions(3, (1,)),
+    16: [(0x580 + NODE, bytes(8))],
+    18: [(0x180 + NODE, b"\xff"), *PRESSURES[:1], *heartbeats()],
+    20: [(0x180 + NODE, b"")],
+    21: [(0x280 + SETTINGS.encoders.nodes[0], b"\xff\xff\xff\xff")],
+}
+
+
+def before_and_after(k: int) -> Frames:
+    """Odd frames before the positions in even thousands of ticks, after them in odd ones."""
+    odd = ODD.get(k % 24, [])
+    answers = positions(k, (0, 2)) if k % 24 == 13 else positions(k)
+    return [*odd, *answers] if k % 48 < 24 else [*answers, *odd]
+
+
+@pytest.fixture(params=[True, False], ids=["six pressures", "none"])
+def configured(request: pytest.FixtureRequest) -> CanopenSettings:
+    if request.param:
+        return SETTINGS
+    node = replace(SETTINGS.valve_node, supply_pressure=0, chamber_pressures=(0,) * 6)
+    return replace(SETTINGS, valve_node=node)
+
+
+@pytest.fixture
+def rigs() -> Iterator[Callable[..., Rig]]:
+    made: list[Rig] = []
+
+    def make(*arguments: Any, **options: Any) -> Rig:
+        made.append(Rig(*arguments, **options))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.end()
+
+
+def commands(k: int) -> Command:
+    if k % 9 == 4:
+        return Command((float("nan"), 0.0, 0.0), supply_enable=True)
+    opening = -1.2 + 0.05 * k
+    return Command((opening, -opening, 0.1), k % 2 == 0, k % 3 == 0, k % 5 == 0, k % 7 == 0, k % 4 == 0)
+
+
+def test_all_frames_readings_and_counts_are_alike(
+    rigs: Callable[..., Rig], configured: CanopenSettings
+) -> None:
+    both = [rigs(before_and_after, native=native, settings=configured) for native in (True, False)]
+    for rig in both:
+        rig.run(60, commands)
+    ours, theirs = map(found, both)
+    for name in Found._fields:
+        assert getattr(ours, name) == getattr(theirs, name), name
+    assert len(both[0].declined) < 60  # the first tick, and those with odd frames
+    assert len(both[1].declined) == 120
+
+
+def test_usual_ticks_are_compiled(rigs: Callable[..., Rig]) -> None:
+    rig = rigs(lambda k: [*positions(k), *(heartbeats() if k % 10 == 0 else [])], native=True)
+    rig.run(50)
+    assert rig.declined == [(0, "read"), (0, "write")]
+    assert rig.driver.counters.positions == 150
+    assert rig.driver.applied == rig.applied[-1]
+    rig.run(2)
+    assert rig.declined[2:] == [(50, "read"), (50, "write")]  # the counters were asked for
+
+
+@pytest.mark.parametrize(
+    "last",
+    [
+        [(0x700 + NODE, b"\x00")],
+        [(0x700 + SETTINGS.encoders.nodes[2], b"\x7f")],
+        [(0x80 + NODE, bytes([0x10, 0x81, 1, 0, 0, 0, 0, 0]))],
+        [(0x40 | ERROR, bytes(8))],
+    ],
+    ids=["restarted", "left", "emergency", "bus off"],
+)
+@pytest.mark.parametrize("first", [True, False], ids=["before", "between"])
+def test_trouble_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, first: bool) -> None:
+    def script(k: int) -> Frames:
+        answers = positions(k)
+        if k != 10:
+            return answers
+        return [*last, *answers] if first else [*answers[:2], *last, *answers[2:]]
+
+    both = [rigs(script, native=native) for native in (True, False)]
+    for rig in both:
+        rig.run(14)
+    ours, theirs = map(found, both)
+    assert ours == theirs
+    assert ours.trouble
+    assert ours.applied[9] != ours.applied[10] == Command()
+
+
+def test_silence_is_trouble_in_the_same_tick(rigs: Callable[..., Rig]) -> None:
+    settings = replace(SETTINGS, heartbeat=0.005, interlock_period=0.004)
+    both = [rigs(positions, native=native, settings=settings) for native in (True, False)]
+    for rig in both:
+        rig.run(25)
+    ours, theirs = map(found, both)
+    assert ours == theirs
+    assert "interlocks" in ours.trouble
+
+
+def test_a_send_that_fails_is_met_once(rigs: Callable[..., Rig]) -> None:
+    both = [rigs(positions, native=native) for native in (True, False)]
+    for rig in both:
+        rig.run(5)
+        rig.nodes.ours.shutdown(socket.SHUT_RD)
+        rig.tick()
+        assert "sending failed" in rig.driver.trouble
+    ours, theirs = map(found, both)
+    assert ours.counters == theirs.counters
+    assert ours.applied == theirs.applied
+
+
+def test_an_echo_gives_the_time_of_the_sync() -> None:
+    state = new_record(LINK_STATE)
+    prepare(state)
+    s = state[0]
+    s["count"] = 2
+    stamp = time.time_ns()
+    ahead = stamp - time.monotonic_ns()
+    for k in range(2):
+        s["headers"][8 * k + 5], s["headers"][8 * k + 6] = 32, 0x800 if k == 0 else 0
+        s["control"][4 * k : 4 * k + 4] = 32, 1 | 35 << 32, stamp // 10**9, stamp % 10**9
+    s["nodes"], s["awaited"], s["in_time"] = (1, 2, 3, 10), 7, 1
+    s["frames"][2:4] = 0x281 | 4 << 32, 99
+    s["counts_per_revolution"], s["range"] = 2**17, 2**17
+    assert _take_batch(state, state.ctypes.data, 64, False) == 1
+    assert s["echoed"] == pytest.approx(1e-9 * (stamp - ahead), abs=1e-3)
+    assert s["awaited"] == 6
+    assert s["counts"][0] == 99
