@@ -110,5 +110,5 @@ def run() -> list[Row]:
             at_least=PROMISED_PYTHON,
         ),
         Row("lock-step", "one compiled tick", seconds["compiled"] / (length + 2) * 1e9, "ns"),
-        Row("lock-step", "one tick of the cycle around a driver", seconds["python"] / (length + 2) * 1e9, "ns"),
+        Row("lock-step", "one tick of the cycle", seconds["python"] / (length + 2) * 1e9, "ns"),
     ]
