@@ -17,7 +17,7 @@ from __future__ import annotations
 import sys
 import time as wall
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from statistics import median
 from typing import Any
 
@@ -165,6 +165,8 @@ class LoopProcess:
         first = 0.0 if self.paced else wall.monotonic()
         spare.run_tick(first)
         spare.give_up(first)  # a tick that fails must not wait for a compiler either
+        with closing(Orders(self.plan.folder / SUPERVISION_FILE, 0.0)) as orders:
+            orders.put(spare.state.control, first)
         begin = int(spare.marks[0])
         TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
 

@@ -5,10 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
+from numba import carray
 
+from bench.control.records import CONTROL_STATE
 from bench.lifecycle import Request
-from drivers.base.compiled import new_record
+from drivers.base.compiled import compiled, new_record, numbers
+from drivers.base.compiled_slots import fetch_record, slots_at
+from drivers.base.mapped_slots import READ
+from drivers.base.raw_memory import pointer
 from drivers.base.shared_record import SharedRecord
 
 SUPERVISION_FILE = "supervision"
@@ -34,6 +40,24 @@ apart and never wait behind one. `shutdown` ends the loop, as soon as the robot 
 
 _UNREAD = -1
 """Version that makes the next tick read every value."""
+_MEMORY = np.dtype(
+    [
+        ("version", "i8"),
+        ("alive", "i8"),
+        ("silence", "f8"),
+        ("last_heartbeat", "f8"),
+        ("heartbeat", "i8"),
+        ("lease", "i8"),
+        ("request_number", "i8"),
+        ("stop_count", "i8"),
+        ("emergency_stop_count", "i8"),
+    ]
+)
+"""What the loop remembers: version of the values that it has taken, whether the supervisor was alive then,
+the time-out of the heartbeat (s), the last heartbeat and its time (s), and what it has seen."""
+_EMERGENCY_STOP, _STOP = int(Request.EMERGENCY_STOP), int(Request.STOP)
+_SLOTS, _VALUES, _SPARE, _MEMORY_AT, _CONTROL = range(5)
+"""Addresses in the block: that of the file's block, values, memory for a copy, memory, CONTROL_STATE."""
 
 
 class Orders:
@@ -45,15 +69,20 @@ class Orders:
         Raises:
             SharedMemoryError: the file is missing.
         """
-        self._shared, self._silence = SharedRecord.open(path, SUPERVISION), silence
-        self._values = new_record(SUPERVISION)
+        self._shared = SharedRecord.open(path, SUPERVISION)
+        self._values, self._spare, self._memory = map(new_record, (SUPERVISION, SUPERVISION, _MEMORY))
         self._shared.read(self._values)
-        self._version = _UNREAD
-        now = self._values[0]
-        self._seen = int(now["request_number"]), int(now["stop_count"]), int(now["emergency_stop_count"])
-        self._heartbeat, self._last_heartbeat = int(now["heartbeat"]), -np.inf
-        self._alive = False
-        self._lease = 0
+        for name in ("heartbeat", "request_number", "stop_count", "emergency_stop_count"):
+            self._memory[name] = self._values[name]
+        self._version, self._alive, self._silence, self._last_heartbeat, *_ = (
+            numbers(self._memory[name]) for name in _MEMORY.names or ()
+        )
+        self._version[0], self._last_heartbeat[0], self._silence[0] = _UNREAD, -np.inf, silence
+        self._control: np.ndarray[Any, Any] | None = None
+        held = self._shared.block, self._values, self._spare, self._memory
+        self._block = np.array([*(array.ctypes.data for array in held), 0], np.int64)
+        self._address = self._block.ctypes.data
+        self._is_plain = bool(numba.config.DISABLE_JIT)
 
     @property
     def shutdown(self) -> bool:
@@ -70,38 +99,61 @@ class Orders:
         bench that the previous holder has armed, and refuses the request that the previous holder has left
         waiting. A request of the new holder waits until the next tick.
         """
-        version, alive = self._shared.newest, time - self._last_heartbeat < self._silence
-        if version == self._version and alive == self._alive:
+        alive = time - self._last_heartbeat[0] < self._silence[0]
+        if self._shared.newest == self._version[0] and alive == self._alive[0]:
             return
-        version = self._shared.read(self._values)
-        (heartbeat, lease, support_ready, _, request, number, request_lease, stops, emergencies) = (
-            self._values.item()
-        )
-        if heartbeat != self._heartbeat or self._last_heartbeat == -np.inf:
-            self._heartbeat, self._last_heartbeat = heartbeat, time
-        self._alive = alive = time - self._last_heartbeat < self._silence
-        control["supervisor_alive"] = alive
-        seen_number, seen_stops, seen_emergencies = self._seen
-        handed_over = self._lease not in (0, lease)
-        left_over = number != seen_number and request_lease != lease
-        self._lease = lease
-        control["lease_held"] = lease != 0 and alive and not handed_over and not left_over
-        control["support_ready"] = support_ready and alive
-        if emergencies != seen_emergencies:
-            control["request"], seen_emergencies = Request.EMERGENCY_STOP, emergencies
-        elif stops != seen_stops:
-            control["request"], seen_stops = Request.STOP, stops
-        elif number != seen_number and (left_over or not handed_over):
-            control["request"], control["request_number"] = request, number
-            seen_number = number
-        self._seen = seen_number, seen_stops, seen_emergencies
-        waiting = handed_over or left_over or self._seen != (number, stops, emergencies)
-        self._version = _UNREAD if waiting else version
+        if self._is_plain:
+            _take(self._values, self._memory, control, time, self._shared.read(self._values))
+            return
+        if control is not self._control:
+            self._control, self._block[_CONTROL] = control, control.ctypes.data
+        _take_newest(self._address, time)
 
     def declare_supervisor_dead(self) -> None:
         """Treat the supervisor as dead from now on: the loop has seen that its process is gone."""
-        self._silence = 0.0
+        self._silence[0] = 0.0
 
     def close(self) -> None:
         """Unmap the file."""
         self._shared.close()
+
+
+@compiled
+def _take(values: Any, memory: Any, control: Any, time: float, version: int) -> None:
+    """Write what is new in `values` (SUPERVISION) into `control`, and remember it."""
+    new, m, c = values[0], memory[0], control[0]
+    if new.heartbeat != m.heartbeat or m.last_heartbeat == -np.inf:
+        m.heartbeat, m.last_heartbeat = new.heartbeat, time
+    alive = time - m.last_heartbeat < m.silence
+    m.alive = alive
+    c.supervisor_alive = alive
+    handed_over = m.lease not in (0, new.lease)
+    left_over = new.request_number != m.request_number and new.request_lease != new.lease
+    m.lease = new.lease
+    c.lease_held = new.lease != 0 and alive and not handed_over and not left_over
+    c.support_ready = new.support_ready and alive
+    if new.emergency_stop_count != m.emergency_stop_count:
+        c.request, m.emergency_stop_count = _EMERGENCY_STOP, new.emergency_stop_count
+    elif new.stop_count != m.stop_count:
+        c.request, m.stop_count = _STOP, new.stop_count
+    elif new.request_number != m.request_number and (left_over or not handed_over):
+        c.request, c.request_number = new.request, new.request_number
+        m.request_number = new.request_number
+    waiting = (
+        handed_over
+        or left_over
+        or m.request_number != new.request_number
+        or m.stop_count != new.stop_count
+        or m.emergency_stop_count != new.emergency_stop_count
+    )
+    m.version = _UNREAD if waiting else version
+
+
+@compiled
+def _take_newest(address: int, time: float) -> None:
+    """Read the file and take what is new, at the addresses in the block."""
+    a = carray(pointer(address), 5, np.int64)
+    slots, values = slots_at(a[_SLOTS]), carray(pointer(a[_VALUES]), 1, SUPERVISION)
+    fetch_record(slots, a[_VALUES], a[_SPARE])
+    memory = carray(pointer(a[_MEMORY_AT]), 1, _MEMORY)
+    _take(values, memory, carray(pointer(a[_CONTROL]), 1, CONTROL_STATE), time, slots[READ])

@@ -41,7 +41,7 @@ _TABLES = _crc_tables()
 def copy_words(source: int, target: int, size: int, start: int) -> int:
     """Copy `size` bytes, a multiple of 8; return their CRC-32, begun with `start` as `zlib.crc32` is."""
     old, new = carray(pointer(source), size // 8, np.int64), carray(pointer(target), size // 8, np.int64)
-    crc = start & 0xFFFFFFFF ^ 0xFFFFFFFF
+    crc: Any = start & 0xFFFFFFFF ^ 0xFFFFFFFF
     for k in range(size // 8):
         word = old[k]
         new[k] = word
@@ -56,7 +56,7 @@ def copy_words(source: int, target: int, size: int, start: int) -> int:
             ^ np.int64(_TABLES[1, high >> 16 & 0xFF])
             ^ np.int64(_TABLES[0, high >> 24])
         )
-    return crc ^ 0xFFFFFFFF
+    return crc ^ 0xFFFFFFFF  # type: ignore[no-any-return]
 
 
 @compiled

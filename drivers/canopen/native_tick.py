@@ -206,7 +206,7 @@ def _now(block: int, clock: int) -> int:
 
 @compiled
 def _last_error() -> int:
-    return np.int64(carray(pointer(_errno_location()), 1, np.int32)[0])  # type: ignore[no-any-return]
+    return int(carray(pointer(_errno_location()), 1, np.int32)[0])
 
 
 @compiled
@@ -216,7 +216,7 @@ def _receive(states: Any, block: int) -> int:
     s.at = s.count = 0
     for k in range(BATCH):
         s.headers[_HEADER_WORDS * k + 5], s.headers[_HEADER_WORDS * k + 6] = _CONTROL_SIZE, 0
-    n = np.int64(_recvmmsg(s.descriptor, block + _AT_HEADERS, BATCH, _DONT_WAIT, 0))
+    n = int(_recvmmsg(s.descriptor, block + _AT_HEADERS, BATCH, _DONT_WAIT, 0))
     if n < 0:
         error = _last_error()
         if error in (_NOTHING_THERE, _INTERRUPTED):
@@ -224,7 +224,7 @@ def _receive(states: Any, block: int) -> int:
         s.receive_error = error
         return -1
     s.count = n
-    return n  # type: ignore[no-any-return]
+    return n
 
 
 @compiled
@@ -248,7 +248,7 @@ def _wait(states: Any, block: int) -> int:
             return -1
         n = _receive(states, block)
         if n != 0:
-            return n  # type: ignore[no-any-return]
+            return n
 
 
 @compiled
