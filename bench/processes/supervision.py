@@ -120,7 +120,7 @@ class Orders:
 
 @compiled
 def _take(values: Any, memory: Any, control: Any, time: float, version: int) -> None:
-    """Write what is new in `values` (SUPERVISION) into `control`, and remember it."""
+    """Write new orders in `values` (SUPERVISION) into `control`, and remember them."""
     new, m, c = values[0], memory[0], control[0]
     if new.heartbeat != m.heartbeat or m.last_heartbeat == -np.inf:
         m.heartbeat, m.last_heartbeat = new.heartbeat, time
@@ -151,7 +151,7 @@ def _take(values: Any, memory: Any, control: Any, time: float, version: int) -> 
 
 @compiled
 def _take_newest(address: int, time: float) -> None:
-    """Read the file and take what is new, at the addresses in the block."""
+    """Read the file and take new orders, at the addresses in the block."""
     a = carray(pointer(address), 5, np.int64)
     slots, values = slots_at(a[_SLOTS]), carray(pointer(a[_VALUES]), 1, SUPERVISION)
     fetch_record(slots, a[_VALUES], a[_SPARE])

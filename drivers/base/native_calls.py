@@ -16,7 +16,7 @@ OPERATIONAL = 2
 
 
 class NativeCall(NamedTuple):
-    """A native function and its block; function 0: there is none."""
+    """A native function and its block; function 0 where Python does it."""
 
     function: int = 0
     block: int = 0

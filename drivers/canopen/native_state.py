@@ -74,7 +74,7 @@ class NativeState:
         self.leads = numbers(self._state["leads"])
         """Whether compiled code has the newest state (one number)."""
         self.is_wanted = False
-        """Whether somebody asked for the native functions."""
+        """Whether the native functions were asked for."""
 
     def calls(self) -> NativeCalls:
         """Return the native functions; none on a system with other structures of the kernel."""
@@ -108,7 +108,7 @@ class NativeState:
     def load(self) -> dict[str, Any]:
         """Return the state in plain values and let Python lead.
 
-        `pressures` are keyed by analogue input, `counters` by name: what is to be added to them; `pending`
+        `pressures` are keyed by analogue input, `counters` by name, as increments; `pending`
         are the frames received and not taken.
         """
         state = self._state[0]

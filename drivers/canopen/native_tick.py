@@ -1,7 +1,7 @@
 """A tick of the CANopen driver on a raw SocketCAN socket, in compiled code: no object of Python is made.
 
-Frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there. What is
-rare is left to `drivers.canopen.driver`: error frames, emergencies, SDO answers, unknown identifiers, wrong
+Frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there. The rest
+is left to `drivers.canopen.driver`: error frames, emergencies, SDO answers, unknown identifiers, wrong
 lengths, nodes that are not operational, silence, failures of the socket. The native function then stops in
 front of that frame or failure and declines, and the driver goes on from the very state, frames received
 already included; it hands the state back at the end of its tick.

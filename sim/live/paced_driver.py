@@ -158,7 +158,7 @@ class PacedPlantDriver:
 
 @compiled_call
 def _read_native(block: int, record: int, _: int, time: float) -> int:
-    """Read as long as nobody has changed the surroundings and nothing is frozen."""
+    """Read unless the surroundings have changed or readings are frozen."""
     a = carray(pointer(block), 5, np.int64)
     memory = carray(pointer(a[_MEMORY]), 4, np.int64)
     if a[_SURROUNDINGS] == 0 or memory[_FROZEN] != 0:
