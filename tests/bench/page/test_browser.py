@@ -13,6 +13,8 @@ import pytest
 
 from bench.lifecycle import Request
 from bench.network.free_port import free_port
+from bench.network.lease import SHORTEST
+from bench.page import page_leases
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.browser_tab import Tab, listens, open_tab, until_accepted
 from tests.bench.page.conftest import publishing
@@ -118,6 +120,21 @@ def test_a_lost_bench_is_said_within_two_seconds(
         tab.text("#do-reset").to_be_disabled()
         tab.text("#stop").to_be_enabled()
         assert took < 10.0, f"{took:.1f} s"  # 2 s by its own clock; a busy browser paints late
+
+
+def test_a_lost_lease_is_said_and_nothing_is_taken_again(
+    browser: Any, page: RunningPage, desk: FakeDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_leases, "LEASE", SHORTEST)
+    with open_tab(browser, page.url) as tab:
+        tab.take_lease()
+        tab.page.route("**/api/lease", lambda route: route.abort())  # the tablet is out of reach
+        tab.text("#lease").to_have_text("Lease: not held")
+        tab.page.unroute("**/api/lease")
+        tab.text("#outcome").to_contain_text("The lease is lost: take it again.")
+        tab.text("#take").to_be_enabled()
+        tab.text("#do-reset").to_be_disabled()
+    assert desk.requests == []
 
 
 def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: RunningPage) -> None:
