@@ -54,6 +54,8 @@ _SETTLED = 0.03
 """s after a jump of an opening in which the spool may still move."""
 _ERROR = 200.0
 """Pa, error of a pressure at a window's end that counts as one."""
+_ZERO_ERROR = 0.005
+"""rad, error of an encoder's zero before it was found."""
 _ALIKE = 5.0
 """Neighbouring windows that err alike and count as one."""
 _LEAST_SHARE = 0.01
@@ -165,14 +167,18 @@ class AirTrace:
         rows = np.array([s for s in starts if not disturbed[s : s + length + 1].any()], dtype=np.int64)
         return np.stack([rows, rows + length], axis=1) if len(rows) else np.zeros((0, 2), np.int64)
 
-    def content(self, values: Array) -> tuple[Array, Array]:
+    def content(self, values: Array, offset: float = 0.0) -> tuple[Array, Array]:
         """Return p^(1/n) V of both chambers (n, 2), and what the flows add to it since the first row (n, 2).
 
-        `values` are in the order of NAMES.
+        `values` are in the order of NAMES; `offset` is added to the actuator's coordinate.
         """
         power = 1.0 / self.exponent
         volume = np.stack(
-            [values[2] + values[0] * self.stroke_a, values[2] + values[1] * self.stroke_b], axis=1
+            [
+                values[2] + values[0] * (self.stroke_a + offset),
+                values[2] + values[1] * (self.stroke_b - offset),
+            ],
+            axis=1,
         )
         valve = np.array([values[3], values[4], values[6], values[7], values[8]])
         flows = chamber_flows(
@@ -183,9 +189,9 @@ class AirTrace:
         added[1:] = np.cumsum(rate[1:] + rate[:-1], axis=0) * (self.tick / 2)
         return volume * self.pressure**power, added
 
-    def errors(self, values: Array, rows: NDArray[np.int64]) -> Array:
+    def errors(self, values: Array, rows: NDArray[np.int64], offset: float = 0.0) -> Array:
         """Return the pressures' errors (m, 2) Pa over windows `rows` (m, 2)."""
-        content, added = self.content(values)
+        content, added = self.content(values, offset)
         first, last = rows[:, 0], rows[:, 1]
         gap = content[last] - content[first] - (added[last] - added[first])
         # d(p^(1/n) V) / dp
@@ -228,22 +234,39 @@ def fit_air(
             for n, (part, window) in enumerate(zip(parts, rows, strict=True))
         ]
     )
-    mean = start / unit
+    # The last unknown is the error of the coordinate at the stops, which the zero of the encoder leaves.
+    unit = np.append(unit, _offset_error(known, actuator))
+    prior, mean = np.append(prior, 1.0), np.append(start, 0.0) / unit
 
     def residual(x: Array) -> Array:
-        measured = [part.errors(x * unit, window).ravel() for part, window in zip(parts, rows, strict=True)]
+        measured = [
+            part.errors(x[:-1] * unit[:-1], window, float(x[-1] * unit[-1])).ravel()
+            for part, window in zip(parts, rows, strict=True)
+        ]
         return np.concatenate([np.concatenate(measured) / _ERROR, (x - mean) / prior])
 
-    low, high = np.array(_LOWEST), np.array(_HIGHEST)
+    low, high = np.append(_LOWEST, -10.0), np.append(_HIGHEST, 10.0)
     found = least_squares(
         residual, np.clip(mean, low + 1e-6, high - 1e-6), bounds=(low, high), xtol=1e-10, ftol=1e-10
     )
     error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
-    values = np.asarray(found.x) * unit
-    errors = np.hypot(error, _LEAST_SHARE) * unit
+    values = (np.asarray(found.x) * unit)[:-1]
+    errors = (np.hypot(error, _LEAST_SHARE) * unit)[:-1]
     errors = np.where(_SCALED, np.hypot(errors, VENT_TOLERANCE * values), errors)
+    # A coordinate that is wrong by opposite amounts at the two stops looks like dead volume.
+    errors[2] = np.hypot(errors[2], unit[-1] * max(values[0], values[1]))
     measured = np.asarray(found.fun)[: len(clusters)] * _ERROR
     return AirFit(values, errors, float(np.sqrt(np.mean(measured**2))))
+
+
+def _offset_error(known: KnownRobot, actuator: int) -> float:
+    """Return the standard error of the actuator's coordinate (rad, m, m)."""
+    plant = known.plant
+    per_count = 2 * pi / plant.encoders.counts_per_revolution
+    zero = known.error(f"encoders.zero_count.{actuator}", _ZERO_ERROR / per_count) * per_count
+    lower, upper = joint_travel(plant)
+    middle = (lower + upper)[[actuator]] / 2
+    return max(zero, 1e-5) * float(abs(way_per_angle(middle, actuator, plant)[0]))
 
 
 def robust_errors(jacobian: Array, residual: Array, clusters: NDArray[np.int64]) -> Array:

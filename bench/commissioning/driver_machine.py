@@ -17,6 +17,7 @@ from bench.commissioning.machine import (
     Until,
     bound_passed,
 )
+from bench.commissioning.wrong_machine import WrongMachine
 from bench.errors import Refused
 from bench.simulation.loads import Loads, loads_of
 from drivers.base import CHAMBERS, JOINTS, PASSIVE, READINGS, Command, Driver
@@ -68,8 +69,12 @@ class DriverMachine:
         self._driver.make_passive()
         self._applied = Command()
 
-    def vent(self, duration: float = 20.0) -> MotionTrace:
-        """Be passive until chambers are empty and joints rest, for at most `duration` (s)."""
+    def vent(self, duration: float = 40.0) -> MotionTrace:
+        """Be passive until chambers are empty and joints rest, for at most `duration` (s).
+
+        Raises:
+            WrongMachine: the chambers are not empty then.
+        """
         self.make_passive()
         most, look = round(duration / self._tick), round(_LOOK / self._tick)
         log = _Log(most, self._counts)
@@ -80,6 +85,14 @@ class DriverMachine:
             empty = np.max(self._readings["chamber_pressure"][0]) < self._atmosphere + _EMPTY
             if k >= look and k % 50 == 0 and empty and log.rested(look):
                 break
+        fullest = int(np.argmax(self._pressure()))
+        if self._pressure()[fullest] > self._atmosphere + 3.0 * _EMPTY:
+            raise WrongMachine(
+                "vents",
+                f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s",
+                "empty chambers",
+                "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
+            )
         return log.trace("", (False,))
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:

@@ -36,11 +36,15 @@ class KnownRobot:
     def __init__(self, nominal: PlantParameters, found: Iterable[FoundValue] = ()) -> None:
         """Begin with `nominal` and values `found` before."""
         self.nominal = nominal
-        self.found: dict[str, FoundValue] = {value.key: value for value in found}
+        self.found: dict[str, FoundValue] = {}
+        self.plant = nominal
+        """The robot as far as it is known."""
+        self.add(found)
 
     def add(self, values: Iterable[FoundValue]) -> None:
         """Add `values`; one that was found before is replaced."""
         self.found |= {value.key: value for value in values}
+        self.plant = with_values(self.nominal, {key: found.value for key, found in self.found.items()})
 
     def value(self, key: str) -> float:
         """Return the value of `key`, found or configured."""
@@ -50,11 +54,6 @@ class KnownRobot:
         """Return the standard error of `key`; `otherwise` if it was not found."""
         found = self.found.get(key)
         return otherwise if found is None else found.error
-
-    @property
-    def plant(self) -> PlantParameters:
-        """The robot as far as it is known."""
-        return with_values(self.nominal, {key: found.value for key, found in self.found.items()})
 
 
 def with_values(plant: PlantParameters, values: Mapping[str, float]) -> PlantParameters:

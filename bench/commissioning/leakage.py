@@ -6,7 +6,9 @@ chambers lose or gain says what leaks, and how they empty through the vents says
 
 from __future__ import annotations
 
-from bench.commissioning.air_fit import NAMES, UNITS, AirFit, fit_air
+import numpy as np
+
+from bench.commissioning.air_fit import NAMES, UNITS, AirFit, AirTrace, fit_air, nominal_values
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.moves import (
@@ -28,6 +30,8 @@ from drivers.base import JOINTS, Triple
 
 _FILL, _COUNTER = 0.10, 0.05
 """Openings beyond the edges: filling the chamber that presses the joint, and the other one."""
+_HELD = (2, 4)
+"""Segments in which all is shut."""
 _FULL, _HALF = 2.7e5, 1.8e5
 """Pressures up to which the two are filled, Pa absolute."""
 _HOLD, _SHORT_HOLD, _DECAY = 2.5, 0.6, 1.6
@@ -62,6 +66,13 @@ class Leakage:
         """Return the air of all actuators."""
         values: list[FoundValue] = []
         notes: list[str] = []
+        if vents_stay_open(traces, known):
+            raise WrongMachine(
+                "vents",
+                "chambers empty through them when they are commanded shut",
+                "chambers that hold their air",
+                "A vent stays open: check its coil, cable and pilot air, then replace it.",
+            )
         for i, key in enumerate(ACTUATOR_KEYS):
             sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
             fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
@@ -70,6 +81,24 @@ class Leakage:
                 values.append(FoundValue(f"{key}.{name}", float(value), float(error), unit, self.name))
             notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
         return StepResult(tuple(values), tuple(notes))
+
+
+def vents_stay_open(traces: Traces, known: KnownRobot) -> bool:
+    """Return whether the chambers of all joints, when closed, behave as with open vents in `traces`."""
+    for i, joint in enumerate(JOINTS):
+        errors = []
+        for vents in (0.0, known.plant.supply.vent_conductance):
+            total = 0.0
+            for side in ("lower", "upper"):
+                air = AirTrace(traces[f"{joint} {side}"], i, known.plant)
+                air.vent = np.full(len(air.vent), vents)
+                rows = air.windows()
+                held = rows[np.isin(air.segment[rows[:, 0]], _HELD)]
+                total += float(np.square(air.errors(nominal_values(known, i), held)).sum())
+            errors.append(total)
+        if errors[1] >= errors[0]:
+            return False
+    return True
 
 
 def _require_tight(joint: int, fit: AirFit) -> None:

@@ -117,8 +117,12 @@ class CommissionedMachine(Protocol):
             Refused: emergency stop, guard or device end the work.
         """
 
-    def vent(self, duration: float = 20.0) -> MotionTrace:
-        """Be passive until chambers are empty and joints rest, for at most `duration` (s)."""
+    def vent(self, duration: float = 40.0) -> MotionTrace:
+        """Be passive until chambers are empty and joints rest, for at most `duration` (s).
+
+        Raises:
+            WrongMachine: the chambers are not empty then.
+        """
 
     def make_passive(self) -> None:
         """Centre the spools, shut the supply, open the vents; never raises."""

@@ -40,6 +40,10 @@ _RESTED, _LEVEL = 0.8, 6.0
 """s without motion that end a level, and its max duration, s."""
 _FILLING = 15.0
 """Max time for the driving chamber to fill, s."""
+_OWN_SHARE = 0.2
+"""Share of another joint's way below which an encoder does not follow its own."""
+_JUMP = 100.0
+"""rad/s beyond which a count has jumped."""
 _CUSHION_SHARE = 0.5
 """Share of a cushion's energy that a joint at the speed bound carries."""
 
@@ -122,10 +126,12 @@ def move_to_stop(
     rested = Until("rested", joint, _RESTED)
     machine.set_supply(MOVING)
     moving = machine.run(tuple(Segment(_LEVEL, at(x), until=rested) for x in _LADDER), bounds)
+    _require_own_encoder(moving, joint, known.plant)
     require_within(moving, f"{name} to its {side} stop")
     machine.set_supply(PRESSING)
     fill = Segment(_FILLING, at(_LADDER[-1]), until=Until("above", chamber, PRESSED))
     pressing = machine.run((fill, Segment(_LEVEL, at(_LADDER[-1]), until=rested)), bounds)
+    _require_own_encoder(pressing, joint, known.plant)
     require_within(pressing, f"{name} pressed to its {side} stop")
     if not pressing.ended[0]:
         reached = pressing.pressure[-1, chamber]
@@ -144,6 +150,44 @@ def fold(machine: CommissionedMachine, known: KnownRobot) -> dict[str, StopMove]
     for n, joint in enumerate(FOLD_ORDER):
         done[f"{JOINTS[joint]} down"] = move_to_stop(machine, known, joint, "lower", FOLD_ORDER[:n])
     return done
+
+
+def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters) -> None:
+    """Raise WrongMachine if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
+    if not trace.tripped:
+        return
+    way = np.abs(trace.angle(plant.encoders.counts_per_revolution)[-1])
+    lower, upper = joint_travel(plant)
+    jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
+    for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
+        if jump > _JUMP * plant.tick * plant.encoders.counts_per_revolution / (2 * np.pi):
+            raise WrongMachine(
+                f"{name} encoder",
+                f"its count jumps by {jump}: wrong scale, or broken",
+                f"counts up to {plant.encoders.counts_per_revolution} that change evenly",
+                "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder.",
+            )
+    name, seen = JOINTS[joint], int(np.argmax(way))
+    if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
+        raise swapped_encoders(joint, seen, way)
+    if trace.tripped.startswith(f"{WAY}{name}"):
+        raise WrongMachine(
+            f"{name} encoder",
+            f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
+            f"at most {(upper - lower)[joint]:.2f} rad between the stops",
+            "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop.",
+        )
+
+
+def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> WrongMachine:
+    """Return that the encoder of joint `seen` follows `joint`; `way` (3,) rad by the encoders."""
+    name, other = JOINTS[joint], JOINTS[seen]
+    return WrongMachine(
+        f"{name} encoder",
+        f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad",
+        f"the encoder of the {name} follows it",
+        f"The encoders of {name} and {other} are swapped: exchange their cables.",
+    )
 
 
 def require_within(trace: MotionTrace, doing: str) -> None:

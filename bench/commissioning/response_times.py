@@ -53,6 +53,8 @@ _MIN_COAST_SPEED = 0.05
 """rad/s, mean speed below which a coasting joint says nothing about its encoder."""
 _LONGEST_LATENCY = 0.005
 """s"""
+_LEAST_LATENCY_ERROR = 3e-5
+"""Smallest standard error of the latency, s: a small part of the tick between two readings."""
 _PRESSURE_ERROR = 100.0
 """Pa"""
 
@@ -104,21 +106,27 @@ class ResponseTimes:
                 if name.startswith(f"{joint} coasting"):
                     found = fit_latency(trace, known, i)
                     if found is not None:
+                        _require_quick(joint, *found)
                         latencies.append(found)
                         notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
         if latencies:
             value, error = _weighted(np.array(latencies))
-            if value > _LONGEST_LATENCY:
-                raise WrongMachine(
-                    "encoders",
-                    f"{1e3 * value:.1f} ms later than the pressures",
-                    f"at most {1e3 * _LONGEST_LATENCY:.0f} ms",
-                    "Check the encoders' cycle time and filters on the bus.",
-                )
+            error = float(np.hypot(error, _LEAST_LATENCY_ERROR))
             values.append(FoundValue("encoders.latency", max(value, 0.0), error, "s", self.name))
         else:
             notes.append("no joint coasted: the encoders' latency stays a guess")
         return StepResult(tuple(values), tuple(notes))
+
+
+def _require_quick(joint: str, latency: float, error: float) -> None:
+    """Raise WrongMachine if the encoder of `joint` lags by more than an encoder may."""
+    if latency - 3.0 * error > _LONGEST_LATENCY:
+        raise WrongMachine(
+            f"{joint} encoder",
+            f"{1e3 * latency:.1f} ms later than the pressures",
+            f"at most {1e3 * _LONGEST_LATENCY:.0f} ms",
+            "Check the encoder's cycle time and filters on the bus.",
+        )
 
 
 def _pulses(known: KnownRobot, joint: int) -> tuple[Segment, ...]:

@@ -9,7 +9,8 @@ from datetime import date
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
 
 GUESSES = (
-    "lengths, masses and inertias of links and club",
+    "lengths",
+    "masses and inertias whose standard error is 7 %",
     "damping of the spools",
     "Stribeck speeds",
     "polytropic exponent of the chambers",
@@ -18,6 +19,9 @@ GUESSES = (
     "ball and ground",
 )
 """Parts of the plant that no step measures yet: they stay as configured."""
+
+
+_CLUB = "robot.club"
 
 
 def robot_file(known: KnownRobot, base: str, made: date) -> str:
@@ -37,7 +41,8 @@ def robot_file(known: KnownRobot, base: str, made: date) -> str:
         note = f"± {errors}{unit}; {found[0].step}"
         tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
     for table in sorted(tables):
-        lines += ["", f"[plant.{table}]", *tables[table]]
+        place = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}"
+        lines += ["", f"[{place}]", *tables[table]]
     return "\n".join(lines) + "\n"
 
 

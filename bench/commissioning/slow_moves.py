@@ -1,20 +1,23 @@
-"""Step 4: friction and gravity from slow moves, areas once more, and the supply in service.
+"""Step 4: friction and masses from slow moves, and the supply in service.
 
 While one joint moves slowly and the others rest parked, its chambers' force is gravity, friction and a little
-inertia. The force is known by the areas of step 3, whose scale is part of the errors; the masses are those of
-the configuration within their tolerance. Pauses on the way show the force that breaks the joint loose.
+inertia. The force is known by the areas of step 3, whose scale is part of the errors; masses and inertias are
+those of the configuration within their tolerance, as far as the moves do not say more. Pauses on the way show
+the force that breaks the joint loose.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
 from bench.commissioning.air_fit import VENT_TOLERANCE, joint_angles, robust_errors, way_per_angle
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot, value_at, with_values
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.moves import (
     FOLD_ORDER,
@@ -34,13 +37,14 @@ from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics
 from sim.plant import PlantParameters
 
+_BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
 _OPENINGS = (0.05, 0.08, 0.12)
 _LEVEL, _PAUSE, _BREAK = 8.0, 1.0, 3.0
 """s: of a move at most, of a pause, of the ramp that breaks a joint loose."""
 _PAUSES = (0.3, 0.6)
 """Shares of the travel at which the joint pauses."""
-_SMOOTH = 41
-"""Rows of the smoothing polynomial of third degree."""
+_SMOOTH, _SPAN = 11, 40
+"""Rows of the parabola that gives a speed, and of an equation."""
 _SEEN = 1e-4
 """rad by which a joint has moved that broke loose."""
 _SPACING = 10
@@ -49,8 +53,17 @@ _CONTACT = 0.02
 """rad from the stops in which a joint may touch them."""
 _SLIDING = 0.02
 """rad/s from which a joint slides."""
-_MASSES = 0.06
+MASSES = (
+    *(f"robot.{body}.{what}" for body in _BODIES for what in ("mass", "inertia")),
+    "robot.club.head_mass",
+    "robot.club.shaft_mass",
+)
+"""Masses and inertias that are fitted, by their keys."""
+_TOLERANCE = 0.07
 """Standard deviation of masses and inertias before anything was measured, as a share."""
+_LEAST_TORQUE = 0.01
+"""Smallest scatter of torques, N m."""
+_FRICTION = ("coulomb", "static", "viscous")
 LOWEST_SUPPLY = 6.3e5
 """Min pressure in service, Pa absolute."""
 _DELAY = 0.0015
@@ -61,25 +74,25 @@ _GAUGE = 500.0
 """Error of the supply's pressure, Pa: of the flow through leaking valves."""
 
 
-class FrictionFit(NamedTuple):
-    """Friction of an actuator in its own coordinate, and factors on gravity and inertia."""
+class SlowFit(NamedTuple):
+    """Friction of the actuators in their own coordinates, and the masses."""
 
-    coulomb: float
-    static: float
-    viscous: float
-    gravity: float
-    """Factor on the configured gravity load."""
-    inertia: float
-    """Factor on the configured inertia."""
-    error: Array
-    """Standard errors (5,) of these."""
+    friction: Array
+    """(3, 3) Coulomb, static and viscous friction by actuator."""
+    friction_error: Array
+    """(3, 3) their standard errors."""
+    masses: Array
+    """(m,) in the order of MASSES."""
+    mass_error: Array
+    residual: Array
+    """(3,) scatter of the torques, N m."""
 
 
 class SlowMoves:
     """Step 4."""
 
     name = "friction"
-    title = "Friction, gravity, supply in service"
+    title = "Friction, masses, supply in service"
     bounds_text = (
         "openings up to 0.12 beyond the edge at 4.5 bar absolute, vents open; then the supply in service, "
         "spools centred"
@@ -108,22 +121,20 @@ class SlowMoves:
         """Return friction of all actuators and the pressure of the supply."""
         values: list[FoundValue] = []
         notes: list[str] = []
-        plant = known.plant
+        own = [[t for name, t in traces.items() if name.startswith(f"{joint} ")] for joint in JOINTS]
+        fit = fit_slow_moves(own, known.plant)
         for i, key in enumerate(ACTUATOR_KEYS):
-            own = [trace for name, trace in traces.items() if name.startswith(f"{JOINTS[i]} ")]
-            fit = fit_friction(own, plant, i)
             unit = "N m" if i == 0 else "N"
-            rows = (
-                ("coulomb", fit.coulomb, fit.error[0], unit),
-                ("static", max(fit.static, fit.coulomb), fit.error[1], unit),
-                ("viscous", fit.viscous, fit.error[2], f"{unit} s/{'rad' if i == 0 else 'm'}"),
-            )
+            units = (unit, unit, f"{unit} s/{'rad' if i == 0 else 'm'}")
+            rows = zip(_FRICTION, fit.friction[i], fit.friction_error[i], units, strict=True)
             for name, value, error, text in rows:
-                values.append(FoundValue(f"{key}.friction.{name}", value, float(error), text, self.name))
-            notes.append(
-                f"{JOINTS[i]}: gravity {fit.gravity:.3f} ± {fit.error[3]:.3f} times, inertia "
-                f"{fit.inertia:.3f} ± {fit.error[4]:.3f} times the configured one"
-            )
+                values.append(
+                    FoundValue(f"{key}.friction.{name}", float(value), float(error), text, self.name)
+                )
+            notes.append(f"{JOINTS[i]}: torques fit within {fit.residual[i]:.2f} N m")
+        for key, value, error in zip(MASSES, fit.masses, fit.mass_error, strict=True):
+            text = "kg m2" if key.endswith("inertia") else "kg"
+            values.append(FoundValue(key, float(value), float(error), text, self.name))
         values.append(_supply(traces["supply"]))
         return StepResult(tuple(values), tuple(notes))
 
@@ -169,36 +180,63 @@ def _move(
     return trace
 
 
-def fit_friction(traces: list[MotionTrace], plant: PlantParameters, joint: int) -> FrictionFit:
-    """Return friction of the actuator of `joint` from slow moves, with the areas of `plant`."""
-    parts = [_equations(trace, plant, joint, n) for n, trace in enumerate(traces)]
-    columns, force = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-    clusters = np.concatenate([p[2] for p in parts])
-    friction = plant.actuators[joint].friction
-    # Unknowns: Coulomb, its rise towards standstill, viscous, factors on gravity and inertia, delay.
-    scale = np.array([friction.coulomb, friction.coulomb, friction.viscous, 1.0, 1.0, _DELAY])
-    mean = np.array([1.0, 0.33, 1.0, 1.0, 1.0, 0.0])
-    prior = np.array([2.0, 1.0, 2.0, _MASSES, 2 * _MASSES, 1.0])
-    design = columns * scale
-    x, noise = mean.copy(), max(float(np.abs(force).max()), 1.0)
-    left, weight = design @ x - force, np.full(len(force), 1.0 / noise)
-    for _ in range(5):
-        x = _solved(design, force, weight, mean, prior)
-        left = design @ x - force
-        noise = max(1.4826 * float(np.median(np.abs(left))), 1e-4 * float(np.abs(force).max()))
-        weight = 1.0 / np.maximum(np.abs(left) / (3.0 * noise), 1.0) / noise
+def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParameters) -> SlowFit:
+    """Return friction and masses from slow moves (3, n) of the joints, with the areas of `plant`.
+
+    All joints carry the same masses, whose sum of effects is known better than each of them.
+    """
+    designs, torques, clusters, joints = [], [], [], []
+    for i, own in enumerate(traces):
+        parts = [_equations(trace, plant, i, 1000 * i + n) for n, trace in enumerate(own)]
+        columns = np.concatenate([part[0] for part in parts])
+        design = np.zeros((len(columns), 4 * 3 + len(MASSES)))
+        design[:, 4 * i : 4 * i + 4], design[:, 12:] = columns[:, :4], columns[:, 4:]
+        designs.append(design)
+        torques.append(np.concatenate([part[1] for part in parts]))
+        clusters.append(np.concatenate([part[2] for part in parts]))
+        joints.append(np.full(len(columns), i))
+    nominal = [(f.coulomb, f.coulomb, f.viscous, _DELAY) for f in (a.friction for a in plant.actuators)]
+    scale = np.concatenate([np.ravel(nominal), np.ones(len(MASSES))])
+    mean = np.concatenate([np.tile([1.0, 0.33, 1.0, 0.0], 3), np.zeros(len(MASSES))])
+    prior = np.concatenate([np.tile([2.0, 1.0, 2.0, 1.0], 3), np.full(len(MASSES), _TOLERANCE)])
+    design, torque, joint = np.concatenate(designs) * scale, np.concatenate(torques), np.concatenate(joints)
+    x, noise = mean.copy(), np.array([np.abs(own).max(initial=1.0) for own in torques])
+    left, weight = design @ x - torque, 1.0 / noise[joint]
+    for _ in range(6):
+        x = _solved(design, torque, weight, mean, prior)
+        left = design @ x - torque
+        noise = np.array([max(1.4826 * _median(np.abs(left[joint == i])), _LEAST_TORQUE) for i in range(3)])
+        weight = 1.0 / np.maximum(np.abs(left) / (3.0 * noise[joint]), 1.0) / noise[joint]
     rows = np.concatenate([design * weight[:, None], np.diag(1.0 / prior)])
-    residual = np.concatenate([left * weight, (x - mean) / prior])
-    error = np.hypot(robust_errors(rows, residual, clusters), VENT_TOLERANCE * np.abs(x)) * scale
-    found = x * scale
-    static, static_error = float(found[0] + found[1]), float(np.hypot(error[0], error[1]))
-    broke = [value for trace in traces for value in break_away(trace, plant, joint, float(x[3]))]
-    if len(broke) >= _LEAST_BREAKS:
-        own = float(np.median(broke))
-        own_error = float(np.std(broke, ddof=1)) / np.sqrt(len(broke)) + VENT_TOLERANCE * own
-        static, static_error = own, max(own_error, min(abs(own - static) / 2, static_error))
-    errors = np.array([error[0], static_error, error[2], error[3], error[4]])
-    return FrictionFit(float(found[0]), static, float(found[2]), float(x[3]), float(x[4]), errors)
+    error = robust_errors(rows, np.concatenate([left * weight, (x - mean) / prior]), np.concatenate(clusters))
+    masses = np.array([value_at(plant, key) for key in MASSES]) * (1.0 + x[12:])
+    error[12:] = np.hypot(error[12:], VENT_TOLERANCE)
+    found = (x * scale)[:12].reshape(3, 4)
+    errors = np.hypot(error[:12], VENT_TOLERANCE * np.abs(x[:12])).reshape(3, 4) * scale[:12].reshape(3, 4)
+    weighed = with_values(plant, dict(zip(MASSES, masses.tolist(), strict=True)))
+    static = [_static(own, weighed, i, found[i], errors[i]) for i, own in enumerate(traces)]
+    friction = np.stack(
+        [found[:, 0], [max(s[0], f[0]) for s, f in zip(static, found, strict=True)], found[:, 2]]
+    )
+    friction_error = np.stack([errors[:, 0], [s[1] for s in static], errors[:, 2]])
+    return SlowFit(friction.T, friction_error.T, masses, masses * error[12:], noise)
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _static(
+    traces: Sequence[MotionTrace], plant: PlantParameters, joint: int, found: Array, errors: Array
+) -> tuple[float, float]:
+    """Return static friction and its error: where the joint broke loose, else by sliding friction's rise."""
+    static, error = float(found[0] + found[1]), float(np.hypot(errors[0], errors[1]))
+    broke = [value for trace in traces for value in break_away(trace, plant, joint)]
+    if len(broke) < _LEAST_BREAKS:
+        return static, error
+    own = float(np.median(broke))
+    own_error = float(np.std(broke, ddof=1)) / np.sqrt(len(broke)) + VENT_TOLERANCE * own
+    return own, max(own_error, min(abs(own - static) / 2, error))
 
 
 def _solved(design: Array, force: Array, weight: Array, mean: Array, prior: Array) -> Array:
@@ -211,51 +249,55 @@ def _solved(design: Array, force: Array, weight: Array, mean: Array, prior: Arra
 def _equations(
     trace: MotionTrace, plant: PlantParameters, joint: int, number: int
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return what balances (m, 6) the air's torque on the joint, that torque (m,) N m, and blocks (m,)."""
-    angle = joint_angles(trace, plant)
-    window = min(_SMOOTH, len(angle) - 1 + len(angle) % 2)
-    if window < 7:
-        return np.zeros((0, 6)), np.zeros(0), np.zeros(0, np.int64)
-    tick = plant.tick
-    smooth = savgol_filter(angle, window, 3, axis=0)
-    speed = savgol_filter(angle, window, 3, deriv=1, delta=tick, axis=0)
-    acceleration = savgol_filter(angle, window, 3, deriv=2, delta=tick, axis=0)
-    lower, upper = joint_travel(plant)
-    free = (angle[:, joint] > lower[joint] + _CONTACT) & (angle[:, joint] < upper[joint] - _CONTACT)
-    moving = np.abs(speed[:, joint]) > _SLIDING
-    good = free & moving
-    # Only where the whole smoothing window slides in one direction, away from the stops.
-    half = window // 2
-    bad = np.flatnonzero(~good)
-    for row in bad:
-        good[max(row - half, 0) : row + half + 1] = False
-    rows = np.flatnonzero(good)[::_SPACING]
-    if not len(rows):
-        return np.zeros((0, 6)), np.zeros(0), np.zeros(0, np.int64)
-    q, u = smooth[rows], speed[rows]
-    lever = way_per_angle(q[:, joint], joint, plant)
-    load = np.asarray(bias_forces(plant.robot, q, np.zeros_like(u)))[:, joint]
-    inertia = np.asarray(_torque(plant, smooth, speed, acceleration))[:, joint]
-    inertia -= np.asarray(bias_forces(plant.robot, smooth, np.zeros_like(speed)))[:, joint]
+    """Return the effects (k, 4 + m) of friction, delay and masses on a joint's torque, N m.
+
+    And the air's torque less that of the configured masses (k,) N m, and the blocks (k,) that err alike.
+    """
+    angle, tick = joint_angles(trace, plant), plant.tick
+    if len(angle) < 4 * _SPAN:
+        return np.zeros((0, 4 + len(MASSES))), np.zeros(0), np.zeros(0, np.int64)
+    speed = savgol_filter(angle, _SMOOTH, 2, deriv=1, delta=tick, axis=0)
+    # The mean of an acceleration over a span is a difference of speeds; all else is averaged over it, too.
+    acceleration = np.zeros_like(speed)
+    half = _SPAN // 2
+    acceleration[half:-half] = (speed[2 * half :] - speed[: -2 * half]) / (2 * half * tick)
+    rows = _sliding(angle[:, joint], speed[:, joint], joint_travel(plant), joint)
+    lever = way_per_angle(angle[:, joint], joint, plant)
     actuator = plant.actuators[joint]
-    pressure = trace.pressure[rows, 2 * joint : 2 * joint + 2] - plant.supply.atmosphere
-    along = u[:, joint] * lever
+    pressure = trace.pressure[:, 2 * joint : 2 * joint + 2] - plant.supply.atmosphere
+    along = speed[:, joint] * lever
     direction = np.sign(along)
     rise = direction * np.exp(-((along / actuator.friction.stribeck_speed) ** 2))
-    columns = np.stack(
-        [
-            direction * lever,
-            rise * lever,
-            along * lever,
-            load,
-            inertia[rows],
-            np.gradient(inertia, tick)[rows],
-        ],
-        axis=1,
-    )
-    force = (pressure[:, 0] * actuator.area_a - pressure[:, 1] * actuator.area_b) * lever
-    blocks = 100 * number + trace.segment[rows]
-    return columns, force, blocks
+    air = (pressure[:, 0] * actuator.area_a - pressure[:, 1] * actuator.area_b) * lever
+
+    def averaged(values: Array) -> Array:
+        return np.asarray(uniform_filter1d(values, 2 * half + 1, axis=0))
+
+    def needed(robot: PlantParameters) -> tuple[Array, Array]:
+        """Return the averaged torque that gravity and motion need, and its part for acceleration."""
+        bias = np.asarray(bias_forces(robot.robot, angle, speed))[:, joint]
+        load = np.asarray(bias_forces(robot.robot, angle, np.zeros_like(speed)))[:, joint]
+        inertia = np.asarray(_torque(robot, angle, np.zeros_like(speed), acceleration))[:, joint] - load
+        return averaged(bias) + inertia, inertia
+
+    base, inertia = needed(plant)
+    effects = []
+    for key in MASSES:
+        heavier = with_values(plant, {key: 1.1 * float(value_at(plant, key))})
+        effects.append((needed(heavier)[0] - base) / 0.1)
+    sliding = averaged(np.stack([direction * lever, rise * lever, along * lever, air], axis=1))
+    columns = np.stack([*sliding[:, :3].T, np.gradient(inertia, tick), *effects], axis=1)
+    return columns[rows], (sliding[:, 3] - base)[rows], 100 * number + trace.segment[rows]
+
+
+def _sliding(angle: Array, speed: Array, travel: tuple[Array, Array], joint: int) -> NDArray[np.int64]:
+    """Return rows around which `joint` slides in one direction, away from its stops, for a whole span."""
+    lower, upper = travel[0][joint], travel[1][joint]
+    good = (angle > lower + _CONTACT) & (angle < upper - _CONTACT) & (np.abs(speed) > _SLIDING)
+    span = _SPAN // 2 + _SMOOTH
+    for row in np.flatnonzero(~good):
+        good[max(row - span, 0) : row + span + 1] = False
+    return np.flatnonzero(good)[::_SPACING]
 
 
 def _torque(plant: PlantParameters, q: Array, u: Array, a: Array) -> Array:
@@ -265,11 +307,8 @@ def _torque(plant: PlantParameters, q: Array, u: Array, a: Array) -> Array:
     return effort
 
 
-def break_away(trace: MotionTrace, plant: PlantParameters, joint: int, gravity: float) -> list[float]:
-    """Return the friction forces at which `joint` broke loose in the ramps of `trace`.
-
-    `gravity` is the factor on the configured load.
-    """
+def break_away(trace: MotionTrace, plant: PlantParameters, joint: int) -> list[float]:
+    """Return the friction forces at which `joint` broke loose in the ramps of `trace`."""
     angle = joint_angles(trace, plant)
     actuator = plant.actuators[joint]
     lower, upper = joint_travel(plant)
@@ -293,5 +332,5 @@ def break_away(trace: MotionTrace, plant: PlantParameters, joint: int, gravity: 
         gauge = trace.pressure[at, 2 * joint : 2 * joint + 2] - plant.supply.atmosphere
         force = gauge[0] * actuator.area_a - gauge[1] * actuator.area_b
         direction = np.sign(own[later] - start)
-        found.append(float(direction * (force - gravity * load / lever)))
+        found.append(float(direction * (force - load / lever)))
     return found

@@ -26,6 +26,7 @@ from bench.commissioning.moves import (
     move_to_stop,
     require_within,
     slow_bounds,
+    swapped_encoders,
 )
 from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wrong_machine import WrongMachine
@@ -44,6 +45,10 @@ _FOOT = 1.5e3
 """Pa by which a chamber rises where its valve begins to open."""
 _ANSWER = 8e3
 """Pa by which a chamber changes that is connected to the valve."""
+_SENSOR = 8e3
+"""Pa by which a sensor may differ from the atmosphere."""
+_LEFT = 2e4
+"""Pa that a chamber may keep at the end of a ramp."""
 _SUPPLY_SHARE = 0.8
 """Min share of the set gauge pressure."""
 MAX_CENTRE, MAX_BAND = 0.06, 0.10
@@ -76,7 +81,7 @@ class Wiring:
 
     def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
         """Ramp each valve, then move each joint from stop to stop."""
-        machine.vent()
+        _require_sensors(machine.vent(), known.plant)
         machine.set_supply(FAINT)
         bounds = slow_bounds(known.plant, 2.0 * FAINT)
         traces: dict[str, MotionTrace] = {}
@@ -126,6 +131,7 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[FoundValue, .
     responses = {i: _response(traces[f"{JOINTS[i]} ramp"]) for i in range(3)}
     _require_supply(traces, plant)
     _require_connected(responses, traces)
+    _require_vents(traces, plant)
     values = []
     for i, key in enumerate(ACTUATOR_KEYS):
         feet = valve_feet(traces[f"{JOINTS[i]} ramp"], i)
@@ -163,6 +169,32 @@ def valve_feet(trace: MotionTrace, valve: int) -> ValveFeet:
         last = int(np.flatnonzero(low)[-1]) if low.any() else 0
         found.append(float(trace.valve[rows[last], valve]))
     return ValveFeet(*found)
+
+
+def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
+    """Raise WrongMachine unless all chamber sensors show the atmosphere at the end of venting."""
+    off = trace.pressure[-1] - plant.supply.atmosphere
+    worst = int(np.argmax(np.abs(off)))
+    if abs(off[worst]) > _SENSOR:
+        raise WrongMachine(
+            f"{CHAMBERS[worst]} sensor",
+            f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented",
+            f"{1e-5 * plant.supply.atmosphere:.2f} bar",
+            "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere.",
+        )
+
+
+def _require_vents(traces: Traces, plant: PlantParameters) -> None:
+    """Raise WrongMachine if a chamber that a ramp has filled does not empty through the vents."""
+    for i, joint in enumerate(JOINTS):
+        left = traces[f"{joint} ramp"].pressure[-1, 2 * i + 1] - plant.supply.atmosphere
+        if left > _LEFT:
+            raise WrongMachine(
+                "vents",
+                f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut",
+                "chambers that empty when the vents are not energised",
+                "The vents stay shut, or a throttle is blocked: check both. Mind the air inside.",
+            )
 
 
 def _require_supply(traces: Traces, plant: PlantParameters) -> None:
@@ -207,6 +239,15 @@ def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
 
 def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> WrongMachine:
     """Return the fault of a valve whose chambers do not both answer."""
+    filled = 2 * i + (0 if a > _ANSWER else 1)
+    own = trace.pressure[:, filled]
+    if (a > _ANSWER or b > _ANSWER) and own[trace.of_segment(0)][-1] - own.min() > _ANSWER:
+        return WrongMachine(
+            f"{JOINTS[i]} valve",
+            f"fills {CHAMBERS[filled]} with its command at zero",
+            f"a centre within {MAX_CENTRE}",
+            "Its centre is far off: adjust it by the maker's manual, check its signal, or replace the valve.",
+        )
     if a > _ANSWER or b > _ANSWER:
         chamber = CHAMBERS[2 * i + (1 if a > _ANSWER else 0)]
         return WrongMachine(
@@ -248,14 +289,7 @@ def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
     travel = (upper - lower)[joint]
     others = [j for j in range(3) if j != joint and way[j] > 0.5 * min(travel, (upper - lower)[j])]
     if way[joint] < 0.3 * travel and others:
-        j = others[0]
-        raise WrongMachine(
-            f"{JOINTS[joint]} encoder",
-            f"does not move ({way[joint]:.2f} rad) when the {JOINTS[joint]} does; "
-            f"that of the {JOINTS[j]} does ({way[j]:.2f} rad)",
-            f"{travel:.2f} rad at the {JOINTS[joint]}",
-            f"The encoders of {JOINTS[joint]} and {JOINTS[j]} are swapped: exchange their cables.",
-        )
+        raise swapped_encoders(joint, others[0], way)
     if way[joint] < 0.3 * travel:
         raise WrongMachine(
             f"{JOINTS[joint]} encoder",

@@ -63,6 +63,7 @@ LONG = (
     "campaign_detection",
     "campaign_examples",
     "campaign_show",
+    "commissioning",
     "learning",
     "identified",
     "swing_design",

@@ -7,6 +7,7 @@ from math import pi
 
 import numpy as np
 
+from bench.commissioning.known_robot import FoundValue, value_at
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 from sim.robot import Body
@@ -85,3 +86,12 @@ def drawn_robot(seed: int, nominal: PlantParameters | None = None) -> PlantParam
             latency=between(0.0, 0.002),
         ),
     )
+
+
+def gap_of(found: FoundValue, truth: PlantParameters) -> float:
+    """Return the estimate less the truth; zeros of encoders within half a revolution."""
+    gap = found.value - float(value_at(truth, found.key))
+    if "zero_count" in found.key:
+        counts = truth.encoders.counts_per_revolution
+        gap = (gap + counts / 2) % counts - counts / 2
+    return gap
