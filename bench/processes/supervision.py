@@ -13,7 +13,7 @@ from bench.control.records import CONTROL_STATE
 from bench.lifecycle import Request
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
-from drivers.base.mapped_slots import READ
+from drivers.base.mapped_slots import HEAD_WORD, READ
 from drivers.base.raw_memory import pointer
 from drivers.base.shared_record import SharedRecord
 
@@ -78,6 +78,8 @@ class Orders:
             numbers(self._memory[name]) for name in _MEMORY.names or ()
         )
         self._version[0], self._last_heartbeat[0], self._silence[0] = _UNREAD, -np.inf, silence
+        self._look()
+        self._words = self._shared.words
         self._control: np.ndarray[Any, Any] | None = None
         held = self._shared.block, self._values, self._spare, self._memory
         self._block = np.array([*(array.ctypes.data for array in held), 0], np.int64)
@@ -99,19 +101,25 @@ class Orders:
         bench that the previous holder has armed, and refuses the request that the previous holder has left
         waiting. A request of the new holder waits until the next tick.
         """
-        alive = time - self._last_heartbeat[0] < self._silence[0]
-        if self._shared.newest == self._version[0] and alive == self._alive[0]:
+        version, last, silence, was_alive = self._seen
+        if self._words[HEAD_WORD] == version and (time - last < silence) == was_alive:
             return
         if self._is_plain:
             _take(self._values, self._memory, control, time, self._shared.read(self._values))
-            return
-        if control is not self._control:
-            self._control, self._block[_CONTROL] = control, control.ctypes.data
-        _take_newest(self._address, time)
+        else:
+            if control is not self._control:
+                self._control, self._block[_CONTROL] = control, control.ctypes.data
+            _take_newest(self._address, time)
+        self._look()
+
+    def _look(self) -> None:
+        """Look up the few values that every tick needs: Python's own are at hand fastest."""
+        self._seen = self._version[0], self._last_heartbeat[0], self._silence[0], self._alive[0]
 
     def declare_supervisor_dead(self) -> None:
         """Treat the supervisor as dead from now on: the loop has seen that its process is gone."""
         self._silence[0] = 0.0
+        self._look()
 
     def close(self) -> None:
         """Unmap the file."""

@@ -38,7 +38,7 @@ _HEADER = struct.Struct("=8sI12sQQ16s")
 _SHARED = getattr(mmap, "MAP_SHARED", 0) | getattr(mmap, "MAP_POPULATE", 0)
 """All pages at once, so that no tick pays for a page fault; other systems than Linux only import this."""
 
-HEAD = 64
+HEAD, HEAD_WORD = 64, 8
 """Byte of the head word: on a cache line of its own, as are the slots."""
 FIRST = 128
 """Byte of slot 0."""
@@ -152,9 +152,14 @@ class MappedSlots:
             os.close(descriptor)  # the map keeps one of its own
 
     @property
+    def words(self) -> memoryview[Any]:
+        """The file as words; only until it is closed."""
+        return self._words
+
+    @property
     def head(self) -> int:
         """Number of the newest record; 0 before the first."""
-        return self._words[HEAD >> 3]
+        return self._words[HEAD_WORD]
 
     def put(self, data: bytes) -> None:
         """Write the next record, in place of the oldest; a few us, never waits.
@@ -173,7 +178,7 @@ class MappedSlots:
         self._memory[start : start + self.size] = data
         words[word + _CHECK] = crc32(data, sequence & 0xFFFFFFFF)
         words[word + self._end] = sequence
-        words[HEAD >> 3] = sequence
+        words[HEAD_WORD] = sequence
         self._block[WRITTEN] = sequence
 
     def fetch(self, sequence: int) -> bytes | None:

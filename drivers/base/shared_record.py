@@ -60,6 +60,11 @@ class SharedRecord:
         self._slots.put(record.tobytes())
 
     @property
+    def words(self) -> memoryview[Any]:
+        """The file as words, see `drivers.base.mapped_slots`; only until it is closed."""
+        return self._slots.words
+
+    @property
     def newest(self) -> int:
         """Version of the newest value, 0 before the first write; a cheap test for a new value."""
         return self._slots.head

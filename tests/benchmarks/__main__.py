@@ -27,6 +27,7 @@ BENCHMARKS = (
     "lockstep",
     "shared_memory",
     "canopen_driver",
+    "canopen_socket",
     "feed_forward",
     "model_check",
 )
