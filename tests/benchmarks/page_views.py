@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.errors import Refused
 from bench.lifecycle import State
 from bench.network.free_port import free_port
 from bench.page.static_files import static_files
@@ -32,6 +33,7 @@ from tests.running_bench import BenchProcess, command_beside, running_bench, wri
 _START = 300.0
 """s in which the page starts."""
 _NAME = "page_views"
+_ATTEMPTS = 3
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
@@ -113,20 +115,21 @@ def _swing_ages(bench: BenchProcess, port: int, swings: int) -> dict[str, list[f
     thread = threading.Thread(target=read, daemon=True)
     thread.start()
     with bench.client.lease("page_views"):
-        bench.make_ready()
-        for _ in range(swings):
-            bench.take_address()
-            arrived.clear()
-            bench.swing()
-            bench.wait_until(lambda record: record["state"] == State.SWINGING)
-            end = float(bench.wait_until(lambda record: record["state"] != State.SWINGING)["time"])
-            deadline = time.monotonic() + 30.0
-            while {stored for _, stored in arrived} != {True, False} and time.monotonic() < deadline:
-                time.sleep(0.01)
-            for name, stored in (("from the ring", False), ("from its record", True)):
-                found[name] += [1e3 * (at - end) for at, kind in arrived if kind is stored][:1]
-            bench.client.disarm()
-            bench.client.wait_for("READY", timeout=60.0)
+        for _ in range(_ATTEMPTS * swings):
+            if len(found["from its record"]) == swings:
+                break
+            with suppress(Refused, TimeoutError):  # a stall of the machine stops a robot on its own clock
+                bench.recover()
+                bench.take_address()
+                arrived.clear()
+                bench.swing()
+                bench.wait_until(lambda record: record["state"] == State.SWINGING)
+                end = float(bench.wait_until(lambda record: record["state"] != State.SWINGING)["time"])
+                deadline = time.monotonic() + 30.0
+                while {stored for _, stored in arrived} != {True, False} and time.monotonic() < deadline:
+                    time.sleep(0.01)
+                for name, stored in (("from the ring", False), ("from its record", True)):
+                    found[name] += [1e3 * (at - end) for at, kind in arrived if kind is stored][:1]
     over.set()
     return {name: values for name, values in found.items() if values}
 
