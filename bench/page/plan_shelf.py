@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ MAX_PLANS = 100
 LONGEST_PLAN = 1 << 20
 """Max size of a plan's file, bytes."""
 
+_LONGEST_ABOUT = 400
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
 
 
@@ -29,7 +31,7 @@ class PlanShelf:
         self._folder = data_dir / "plans"
 
     def listed(self) -> list[dict[str, Any]]:
-        """Return name, title and first comment of each plan, and whether it is shipped."""
+        """Return name, title and leading comment of each plan, and whether it is shipped."""
         return [_described(name, file) for name, file in self._files().items()]
 
     def file(self, name: str) -> Path:
@@ -68,8 +70,8 @@ def _described(name: str, file: Path) -> dict[str, Any]:
     title, about = name, ""
     try:
         text = file.read_text(encoding="utf-8")
-        first = text.partition("\n")[0]
-        about = first.removeprefix("#").strip()[:300] if first.startswith("#") else ""
+        lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
+        about = " ".join(line.removeprefix("#").strip() for line in lines)[:_LONGEST_ABOUT]
         campaign = tomllib.loads(text).get("campaign")
         if isinstance(campaign, dict) and isinstance(campaign.get("title"), str) and campaign["title"]:
             title = campaign["title"][:200]

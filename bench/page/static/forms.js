@@ -10,7 +10,7 @@ let content = null;
 // The access: each step with whether it is done, and the one to do now with its button.
 
 const STEPS = [
-  { text: "Disarm: the robot comes to rest and its chambers vent.", done: (v) => v.state === "ACCESS" || (["READY", "SAFE", "ESTOP", "FAULT"].includes(v.state) && v.vented), name: "disarm" },
+  { text: "Disarm; wait until the robot rests and its chambers are vented.", done: (v) => v.state === "ACCESS" || (["READY", "SAFE", "ESTOP", "FAULT"].includes(v.state) && v.vented), name: "disarm" },
   { text: "Open the access: the guard unlocks.", done: (v) => v.state === "ACCESS", name: "access" },
   { text: "Enter, change club or ball, leave; close the guard.", done: () => false, name: "" },
   { text: "End the access: the guard locks. Then home or arm.", done: () => false, name: "secure" },
@@ -20,7 +20,7 @@ export function showAccess(view) {
   const open = view.state === "ACCESS";
   const at = open ? 2 : STEPS.findIndex((step) => !step.done(view));
   const now = (index) => index === at || (open && index === 3 && view.guard_closed);
-  rows("access-steps", STEPS.map((step, index) => [step.text, now(index) ? "now" : index < at ? "done" : "", step.name]), ([text, mark, name]) =>
+  rows("access-steps", STEPS.map((step, index) => [step.text, now(index) ? "now" : index < at ? "done" : "", view.accepts.includes(step.name) ? step.name : ""]), ([text, mark, name]) =>
     make("li", { class: mark || null, "aria-current": mark === "now" ? "step" : null }, mark === "done" ? "✓ " : mark === "now" ? "➜ " : "· ", text, " ",
       mark === "now" && name ? make("button", { type: "button", id: `step-${name}`, on: { click: () => press(name) } }, LABELS[name]) : ""));
 }

@@ -15,6 +15,7 @@ let runner = null;
 let seen = 0;
 let busy = false;
 let whole = false;
+let running = false;
 
 export const setPlansSeen = (value) => { seen = value; };
 
@@ -25,7 +26,7 @@ export async function loadPlans() {
   const chosen = by("plan").value;
   by("plan").replaceChildren(...plans.map((one) => make("option", { value: one.name }, `${one.title} (${one.name}${one.shipped ? "" : ", of this bench"})`)));
   if (plans.some((one) => one.name === chosen)) by("plan").value = chosen;
-  by("plans-card").hidden = plans.length === 0;
+  by("plans-card").hidden = running || plans.length === 0;
   choose();
 }
 
@@ -34,6 +35,12 @@ export function startPlans() {
   by("plan-check").addEventListener("click", check);
   by("plan-start").addEventListener("click", start);
   setInterval(refresh, 300);
+}
+
+// While a campaign runs, no other can be started: its card makes room.
+export function showPlansBeside(campaigns) {
+  running = campaigns.length > 0;
+  by("plans-card").hidden = running || plans.length === 0;
 }
 
 export function showRunner(content) {
@@ -84,7 +91,7 @@ function parts(found) {
   return [
     make("dl", { class: "big" }, ...[
       ["Shots", String(found.shots)],
-      ["Warm-up", `up to ${found.warm_up_at_most}`],
+      ["Warm-up", found.warm_up_at_most ? `up to ${found.warm_up_at_most}` : "none"],
       ["Time", duration(found.expected_duration_s + found.needs.hand_work)],
       ["Club changes", String(found.needs.club_changes)],
       ["Feeder fills", String(found.needs.feeder_fills)],
@@ -104,11 +111,15 @@ function parts(found) {
   ];
 }
 
-// What differs within the plan names a shot: the ball, the club, or the swing.
+// What differs within the plan (swing, club, ball) names a shot; what is the same in a block stands before it.
 function order(block, blocks) {
-  const all = blocks.flatMap((one) => one.shots);
-  const parts = [1, 2, 3].filter((at) => new Set(all.map((shot) => shot[at])).size > 1);
-  return block.shots.map((shot) => `${(parts.length ? parts : [3]).map((at) => shot[at]).join(" / ")}${shot[0] === "control" ? " (control)" : ""}`).join(" · ");
+  const differs = (shots, at) => new Set(shots.map((shot) => shot[at])).size > 1;
+  const parts = [1, 2, 3].filter((at) => differs(blocks.flatMap((one) => one.shots), at));
+  const own = parts.filter((at) => differs(block.shots, at));
+  const before = parts.filter((at) => !own.includes(at)).map((at) => block.shots[0][at]);
+  const named = own.length ? own : [3];
+  const shots = block.shots.map((shot) => `${named.map((at) => shot[at]).join(" / ")}${shot[0] === "control" ? " (control)" : ""}`);
+  return `${before.length ? `${before.join(", ")}: ` : ""}${shots.join(" · ")}`;
 }
 
 async function start() {
@@ -122,4 +133,5 @@ async function start() {
   const body = { number: randomNumber(), seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
   const answer = await send(`/api/plan/${encodeURIComponent(plan)}/start`, body);
   outcome(say(answer, answer.note), !answer.ok);
+  if (answer.ok) show(null);
 }
