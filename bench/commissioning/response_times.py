@@ -183,7 +183,7 @@ def fit_spool(trace: MotionTrace, known: KnownRobot, actuator: int) -> tuple[flo
 
     found = least_squares(residual, np.array([1.0, 1.0]), bounds=([0.05, 0.5], [5.0, 2.0]), xtol=1e-9)
     error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
-    relative = float(np.hypot(error[0], 0.005))
+    relative = float(np.hypot(error[0], 0.01))
     return nominal * float(found.x[0]), nominal * relative
 
 

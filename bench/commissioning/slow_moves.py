@@ -66,6 +66,8 @@ _LEAST_TORQUE = 0.01
 _FRICTION = ("coulomb", "static", "viscous")
 LOWEST_SUPPLY = 6.3e5
 """Min pressure in service, Pa absolute."""
+_ACCELERATION = 0.02
+"""Standard deviation of the error of an acceleration that encoders give, as a share."""
 _DELAY = 0.0015
 """Standard deviation of the time, s, by which encoders may lag behind pressures."""
 _LEAST_BREAKS = 3
@@ -189,16 +191,18 @@ def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParamete
     for i, own in enumerate(traces):
         parts = [_equations(trace, plant, i, 1000 * i + n) for n, trace in enumerate(own)]
         columns = np.concatenate([part[0] for part in parts])
-        design = np.zeros((len(columns), 4 * 3 + len(MASSES)))
-        design[:, 4 * i : 4 * i + 4], design[:, 12:] = columns[:, :4], columns[:, 4:]
+        design = np.zeros((len(columns), 5 * 3 + len(MASSES)))
+        design[:, 5 * i : 5 * i + 5], design[:, 15:] = columns[:, :5], columns[:, 5:]
         designs.append(design)
         torques.append(np.concatenate([part[1] for part in parts]))
         clusters.append(np.concatenate([part[2] for part in parts]))
         joints.append(np.full(len(columns), i))
-    nominal = [(f.coulomb, f.coulomb, f.viscous, _DELAY) for f in (a.friction for a in plant.actuators)]
+    nominal = [(f.coulomb, f.coulomb, f.viscous, _DELAY, 1.0) for f in (a.friction for a in plant.actuators)]
     scale = np.concatenate([np.ravel(nominal), np.ones(len(MASSES))])
-    mean = np.concatenate([np.tile([1.0, 0.33, 1.0, 0.0], 3), np.zeros(len(MASSES))])
-    prior = np.concatenate([np.tile([2.0, 1.0, 2.0, 1.0], 3), np.full(len(MASSES), _TOLERANCE)])
+    mean = np.concatenate([np.tile([1.0, 0.33, 1.0, 0.0, 0.0], 3), np.zeros(len(MASSES))])
+    prior = np.concatenate(
+        [np.tile([2.0, 1.0, 2.0, 1.0, _ACCELERATION], 3), np.full(len(MASSES), _TOLERANCE)]
+    )
     design, torque, joint = np.concatenate(designs) * scale, np.concatenate(torques), np.concatenate(joints)
     x, noise = mean.copy(), np.array([np.abs(own).max(initial=1.0) for own in torques])
     left, weight = design @ x - torque, 1.0 / noise[joint]
@@ -209,17 +213,17 @@ def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParamete
         weight = 1.0 / np.maximum(np.abs(left) / (3.0 * noise[joint]), 1.0) / noise[joint]
     rows = np.concatenate([design * weight[:, None], np.diag(1.0 / prior)])
     error = robust_errors(rows, np.concatenate([left * weight, (x - mean) / prior]), np.concatenate(clusters))
-    masses = np.array([value_at(plant, key) for key in MASSES]) * (1.0 + x[12:])
-    error[12:] = np.hypot(error[12:], VENT_TOLERANCE)
-    found = (x * scale)[:12].reshape(3, 4)
-    errors = np.hypot(error[:12], VENT_TOLERANCE * np.abs(x[:12])).reshape(3, 4) * scale[:12].reshape(3, 4)
+    masses = np.array([value_at(plant, key) for key in MASSES]) * (1.0 + x[15:])
+    error[15:] = np.hypot(error[15:], VENT_TOLERANCE)
+    found = (x * scale)[:15].reshape(3, 5)
+    errors = np.hypot(error[:15], VENT_TOLERANCE * np.abs(x[:15])).reshape(3, 5) * scale[:15].reshape(3, 5)
     weighed = with_values(plant, dict(zip(MASSES, masses.tolist(), strict=True)))
     static = [_static(own, weighed, i, found[i], errors[i]) for i, own in enumerate(traces)]
     friction = np.stack(
         [found[:, 0], [max(s[0], f[0]) for s, f in zip(static, found, strict=True)], found[:, 2]]
     )
     friction_error = np.stack([errors[:, 0], [s[1] for s in static], errors[:, 2]])
-    return SlowFit(friction.T, friction_error.T, masses, masses * error[12:], noise)
+    return SlowFit(friction.T, friction_error.T, masses, masses * error[15:], noise)
 
 
 def _median(values: Array) -> float:
@@ -249,13 +253,13 @@ def _solved(design: Array, force: Array, weight: Array, mean: Array, prior: Arra
 def _equations(
     trace: MotionTrace, plant: PlantParameters, joint: int, number: int
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return the effects (k, 4 + m) of friction, delay and masses on a joint's torque, N m.
+    """Return the effects (k, 5 + m) of friction, delay and masses on a joint's torque, N m.
 
     And the air's torque less that of the configured masses (k,) N m, and the blocks (k,) that err alike.
     """
     angle, tick = joint_angles(trace, plant), plant.tick
     if len(angle) < 4 * _SPAN:
-        return np.zeros((0, 4 + len(MASSES))), np.zeros(0), np.zeros(0, np.int64)
+        return np.zeros((0, 5 + len(MASSES))), np.zeros(0), np.zeros(0, np.int64)
     speed = savgol_filter(angle, _SMOOTH, 2, deriv=1, delta=tick, axis=0)
     # The mean of an acceleration over a span is a difference of speeds; all else is averaged over it, too.
     acceleration = np.zeros_like(speed)
@@ -286,7 +290,7 @@ def _equations(
         heavier = with_values(plant, {key: 1.1 * float(value_at(plant, key))})
         effects.append((needed(heavier)[0] - base) / 0.1)
     sliding = averaged(np.stack([direction * lever, rise * lever, along * lever, air], axis=1))
-    columns = np.stack([*sliding[:, :3].T, np.gradient(inertia, tick), *effects], axis=1)
+    columns = np.stack([*sliding[:, :3].T, np.gradient(inertia, tick), inertia, *effects], axis=1)
     return columns[rows], (sliding[:, 3] - base)[rows], 100 * number + trace.segment[rows]
 
 

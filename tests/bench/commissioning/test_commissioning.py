@@ -142,18 +142,12 @@ def test_chamber_sensors_are_needed() -> None:
         SimulatedMachine(plant, plant)
 
 
-QUICKLY_FOUND = (
-    "valves swapped",
-    "valve reversed",
-    "spool stuck",
-    "supply off",
-    "vents stay shut",
-    "encoders swapped",
-)
+QUICKLY_FOUND = ("valves swapped", "vents stay shut", "encoders swapped")
 """Wrong machines that the first minute of the first step finds; the benchmark tries all."""
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", QUICKLY_FOUND)
 def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
     nominal = PlantParameters()
