@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
+    from bench.control.machine_gains import MachineGains
     from bench.simulation.series import Bench
-    from bench.tuning.gains import Gains
-    from bench.tuning.linear_loop import Estimator, Frozen, Judged
+    from bench.tuning.along_swing import Judged
     from bench.tuning.proof import Proof
     from bench.tuning.recipe import Recipe
     from sim.plant import PlantParameters
 
-Method = Literal["margins", "thesis", "none"]
+Method = Literal["machine", "thesis", "none"]
 
 
 ProfileName = Annotated[
@@ -30,8 +30,8 @@ ProfileName = Annotated[
 MethodName = Annotated[
     Method,
     typer.Option(
-        help="margins: the stiffest loops that keep their margins; thesis: its recipe, P until "
-        "overshoot, D until it is gone, I until the static error is; none: only show the margins."
+        help="machine: by pose, from the robot's linearised loops; thesis: its recipe, P until overshoot, "
+        "D until it is gone, I until the static error is; none: show the margins of the configured gains."
     ),
 ]
 Output = Annotated[
@@ -43,7 +43,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to 
 def tune(
     context: typer.Context,
     profile: ProfileName = None,
-    method: MethodName = "margins",
+    method: MethodName = "machine",
     output: Output = None,
     json_: Json = False,
 ) -> None:
@@ -53,45 +53,58 @@ def tune(
     the configured robot does not swing with what was found.
     """
     import json
+    from dataclasses import replace
 
     from rich.console import Console
 
     from bench.commands.progress import progress_bar
+    from bench.control.linear_loop import steady_estimator
+    from bench.control.linear_plant import freeze
+    from bench.control.settings import estimator_record
     from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.simulation.series import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
-    from bench.tuning.gains import Gains
-    from bench.tuning.linear_loop import freeze, judge, operating_points, steady_estimator
+    from bench.tuning.along_swing import gains_along, judge, operating_points
+    from bench.tuning.gains import with_gains
+    from bench.tuning.recipe import tune_by_recipe
     from sim.plant import build_plant
 
     configuration = context.ensure_object(Session).configuration()
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
-    swing, before = load_profile(path), Gains.of(configuration.control)
+    swing = load_profile(path)
     require_possible(swing, plant, configuration.envelope, str(path))
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    tuned, recipe = bench, None
     with progress_bar() as bar:
         task = bar.add_task("a swing, linearised", total=1.0)
         built, period = build_plant(plant), plant.tick
         plants = [freeze(built, point) for point in operating_points(bench)]
-        estimator = steady_estimator(plant, configuration.estimator)
+        filters = estimator_record(configuration.estimator, plant)
+        estimator = steady_estimator(filters, period, plant.encoders.latency)
         bar.update(task, completed=1.0)
-        gains, recipe = _tuned(method, bench, plants, estimator, bar)
-        judged = judge(plants, estimator, gains, period)
-        proofs = {} if method == "none" else _proofs(bench, gains, bar)
+        if method == "machine":
+            tuned = bench._replace(control=replace(bench.control, gains="machine"))
+        elif method == "thesis":
+            task = bar.add_task("steps", total=None)
+            recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
+            tuned = bench._replace(control=with_gains(bench.control, recipe.gains))
+        judged = judge(plants, estimator, gains_along(tuned), period)
+        proofs = {} if method == "none" else _proofs(bench, tuned, bar)
     failed = bool(proofs) and bool(proofs["nominal"][1].failure)
+    machine = _machine(tuned)
     if json_:
-        typer.echo(json.dumps(_record(method, gains, judged, proofs, recipe), indent=2))
+        typer.echo(json.dumps(_record(method, tuned, judged, proofs, recipe, machine), indent=2))
     else:
         console = Console()
         console.print(margins_table(f"margins along {swing.name}", judged))
         judging = [frozen for frozen in plants if frozen.point.judged]
-        old, new = (_worst(judge(judging, estimator, tried, period)) for tried in (before, gains))
-        for line in _story(before, gains, recipe, proofs, (old, new)):
+        old, new = (_worst(judge(judging, estimator, gains_along(one), period)) for one in (bench, tuned))
+        for line in _story(recipe, proofs, (old, new), machine):
             console.print(line, highlight=False)
     if method != "none" and not failed and output is not None:
-        _write_gains(output, gains, configuration.files[-1], method, swing.name)
+        _write_gains(output, tuned, configuration.files[-1], method, swing.name)
         if not json_:
             typer.echo(f"{output}: golfbench --config {output} swing simulate {profile or path.stem}")
     if failed:
@@ -100,55 +113,43 @@ def tune(
         raise typer.Exit(ExitCode.REFUSED)
 
 
-def _tuned(
-    method: Method, bench: Bench, plants: list[Frozen], estimator: Estimator, bar: Progress
-) -> tuple[Gains, Recipe | None]:
-    """Return the gains by `method`, and the thesis' recipe if they are by it."""
-    from bench.tuning.by_margins import tune_by_margins
-    from bench.tuning.gains import Gains
-    from bench.tuning.recipe import tune_by_recipe
+def _machine(bench: Bench) -> MachineGains | None:
+    """Return the bench's gains by pose; None where they are set by hand."""
+    from bench.control.machine_gains import machine_gains
+    from bench.control.settings import estimator_record
 
-    if method == "margins":
-        task = bar.add_task("gains", total=1.0)
-        found = tune_by_margins(
-            plants,
-            estimator,
-            bench.model,
-            bench.control,
-            progress=lambda part: bar.update(task, completed=part),
-        )
-        return found.gains, None
-    if method == "thesis":
-        task = bar.add_task("steps", total=None)
-        recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
-        return recipe.gains, recipe
-    return Gains.of(bench.control), None
+    control = bench.control
+    if control.gains != "machine":
+        return None
+    filters = estimator_record(bench.estimator, bench.model)
+    return machine_gains(bench.model, filters, control.address_tolerance, control.move_timeout)
 
 
-def _proofs(bench: Bench, gains: Gains, bar: Progress) -> dict[str, tuple[Proof, Proof]]:
-    """Return whole swings of the nominal and the worn robot, each as configured and with `gains`."""
+def _proofs(bench: Bench, tuned: Bench, bar: Progress) -> dict[str, tuple[Proof, Proof]]:
+    """Return whole swings of the nominal and the worn robot, each as configured and tuned."""
     from bench.simulation.variation import WORN
-    from bench.tuning.gains import Gains
     from bench.tuning.proof import proof
 
     task = bar.add_task("whole swings", total=4)
 
-    def proven(truth: PlantParameters, tried: Gains) -> Proof:
-        made = proof(bench, truth, tried)
+    def proven(truth: PlantParameters, tried: Bench) -> Proof:
+        made = proof(tried, truth)
         bar.update(task, advance=1)
         return made
 
-    before, plant = Gains.of(bench.control), bench.model
-    robots = {"nominal": plant, "worn": WORN.applied_to(plant)}
-    return {name: (proven(truth, before), proven(truth, gains)) for name, truth in robots.items()}
+    robots = {"nominal": bench.model, "worn": WORN.applied_to(bench.model)}
+    return {name: (proven(truth, bench), proven(truth, tuned)) for name, truth in robots.items()}
 
 
-def _write_gains(output: Path, gains: Gains, base: Path, method: Method, swing: str) -> None:
-    """Write a configuration with `gains` on top of `base`."""
-    from bench.tuning.gains_file import gains_file
+def _write_gains(output: Path, tuned: Bench, base: Path, method: Method, swing: str) -> None:
+    """Write a configuration with the gains of `tuned` on top of `base`."""
+    from bench.tuning.gains import gains_of
+    from bench.tuning.gains_file import gains_file, machine_gains_file
 
-    how = {"margins": "by margins", "thesis": "by the thesis' recipe"}[method]
-    text = gains_file(gains, base, f"tuned {how} for the swing {swing}")
+    if method == "machine":
+        text = machine_gains_file(base)
+    else:
+        text = gains_file(gains_of(tuned.control), base, f"tuned by the thesis' recipe for the swing {swing}")
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(text, encoding="utf-8")
 
@@ -191,28 +192,23 @@ def margins_table(title: str, judged: Judged) -> Table:
 
 
 def _story(
-    before: Gains,
-    after: Gains,
     recipe: Recipe | None,
     proofs: dict[str, tuple[Proof, Proof]],
     worst: tuple[str, str],
+    machine: MachineGains | None,
 ) -> list[str]:
     """Return what to say below the table."""
     from drivers.base import JOINTS
 
     lines = [
-        "Joints slide, spools are beyond their dead band, the motion is frozen at each instant. At the top, "
-        "where dry friction holds the joints, and in the downswing that is told, but nothing is tuned by it.",
+        "Joints slide, spools are beyond their dead band, the motion is frozen at each instant. The top, "
+        "where dry friction holds the joints, and the downswing are shown, but not judged.",
     ]
+    if machine is not None:
+        lines += ["", *_by_pose(machine)]
     if not proofs:
         return lines
-    lines += [""] + [
-        f"{name:12s} {_triple(old)} -> {_triple(new)}"
-        for name, old, new in zip(before._fields, before, after, strict=True)
-    ]
     lines += ["", f"Worst at address and in the backswing, as configured: {worst[0]}", f"tuned: {worst[1]}"]
-    if recipe is None:
-        lines.append(_asked_for())
     if recipe is not None:
         lines.append(f"{len(recipe.trials)} steps.")
         rules = ("no overshoot was achieved", "overshoot stays", "a static error stays")
@@ -223,6 +219,33 @@ def _story(
             errors = f"{_milli(proof.backswing)} and {_milli(proof.downswing)} mrad"
             lines.append(f"{name} robot, {text}: {proof.failure or errors}")
     lines.append("Following errors, rms of shoulder·arm·wrist: up to the top, and in the downswing.")
+    return lines
+
+
+def _by_pose(machine: MachineGains) -> list[str]:
+    """Return what gains by pose reach over the whole working range, and what limits them."""
+    from math import degrees
+
+    from bench.control.machine_gains import RequiredMargins
+    from drivers.base import JOINTS
+
+    required, worst = RequiredMargins(), machine.worst
+    rates = ", ".join(
+        f"{joint} {band.rate:.0f}/s behind {1e3 * delay:.1f} ms of spool, reading and tick"
+        for joint, band, delay in zip(JOINTS, machine.bandwidths, machine.delay, strict=True)
+    )
+    pose = ", ".join(f"{degrees(angle):.0f}°" for angle in worst.angle)
+    loop = f"of the {JOINTS[worst.joint]}'s loop" if worst.joint >= 0 else "of all loops"
+    lines = [
+        f"Gains by pose. Bandwidths: {rates}.",
+        f"Asked for at every pose: gain {required.gain:.1f} times, phase {degrees(required.phase):.0f}°, "
+        f"delay {1e3 * required.delay:.1f} ms, damping ratio {required.damping_ratio:.2f}.",
+        f"Worst: {worst.name} {loop}, {100 * worst.share:.0f} % of what is asked for, at {pose}.",
+    ]
+    if worst.share < 1.0:
+        lines.append(
+            "The machine forbids more: make the spools faster or the encoders' delay shorter, or accept it."
+        )
     return lines
 
 
@@ -237,31 +260,21 @@ def _worst(judged: Judged) -> str:
     return f"gain {gain:.1f} times, phase {phase:.0f}°, delay {delay:.1f} ms, {damped}"
 
 
-def _asked_for() -> str:
-    from math import degrees
-
-    from bench.tuning.by_margins import Wanted
-
-    w = Wanted()
-    return (
-        f"asked for: gain {w.gain:.1f} times, phase {degrees(w.phase):.0f}°, delay {1e3 * w.delay:.1f} ms, "
-        f"damping ratio {w.damping_ratio:.2f}; where they cannot be had, as near as can be"
-    )
-
-
-def _triple(values: Any) -> str:
-    return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
-
-
 def _milli(values: Any) -> str:
     return "·".join(f"{1e3 * value:.0f}" for value in values)
 
 
 def _record(
-    method: str, gains: Gains, judged: Judged, proofs: dict[str, tuple[Proof, Proof]], recipe: Recipe | None
+    method: str,
+    tuned: Bench,
+    judged: Judged,
+    proofs: dict[str, tuple[Proof, Proof]],
+    recipe: Recipe | None,
+    machine: MachineGains | None,
 ) -> dict[str, Any]:
     from math import isfinite
 
+    from bench.control.gain_table import gains_at
     from drivers.base import JOINTS
 
     def known(value: float) -> float | None:
@@ -283,9 +296,13 @@ def _record(
         }
         for robot, pair in proofs.items()
     }
+    gains = gains_at(tuned.controller().pid, tuned.profile.angle[0])
     return {
         "method": method,
-        "gains": {name: [float(v) for v in values] for name, values in gains._asdict().items()},
+        "source": tuned.control.gains,
+        "gains_at_address": gains._asdict(),
+        "bandwidths": None if machine is None else [band._asdict() for band in machine.bandwidths],
+        "worst_share": None if machine is None else machine.worst.share,
         "margins": loops,
         "least_damping_ratio": judged.damping_ratio,
         "steps": None if recipe is None else len(recipe.trials),

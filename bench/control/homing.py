@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.pid import reset_integral
+from bench.control.references import direction
 from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
@@ -120,7 +121,7 @@ def _turn(s: Any, p: Any, joint: int, speed: float, time: float, measured_step: 
     speed *= min((time - s.home_since) / RAMP, 1.0)
     s.reference[joint] += speed * measured_step
     s.reference_velocity[joint] = speed
-    s.feed_forward[joint] = p.move_gain[joint] * speed
+    s.feed_forward[joint] = s.move_gain[joint] * speed + p.move_band[joint] * direction(speed)
 
 
 @compiled

@@ -7,6 +7,7 @@ from typing import Any
 from bench.control.address_air import bring_air, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings
 from bench.control.feed_forward import KANE, NONE
+from bench.control.gain_table import DAMPING, MOVE, interpolate_gains, middle_pose
 from bench.control.homing import search
 from bench.control.pid import control, reset_integral
 from bench.control.references import (
@@ -76,6 +77,7 @@ def _follow_swing(state: Any, parameters: Any, time: float) -> None:
 def _control_openings(state: Any, parameters: Any, time: float, measured_step: float) -> None:
     """Set the desired openings (3,): PID, feed-forward, damping, charging and dither."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    _take_gains(s, state.pid[0], parameters.pid[0])
     if s.swinging and p.feed_forward >= KANE:
         feed_model_forward(state, parameters, time)
     for i in range(3):
@@ -84,7 +86,8 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
         # The impact's jump is no motion to be damped.
         if s.phase != Phase.IMPACT:
             share = p.downswing_damping if s.phase in (Phase.DOWNSWING, Phase.COMMITTED) else 1.0
-            s.feed_forward[i] += share * p.damping[i] * (s.reference_acceleration[i] - e.acceleration[i])
+            damping = share * state.pid[0].gains[DAMPING, i]
+            s.feed_forward[i] += damping * (s.reference_acceleration[i] - e.acceleration[i])
     terms = (s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward)
     control(state.pid, parameters.pid, *terms, measured_step)
     push = side = 0.0
@@ -99,6 +102,18 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
         s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]
     if planned:
         _serve_air(state, parameters, time)
+
+
+@compiled
+def _take_gains(s: Any, d: Any, p: Any) -> None:
+    """Set the gains of this tick by the reference's pose; `d` is PID_STATE, `p` PID_PARAMETERS."""
+    factor = d.supply_factor if d.supply_factor > 0.0 else 1.0
+    if s.homed:
+        interpolate_gains(d.gains, p, s.reference, factor)
+    else:
+        interpolate_gains(d.gains, p, middle_pose(p), factor)
+    for i in range(3):
+        s.move_gain[i] = d.gains[MOVE, i]
 
 
 @compiled

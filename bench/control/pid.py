@@ -19,20 +19,20 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.gain_table import DERIVATIVE, GAIN_TABLE_FIELDS, INTEGRAL, PROPORTIONAL, GainTable
+from bench.control.gains import Gains
 from drivers.base.compiled import compiled, new_record
 
 PID_PARAMETERS = np.dtype(
     [
-        ("proportional", "f8", (3,)),
-        ("integral", "f8", (3,)),
-        ("derivative", "f8", (3,)),
+        *GAIN_TABLE_FIELDS,
         ("reference_velocity_weight", "f8", (3,)),
         ("lowest", "f8", (3,)),
         ("highest", "f8", (3,)),
     ],
     align=True,
 )
-"""Per actuator: gains in output units per rad, per rad·s, per rad/s; weight 0…1; limits of the output."""
+"""The table of gains; per actuator: weight 0…1, limits of the output."""
 
 PID_STATE = np.dtype(
     [
@@ -41,45 +41,41 @@ PID_STATE = np.dtype(
         ("derivative", "f8", (3,)),
         ("unsaturated", "f8", (3,)),
         ("output", "f8", (3,)),
+        ("gains", "f8", (5, 3)),
+        ("supply_factor", "f8"),
     ],
     align=True,
 )
-"""Per actuator: the three terms, their sum with the feed-forward, and that sum within the limits. Only
-`integral` carries over to the next tick; the rest is for the log and the envelope."""
+"""Per actuator: the three terms, their sum with the feed-forward, that sum within the limits, and the gains
+of this tick, in the order of `Gains`; the factor on them by the supply, 0 before the first one. Only
+`integral` and the factor carry over to the next tick; the rest is for the log and the envelope."""
 
 Values = tuple[float, float, float]
 
 
 def design_pid(
+    gains: GainTable,
     *,
-    proportional: Values,
-    integral: Values,
-    derivative: Values,
     lowest: Values,
     highest: Values,
     reference_velocity_weight: Values = (1.0, 1.0, 1.0),
 ) -> np.ndarray[Any, Any]:
-    """Return a PID_PARAMETERS record; tuples are in actuator order, units as in PID_PARAMETERS.
+    """Return a PID_PARAMETERS record; tuples are in actuator order.
 
     Raises:
         ValueError: a value is not finite, a gain is negative, a weight is outside 0…1 or the limits do
             not hold zero between them.
     """
-    given = {
-        "proportional": proportional,
-        "integral": integral,
-        "derivative": derivative,
-        "reference_velocity_weight": reference_velocity_weight,
-        "lowest": lowest,
-        "highest": highest,
-    }
     parameters = new_record(PID_PARAMETERS)
-    for name, values in given.items():
+    given = {"reference_velocity_weight": reference_velocity_weight, "lowest": lowest, "highest": highest}
+    for name, values in {**given, **gains._asdict()}.items():
+        parameters[name] = values
+    own = {name: gains.table[..., row, :] for row, name in enumerate(Gains._fields)}
+    for name, values in {**given, **own}.items():
         if not np.all(np.isfinite(values)):
             raise ValueError(f"pid: {name} must be finite, found {values}")
-        if name not in {"lowest", "highest"} and min(values) < 0:
-            raise ValueError(f"pid: {name} must not be negative, found {values}")
-        parameters[name] = values
+        if name not in {"lowest", "highest"} and np.min(values) < 0:
+            raise ValueError(f"pid: {name} must not be negative, found {np.min(values)}")
     if max(reference_velocity_weight) > 1:
         raise ValueError(f"pid: reference_velocity_weight must be 0…1, found {reference_velocity_weight}")
     if max(lowest) > 0 or min(highest) < 0 or np.any(np.array(lowest) == np.array(highest)):
@@ -100,8 +96,8 @@ def control(
 ) -> None:
     """Compute one tick of all three controllers in place; arrays (3,) in rad, rad/s and output units.
 
-    Allocates nothing and never raises. A non-finite input makes this tick's `output` NaN, for the envelope to
-    see, and leaves the integral as it was.
+    The gains are those in `state`. Allocates nothing and never raises. A non-finite input makes this tick's
+    `output` NaN, for the envelope to see, and leaves the integral as it was.
     """
     s = state[0]
     p = parameters[0]
@@ -110,7 +106,7 @@ def control(
         low, high = p.lowest[i], p.highest[i]
         rest = s.proportional[i] + s.derivative[i] + feed_forward[i]
         before = s.integral[i]
-        step = p.integral[i] * (reference[i] - angle[i]) * dt
+        step = s.gains[INTEGRAL, i] * (reference[i] - angle[i]) * dt
         if not np.isfinite(rest + step):
             s.unsaturated[i] = np.nan
             s.output[i] = np.nan
@@ -148,8 +144,8 @@ def _set_terms(
 ) -> None:
     """Set the proportional and derivative terms."""
     for i in range(3):
-        s.proportional[i] = p.proportional[i] * (reference[i] - angle[i])
-        s.derivative[i] = p.derivative[i] * (
+        s.proportional[i] = s.gains[PROPORTIONAL, i] * (reference[i] - angle[i])
+        s.derivative[i] = s.gains[DERIVATIVE, i] * (
             p.reference_velocity_weight[i] * reference_velocity[i] - velocity[i]
         )
 

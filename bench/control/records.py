@@ -16,12 +16,11 @@ from drivers.base.compiled import new_record
 
 CONTROL_PARAMETERS = np.dtype(
     [
-        ("damping", "f8", (3,)),
         ("downswing_damping", "f8"),
         ("dither", "f8", (3,)),
         ("dither_period", "f8"),
         ("dither_delay", "f8"),
-        ("move_gain", "f8", (3,)),
+        ("move_band", "f8", (3,)),
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
         ("brake_fade", "f8", (3,)),
@@ -81,12 +80,10 @@ CONTROL_PARAMETERS = np.dtype(
     ],
     align=True,
 )
-"""Gains and times. `damping` opens the valve against the estimated acceleration (per rad/s2): the air's
-spring has hardly any damping of its own, and position and velocity feedback cannot add it.
-`downswing_damping` is the share of it left in the downswing, `dither` swings the spools around what is wanted
-of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
-`rate_opening` and `speed_opening` are its `kane_gains`. `move_gain` is the
-opening per rad/s of reference speed in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+"""Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
+spools around what is wanted of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
+`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools out
+of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 CONTROL_STATE = np.dtype(
     [
@@ -153,6 +150,7 @@ CONTROL_STATE = np.dtype(
         ("reference_velocity", "f8", (3,)),
         ("reference_acceleration", "f8", (3,)),
         ("feed_forward", "f8", (3,)),
+        ("move_gain", "f8", (3,)),
         ("desired", "f8", (3,)),
         ("applied", "f8", (3,)),
         ("head", "f8", (6,)),
@@ -197,6 +195,7 @@ CONTROL_STATE = np.dtype(
 """From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
+`move_gain` is the opening per rad/s of reference speed in slow moves, of the last tick's pose.
 `home_begun` are the joints' angles when homing began (rad), `home_free` says whose index was forgotten since,
 `home_way` is -1 once the index is searched for in the other direction, `home_touching` says that the joint in
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).

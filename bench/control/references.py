@@ -5,13 +5,16 @@ All pure but for the control record `s`, which they set: `s.reference`, its deri
 
 from __future__ import annotations
 
-from math import floor
+from math import floor, sqrt
 from typing import Any
 
 from bench.control.air import actuator_motion
 from bench.control.feed_forward import PNEUMATIC, pneumatic_opening
 from bench.lifecycle import Phase
 from drivers.base.compiled import compiled
+
+_SLOW = 0.05
+"""rad/s at which a slow motion is as good as at rest."""
 
 
 @compiled
@@ -68,8 +71,14 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
         s.reference[i] = s.move_from[i] + way * shape
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend
-        s.feed_forward[i] = p.move_gain[i] * way * slope
+        s.feed_forward[i] = s.move_gain[i] * way * slope + p.move_band[i] * direction(way * slope)
     return bool(part < 1.0)
+
+
+@compiled
+def direction(speed: float) -> float:
+    """Return the direction of a slow motion at `speed` (rad/s), -1 to 1: without a jump through rest."""
+    return speed / sqrt(speed * speed + _SLOW * _SLOW)
 
 
 @compiled

@@ -14,6 +14,9 @@ from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import design_estimator
 from bench.control.feed_forward import CODES, FeedForward, kane_gains
+from bench.control.gain_table import GainTable, constant_gains
+from bench.control.gains import Gains
+from bench.control.machine_gains import machine_gains
 from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.planned_air import swing_widths
@@ -42,6 +45,7 @@ Direction = Annotated[int, Ge(-1), Le(1)]
 Triple = tuple[float, float, float]
 PositiveTriple = tuple[Positive, Positive, Positive]
 NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
+GainSource = Literal["machine", "hand"]
 _Span = tuple[float, float]
 
 
@@ -75,13 +79,17 @@ class PidSettings:
 class ControlSettings:
     """What is added to the PIDs, the BRAKE law and the times of moves and stops."""
 
+    gains: GainSource = "hand"
+    """Gains of PIDs, damping and slow moves: "machine", by pose from the robot's linearised loops
+    (`bench.control.machine_gains`); "hand", those of `pid`, `damping` and `move_gain`."""
     pid: PidSettings = field(default_factory=PidSettings)
+    """Gains set by hand."""
     feed_forward: FeedForward = "planned"
     """What opens the valves beside the PIDs in a swing, see `bench.control.feed_forward`."""
     force_gain: NotNegativeTriple = (20.0, 10.0, 20.0)
     """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
-    """Opening per rad/s2 against the estimated acceleration's error; 0 switches it off."""
+    """Opening per rad/s2 against the estimated acceleration's error, set by hand; 0 switches it off."""
     downswing_damping: Share = 1.0
     """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
     the club's speed, a little differently in every swing."""
@@ -94,7 +102,7 @@ class ControlSettings:
     dither_delay: NotNegative = 0.25
     """From the start of a swing, s: by then the club is away from the ball."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
-    """Opening per rad/s of reference speed in slow moves."""
+    """Opening per rad/s of reference speed in slow moves, set by hand."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
     """Opening per rad/s against the motion in BRAKE; found with `golfbench swing check`."""
     brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
@@ -411,21 +419,8 @@ def build_controller(
             travel=angle_travel(plant),
             max_speed=(60.0, 60.0, 120.0),
         ),
-        estimator=design_estimator(
-            period=plant.tick,
-            counts_per_revolution=(counts,) * 3,
-            noise=estimator.noise,
-            jitter=estimator.jitter,
-            acceleration_change=estimator.acceleration_change,
-            velocity_jump=estimator.velocity_jump,
-        ),
-        pid=design_pid(
-            proportional=control.pid.proportional,
-            integral=control.pid.integral,
-            derivative=control.pid.derivative,
-            lowest=(-1.0,) * 3,
-            highest=(1.0,) * 3,
-        ),
+        estimator=estimator_record(estimator, plant),
+        pid=pid_record(control, estimator, plant),
         envelope=_envelope_record(envelope, plant, profile),
         model=_model_record(envelope.model, learning=profile.corrected),
         robot=robot.record,
@@ -438,6 +433,34 @@ def build_controller(
         blind_brake=profile.blind_brake,
         force=demand.force,
         force_rate=demand.rate,
+    )
+
+
+def pid_record(control: ControlSettings, estimator: EstimatorSettings, plant: PlantParameters) -> np.ndarray:
+    """Return the PIDs' PID_PARAMETERS record."""
+    return design_pid(_gain_table(control, estimator, plant), lowest=(-1.0,) * 3, highest=(1.0,) * 3)
+
+
+def _gain_table(control: ControlSettings, estimator: EstimatorSettings, plant: PlantParameters) -> GainTable:
+    """Return the gains of the PIDs over the pose."""
+    if control.gains == "machine":
+        return machine_gains(
+            plant, estimator_record(estimator, plant), control.address_tolerance, control.move_timeout
+        ).table
+    pid = control.pid
+    own = Gains(pid.proportional, pid.integral, pid.derivative, control.damping, control.move_gain)
+    return constant_gains(own)
+
+
+def estimator_record(estimator: EstimatorSettings, plant: PlantParameters) -> np.ndarray:
+    """Return the Kalman filters' record."""
+    return design_estimator(
+        period=plant.tick,
+        counts_per_revolution=(plant.encoders.counts_per_revolution,) * 3,
+        noise=estimator.noise,
+        jitter=estimator.jitter,
+        acceleration_change=estimator.acceleration_change,
+        velocity_jump=estimator.velocity_jump,
     )
 
 
@@ -504,6 +527,8 @@ def _control_record(
     for setting in fields(homing):
         if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":
             record[f"home_{setting.name}"] = getattr(homing, setting.name)
+    if control.gains == "machine":
+        record["move_band"] = [actuator.valve.dead_band for actuator in plant.actuators]
     record["home_by_index"] = homing.method == "index"
     lower, upper = joint_travel(plant)
     record["home_stop"] = np.where(np.array(homing.direction) < 0, lower, upper)

@@ -20,6 +20,7 @@ from bench.control.encoder_watch import index_cause
 from bench.control.envelope import interlock_cause, limit, readings_cause
 from bench.control.estimator import estimate
 from bench.control.feed_forward import PNEUMATIC
+from bench.control.gain_table import supply_factor
 from bench.control.homing import bounded
 from bench.control.lock_watch import watch_lock
 from bench.control.manifold_watch import watch_manifold
@@ -140,6 +141,8 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         asked = Cause.NETWORK_STOP
     if request != 0 and asked == 0:
         carry_out(state, parameters, request, time)
+    if s.phase == Phase.HOLD:
+        state.pid[0].supply_factor = supply_factor(parameters.pid[0].supply, readings[0].supply_pressure)
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE:
         follow(state, parameters, time, s.measured_step)
     if s.phase == Phase.STANDING:

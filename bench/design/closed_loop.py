@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.gain_table import DAMPING, DERIVATIVE, gains_along
 from bench.control.records import ControlParameters, ControlState
-from bench.control.settings import ControlSettings
 from bench.control.step import step
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
@@ -139,24 +139,27 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     angle[rows] = cycles["angle"]
     # From the window on the loop does not damp: the jump at impact is not a motion.
     window = profile.begins[5] - top
-    away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, control)
+    state = rehearsal.bench.state.pid[0]
+    gains = gains_along(rehearsal.bench.parameters.pid, cycles["angle"], float(state["supply_factor"]) or 1.0)
+    damped = control.downswing_damping * gains[:, DAMPING]
+    away = _silent_velocity(
+        cycles["velocity"], acceleration, window, profile.period, gains[:, DERIVATIVE], damped
+    )
     velocity[rows] = cycles["velocity"] + away
-    derivative = np.array(control.pid.derivative) * away
+    derivative = gains[:, DERIVATIVE] * away
     following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
-    damping = _downswing_damping(control) * ((following - velocity[rows]) / profile.period - acceleration)
+    damping = damped * ((following - velocity[rows]) / profile.period - acceleration)
     damping[window:] = 0.0
     valve[rows] = np.clip(opening - integral - derivative - damping, -1.0, 1.0)
     return replace(profile, angle=angle, velocity=velocity, valve=valve)
 
 
-def _downswing_damping(control: ControlSettings) -> Array:
-    return control.downswing_damping * np.array(control.damping)
-
-
 def _silent_velocity(
-    velocity: Array, acceleration: Array, window: int, period: float, control: ControlSettings
+    velocity: Array, acceleration: Array, window: int, period: float, derivative: Array, damping: Array
 ) -> Array:
     """Return the offset on the estimated `velocity` (n, 3) with which derivative and damping cancel out.
+
+    `derivative` and `damping` (n, 3) are the gains along the downswing.
 
     The first row's reference is at rest, as the top before it: the tick before looks at it, too, and would
     otherwise begin the downswing with a kick. The estimated acceleration lags; damping against the
@@ -165,11 +168,10 @@ def _silent_velocity(
     """
     away = np.zeros_like(velocity)
     away[0] = -velocity[0]
-    derivative, damping = np.array(control.pid.derivative), _downswing_damping(control)
-    rate = np.divide(derivative, damping, out=np.zeros(3), where=damping > 0)
+    rate = np.divide(derivative, damping, out=np.zeros_like(damping), where=damping > 0)
     for k in range(min(window, len(velocity) - 1)):
         lag = (velocity[k + 1] - velocity[k]) / period - acceleration[k]
-        shifted = away[k] - period * (rate * away[k] + lag) * (damping > 0)
+        shifted = away[k] - period * (rate[k] * away[k] + lag) * (damping[k] > 0)
         away[k + 1] = np.clip(shifted, -_AWAY, _AWAY)
     for k in range(window, len(velocity) - 1):
         away[k + 1] = away[k]

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.control.gain_table import MOVE, gains_along
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.casadi_package import load_casadi
 from bench.design.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
@@ -198,13 +199,19 @@ def _quintic(start: Array, end: Array, duration: float, samples: int) -> tuple[A
     return start + (end - start) * shape, (end - start) * slope
 
 
-def _sketch(demand: SwingDemand, period: float, address: Array, top: Array, gain: Array) -> Profile:
-    """Return a provisional profile: smooth reference from address to top, then hold."""
+def _sketch(
+    demand: SwingDemand, period: float, address: Array, top: Array, pid: NDArray[Any] | None = None
+) -> Profile:
+    """Return a provisional profile: smooth reference from address to top, then hold.
+
+    With the PIDs' record `pid` its openings are those that move the joints on at the reference's speed.
+    """
     n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
     angle, velocity = _quintic(address, top, demand.backswing_time, n)
     angle = np.vstack([angle, np.tile(top, (hold, 1))])
     velocity = np.vstack([velocity, np.zeros((hold, 3))])
     begins = (0, 1, n, n + hold - 4, n + hold - 3, n + hold - 2, n + hold - 1)
+    gain = np.zeros(3) if pid is None else gains_along(pid, angle)[:, MOVE]
     return Profile(
         "sketch",
         "",
@@ -226,7 +233,7 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
     """Let the controller take the plant to the top; the result is the nominal motion."""
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
-    sketch = _sketch(demand, period, address, top, np.array(bench.control.move_gain))
+    sketch = _sketch(demand, period, address, top, pid_record(bench.control, bench.estimator, parameters))
     n = round((demand.backswing_time + demand.top_time) / period)
     try:
         rehearsal = Rehearsal(replace(bench, profile=sketch))
@@ -311,7 +318,7 @@ def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concession
     return Concessions(_GIVES_WAY.time * longest, rise, _GIVES_WAY.speed)
 
 
-def _openings(plan: DownswingPlan, shooter: Shooter, control: ControlSettings, highest: float) -> Array:
+def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest: float) -> Array:
     """Return openings tick by tick, and on past the ball, with which the plant keeps near the plan.
 
     They are the plan's, early by the spools' lag, with the loop's own feedback on its joints.
@@ -325,7 +332,7 @@ def _openings(plan: DownswingPlan, shooter: Shooter, control: ControlSettings, h
 
     # Past the ball the plan ends, the motion does not.
     angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
-    return shooter.follow(rows(13, lag), angle, rows(3), control.pid, highest)
+    return shooter.follow(rows(13, lag), angle, rows(3), gains_along(pid, angle), highest)
 
 
 def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:
@@ -401,7 +408,8 @@ def design_downswing(
         time, guess = float(plan.time[-1]), plan.state
         wanted = _wanted(plan, parameters, demand)
         try:
-            played = _openings(plan, shooter, bench.control, 1.0 - demand.margin)
+            pid = pid_record(bench.control, bench.estimator, parameters)
+            played = _openings(plan, shooter, pid, 1.0 - demand.margin)
             opening = refine(shooter, played, wanted, 1.0 - demand.margin)
         except NotReached as missed:
             reason = str(missed)
@@ -636,7 +644,7 @@ def _bench(
     estimator: EstimatorSettings | None,
 ) -> SimulatedBench:
     """Return the bench for the rehearsals, still with an empty profile."""
-    nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3), np.zeros(3))
+    nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3))
     return SimulatedBench(
         nothing,
         parameters,

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.braking import brake_opening
-from bench.control.settings import ControlSettings, PidSettings
+from bench.control.gain_table import DERIVATIVE, PROPORTIONAL
+from bench.control.settings import ControlSettings
 from bench.simulation.loads import begin_tally
 from drivers.base import PASSIVE, pack_command
 from drivers.base.compiled import compiled, new_record
@@ -102,19 +103,18 @@ def follow_plan(
     valve: Any,
     angle: Any,
     speed: Any,
-    proportional: Any,
-    derivative: Any,
+    gains: Any,
     highest: float,
 ) -> None:
     """Play openings `valve` (n, 3) with feedback on the joints of a plan, `angle` and `speed` (n, 3).
 
-    `valve` is overwritten with the openings played, at most `highest`.
+    `gains` (n, 5, 3) are those along it. `valve` is overwritten with the openings played, at most `highest`.
     """
     s = state[0]
     for k in range(len(valve)):
         for i in range(3):
-            opening = valve[k, i] + proportional[i] * (angle[k, i] - s.angle[i])
-            opening += derivative[i] * (speed[k, i] - s.speed[i])
+            opening = valve[k, i] + gains[k, PROPORTIONAL, i] * (angle[k, i] - s.angle[i])
+            opening += gains[k, DERIVATIVE, i] * (speed[k, i] - s.speed[i])
             valve[k, i] = min(max(opening, -highest), highest)
             command[0].valve[i] = valve[k, i]
         advance(robot, plant, impact, state, command)
@@ -179,15 +179,14 @@ class Shooter:
         command = self.command.copy()
         return states, command, int(swing_down(*self.plant.records, states, command, valve))
 
-    def follow(self, valve: Array, angle: Array, speed: Array, pid: PidSettings, highest: float) -> Array:
+    def follow(self, valve: Array, angle: Array, speed: Array, gains: Array, highest: float) -> Array:
         """Return openings (n, 3), at most `highest`, with which the plant keeps near a plan.
 
-        `valve`, `angle`, `speed` (n, 3) are the plan's, one row a tick.
+        `valve`, `angle`, `speed` (n, 3) are the plan's, one row a tick, `gains` (n, 5, 3) along it.
         """
         state, played = self.state.copy(), valve.copy()
         state["ball_present"] = False
-        gains = np.array(pid.proportional), np.array(pid.derivative)
-        follow_plan(*self.plant.records, state, self.command.copy(), played, angle, speed, *gains, highest)
+        follow_plan(*self.plant.records, state, self.command.copy(), played, angle, speed, gains, highest)
         return played
 
     def arrive(self, valve: Array) -> Arrival:

@@ -111,7 +111,14 @@ def thesis_gains(plant: PlantParameters) -> PidSettings:
 def controllers(bench: Bench) -> list[Controller]:
     """Return the controllers in the order in which they are compared, each with one thing more."""
     whole = bench.control
-    alone = replace(whole, pid=thesis_gains(bench.model), feed_forward="none", damping=_NONE, dither=_NONE)
+    alone = replace(
+        whole,
+        gains="hand",
+        pid=thesis_gains(bench.model),
+        feed_forward="none",
+        damping=_NONE,
+        dither=_NONE,
+    )
     inverted = replace(whole, feed_forward="kane+pneumatic")
     return [
         Controller("PID, thesis' gains", alone, velocity_weight=0.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from bench.tuning.gains import Gains, Triple
+from bench.control.gains import Gains, Triple
 
 
 def gains_file(gains: Gains, base: Path, how: str) -> str:
@@ -18,10 +18,22 @@ def gains_file(gains: Gains, base: Path, how: str) -> str:
 base = {json.dumps(str(base.resolve()))}
 
 [control]
+gains = "hand"
 damping = {row(gains.damping)}
+move_gain = {row(gains.move)}
 
 [control.pid]
 proportional = {row(gains.proportional)}
 integral = {row(gains.integral)}
 derivative = {row(gains.derivative)}
+"""
+
+
+def machine_gains_file(base: Path) -> str:
+    """Return TOML on top of the file `base` with gains from the machine."""
+    return f"""# Gains by pose, from the robot's linearised loops. Profiles hold for the gains they were designed with.
+base = {json.dumps(str(base.resolve()))}
+
+[control]
+gains = "machine"
 """

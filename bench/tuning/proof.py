@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series
-from bench.tuning.gains import Gains
 from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
 
 class Proof(NamedTuple):
-    """One robot's swing with some gains."""
+    """One robot's swing with the gains of one bench."""
 
     backswing: Array
     """Root mean square of the following error up to the top, (3,) rad."""
@@ -27,11 +26,11 @@ class Proof(NamedTuple):
     """Why the swing failed; empty if it did not."""
 
 
-def proof(bench: Bench, plant: PlantParameters, gains: Gains) -> Proof:
-    """Return the second swing of the bench's profile on the robot `plant` with `gains`."""
+def proof(bench: Bench, plant: PlantParameters) -> Proof:
+    """Return the second swing of the bench's profile on the robot `plant`."""
     nothing = np.full(3, np.nan)
     try:
-        series = Series(bench._replace(control=gains.put_into(bench.control)), plant)
+        series = Series(bench, plant)
         series.swing(bench.profile)
         swing = series.swing(bench.profile)
     except Refused:

@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.control.gains import Gains
 from bench.control.settings import ControlSettings, build_controller
 from bench.simulation.engine import Mark
 from bench.simulation.series import Bench, Series, quiet, settled
 from bench.swing.profile import Profile
-from bench.tuning.gains import Gains
+from bench.tuning.gains import gains_of, with_gains
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class Steps:
     def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
         """Return the trial of a step of `joint` with `gains`; nothing else opens the valves."""
         bench, profile = self._bench, step_profile(self._bench.profile, joint)
-        control = gains.put_into(_bare(bench.control))
+        control = with_gains(_bare(bench.control), gains)
         envelope = replace(bench.envelope, following={}, model=replace(bench.envelope.model, check="off"))
         parameters = build_controller(bench.model, profile, control, envelope, bench.estimator)
         swing = self._series.swing_from(self._mark, profile, ball=False, parameters=parameters)
@@ -116,7 +117,7 @@ def tune_by_recipe(
         Refused: the model does not reach its address.
     """
     steps = steps or Steps(bench)
-    gains, trials, missed = Gains.of(bench.control), list[StepTrial](), list[tuple[int, int]]()
+    gains, trials, missed = gains_of(bench.control), list[StepTrial](), list[tuple[int, int]]()
 
     def note(trial: StepTrial) -> StepTrial:
         trials.append(trial)

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.control.gain_table import constant_gains, interpolate_gains
+from bench.control.gains import Gains, Triple
 from bench.control.pid import PID_STATE, control, design_pid, reset_integral
 from drivers.base.compiled import new_record
 
@@ -19,22 +21,33 @@ ZERO = np.zeros(3)
 tick: Callable[..., None] = control
 
 
-def designed(**changes: Any) -> Array:
-    given_values: dict[str, Any] = {
-        "proportional": (4.0, 2.0, 3.0),
-        "integral": (10.0, 0.0, 5.0),
-        "derivative": (0.1, 0.2, 0.0),
-        "lowest": (-1.0, -1.0, -0.5),
-        "highest": (1.0, 1.0, 1.0),
-    }
-    return design_pid(**given_values | changes)
+NONE = (0.0, 0.0, 0.0)
+
+
+def designed(
+    proportional: Triple = (4.0, 2.0, 3.0),
+    integral: Triple = (10.0, 0.0, 5.0),
+    derivative: Triple = (0.1, 0.2, 0.0),
+    **changes: Any,
+) -> Array:
+    limits: dict[str, Any] = {"lowest": (-1.0, -1.0, -0.5), "highest": (1.0, 1.0, 1.0)}
+    gains = Gains(proportional, integral, derivative, NONE, NONE)
+    return design_pid(constant_gains(gains), **limits | changes)
+
+
+def begun(parameters: Array) -> Array:
+    """Return the state with the gains of `parameters` taken."""
+    state = new_record(PID_STATE)
+    interpolate_gains(state["gains"][0], parameters[0], ZERO, 1.0)
+    return state
 
 
 def test_the_first_step_is_exact() -> None:
-    state = new_record(PID_STATE)
+    parameters = designed()
+    state = begun(parameters)
     reference, reference_velocity = np.array([0.1, 0.2, -0.3]), np.array([1.0, -1.0, 2.0])
     angle, velocity = np.array([0.05, 0.25, -0.1]), np.array([0.5, 0.5, 0.5])
-    control(state, designed(), reference, reference_velocity, angle, velocity, np.array([0.1, 0, 0]), PERIOD)
+    control(state, parameters, reference, reference_velocity, angle, velocity, np.array([0.1, 0, 0]), PERIOD)
     s = state[0]
     assert s["proportional"] == pytest.approx([4 * 0.05, 2 * -0.05, 3 * -0.2], abs=1e-15)
     # The wrist is at its limit.
@@ -45,8 +58,8 @@ def test_the_first_step_is_exact() -> None:
 
 
 def test_the_thesis_derivative_acts_on_the_measurement_alone() -> None:
-    state = new_record(PID_STATE)
-    parameters = designed(reference_velocity_weight=(0.0, 0.5, 1.0), derivative=(0.1,) * 3)
+    parameters = designed(reference_velocity_weight=(0.0, 0.5, 1.0), derivative=(0.1, 0.1, 0.1))
+    state = begun(parameters)
     control(state, parameters, ZERO, np.full(3, 2.0), ZERO, np.full(3, 1.0), ZERO, PERIOD)
     assert state["derivative"][0] == pytest.approx([-0.1, 0.0, 0.1], abs=1e-15)
 
@@ -54,17 +67,15 @@ def test_the_thesis_derivative_acts_on_the_measurement_alone() -> None:
 def test_equals_the_textbook_while_no_limit_is_met() -> None:
     rng = np.random.default_rng(3)
     parameters = designed(lowest=(-1e6,) * 3, highest=(1e6,) * 3)
-    p = parameters[0]
-    state = new_record(PID_STATE)
+    state = begun(parameters)
+    proportional, integral, derivative = state["gains"][0][:3]
     total = np.zeros(3)
     for _ in range(500):
         r, r_dot, y, y_dot, ff = rng.normal(0, 1, (5, 3))
         dt = rng.uniform(5e-4, 2e-3)
         control(state, parameters, r, r_dot, y, y_dot, ff, dt)
         total += (r - y) * dt
-        expected = (
-            p["proportional"] * (r - y) + p["integral"] * total + p["derivative"] * (r_dot - y_dot) + ff
-        )
+        expected = proportional * (r - y) + integral * total + derivative * (r_dot - y_dot) + ff
         np.testing.assert_allclose(state["output"][0], expected, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(state["output"], state["unsaturated"])
 
@@ -82,7 +93,7 @@ def test_the_integral_never_winds_up_and_the_output_never_leaves_its_limits(
 ) -> None:
     parameters = designed(integral=(1000.0, 50.0, 5.0))
     low, high = parameters["lowest"][0], parameters["highest"][0]
-    state = new_record(PID_STATE)
+    state = begun(parameters)
     if transfer is not None:
         state["integral"] = transfer  # however it came beyond the limits
     floor, ceiling = np.minimum(low, state["integral"][0]), np.maximum(high, state["integral"][0])
@@ -103,7 +114,7 @@ def test_the_integral_never_winds_up_and_the_output_never_leaves_its_limits(
 
 def test_after_long_saturation_the_output_leaves_its_limit_at_once() -> None:
     parameters = designed()
-    state = new_record(PID_STATE)
+    state = begun(parameters)
     for _ in range(10_000):
         control(state, parameters, np.full(3, 10.0), ZERO, ZERO, ZERO, ZERO, PERIOD)
     assert state["output"][0].tolist() == [1.0, 1.0, 1.0]
@@ -114,7 +125,7 @@ def test_after_long_saturation_the_output_leaves_its_limit_at_once() -> None:
 def test_the_integral_may_bring_the_output_to_its_limit() -> None:
     """Conditional integration must not stall short of the limit."""
     parameters = designed(integral=(1000.0, 1000.0, 1000.0))
-    state = new_record(PID_STATE)
+    state = begun(parameters)
     control(state, parameters, np.full(3, 0.1), ZERO, ZERO, ZERO, ZERO, 1.0)
     assert state["output"][0] == pytest.approx([1.0, 1.0, 1.0], abs=1e-15)
     assert state["unsaturated"][0] == pytest.approx([1.0, 1.0, 1.0], abs=1e-15)
@@ -126,7 +137,7 @@ def test_the_integral_may_bring_the_output_to_its_limit() -> None:
 def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, place: int) -> None:
     parameters = designed(derivative=(0.1, 0.2, 0.3))
     signals: list[Any] = [np.full(3, 0.01 * k) for k in range(5)]
-    state = new_record(PID_STATE)
+    state = begun(parameters)
     tick(state, parameters, *signals, PERIOD)
     before = state["integral"].copy()
     broken = [s.copy() for s in signals]
@@ -144,18 +155,20 @@ def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, place: int) ->
     assert np.all(np.isfinite(state["output"]))
 
 
-def test_a_reset_empties_everything() -> None:
-    state = new_record(PID_STATE)
-    control(state, designed(), np.full(3, 0.1), ZERO, ZERO, np.ones(3), ZERO, PERIOD)
+def test_a_reset_empties_integrals_and_terms() -> None:
+    parameters = designed()
+    state = begun(parameters)
+    control(state, parameters, np.full(3, 0.1), ZERO, ZERO, np.ones(3), ZERO, PERIOD)
     reset_integral(state)
-    assert state.tobytes() == new_record(PID_STATE).tobytes()
+    for name in ("proportional", "integral", "derivative", "unsaturated", "output"):
+        assert state[name][0].tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     rng = np.random.default_rng(9)
     parameters = designed(integral=(500.0, 20.0, 3.0))
-    by_machine, by_hand = new_record(PID_STATE), new_record(PID_STATE).view(np.recarray)
+    by_machine, by_hand = begun(parameters), begun(parameters).view(np.recarray)
     plain_control = plain(control)
     for k in range(300):
         signals = list(rng.normal(0, 0.3, (5, 3)))

@@ -1,0 +1,100 @@
+"""The loop, linearised at instants of a simulated swing: its margins, and how it is damped.
+
+Up to the top this tells how the loop behaves. At the top dry friction holds the joints, and the downswing
+ends before most of the growing modes of a frozen instant matter: reported, but not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.control.gain_table import gains_at
+from bench.control.gains import Gains
+from bench.control.linear_loop import Estimator, estimator_response, least_damping, loop_responses
+from bench.control.linear_plant import Frozen, Point
+from bench.control.margins import Margins, margins_of
+from bench.errors import BenchError
+from bench.lifecycle import CAUSE_TEXT
+from bench.simulation.series import Bench, Series, quiet
+
+
+class JointLoop(NamedTuple):
+    """One joint's loop at one instant."""
+
+    point: str
+    joint: int
+    margins: Margins
+
+
+class Judged(NamedTuple):
+    """All loops with some gains."""
+
+    loops: tuple[JointLoop, ...]
+    damping_ratio: dict[str, float]
+    """Min damping ratio of the closed loop's modes, by instant; negative where one grows."""
+
+
+def operating_points(bench: Bench) -> list[Point]:
+    """Return instants of the bench's swing on its own model.
+
+    Raises:
+        BenchError: the swing is stopped.
+        Refused: the robot does not reach its address.
+    """
+    profile, plant = bench.profile, quiet(bench.model)
+    _, backswing, top, down, _, window, _ = profile.begins
+    instants = {
+        "address": 0,
+        "backswing 1/3": backswing + (top - backswing) // 3,
+        "backswing 2/3": backswing + 2 * (top - backswing) // 3,
+        "top": down - 1,
+        "downswing 1/3": down + (window - down) // 3,
+        "downswing 2/3": down + 2 * (window - down) // 3,
+        "at the ball": window - 1,
+    }
+    series = Series(bench, plant)
+    series.swing(profile)
+    swing = series.swing(profile)
+    if swing.cause:
+        raise BenchError(
+            f"a swing of {profile.name}",
+            f"stopped: {CAUSE_TEXT[swing.cause]}",
+            "a whole swing on the model",
+            "Take a profile of this configuration.",
+        )
+    points = []
+    for name, tick in instants.items():
+        cycle = swing.cycles[tick]
+        motion = np.concatenate([cycle[f"plant_{kind}"] for kind in ("angle", "velocity", "pressure")])
+        share = bench.control.downswing_damping if tick >= down else 1.0
+        supply = float(cycle["supply_pressure"])
+        points.append(Point(name, motion, supply, cycle["applied_valve"].copy(), share, tick < down - 1))
+    return points
+
+
+def gains_along(bench: Bench) -> Callable[[Frozen], Gains]:
+    """Return the function from an instant to the bench's gains there."""
+    record = bench.controller().pid
+    return lambda frozen: gains_at(record, frozen.point.motion[:3])
+
+
+def judge(
+    plants: list[Frozen],
+    estimator: Estimator,
+    gains: Callable[[Frozen], Gains],
+    period: float,
+    joints: Any = range(3),
+) -> Judged:
+    """Return the margins of the loops of `joints` at all instants, and how the closed loop is damped."""
+    loops = []
+    for frozen in plants:
+        estimated = estimator_response(estimator, frozen.frequency, period)
+        responses = loop_responses(frozen, estimated, gains(frozen), period)
+        for i in joints:
+            margins = margins_of(frozen.frequency, responses[:, i])
+            loops.append(JointLoop(frozen.point.name, i, margins))
+    ratios = {frozen.point.name: least_damping(frozen, estimator, gains(frozen), period) for frozen in plants}
+    return Judged(tuple(loops), ratios)
