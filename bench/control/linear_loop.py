@@ -48,7 +48,7 @@ def steady_estimator(filters: np.ndarray[Any, Any], period: float, age: float) -
 
 
 def estimator_response(estimator: Estimator, frequency: Array, period: float) -> Complex:
-    """Return the responses (n, 3, 3) from each joint's reading to its estimates, at `frequency` (n,) rad/s."""
+    """Return the responses (n, 3, 3) from each reading to its estimates, at `frequency` (n,) rad/s."""
     z = np.exp(1j * frequency * period)
     answers = np.zeros((len(z), 3, 3), complex)
     for i in range(3):
@@ -71,7 +71,7 @@ def loop_responses(frozen: Frozen, estimated: Complex, gains: Gains, period: flo
         + frozen.point.damping * damping * estimated[:, :, 2]
     )
     ratio = control[:, :, None] * frozen.response
-    opened = np.empty_like(control)
+    opened: Complex = np.empty_like(control)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         own_j, own_k = 1 + ratio[:, j, j], 1 + ratio[:, k, k]

@@ -62,7 +62,7 @@ _BEGIN = (
     ((0.1, 0.5), (0.14, 0.5), (0.2, 0.25)),
     ((0.06, 0.5), (0.08, 0.25), (0.14, 0.25)),
 )
-"""Rates with which searches begin, times the loop's delay, and shapes; a later one, where those before fail."""
+"""Rates times delay, and shapes, that searches begin with; a later one where those before fail."""
 _KEPT = 1.05
 """Share of the required margins that is kept where it is judged: between those poses it may be less."""
 _SHAPES = (0.125, 4.0)

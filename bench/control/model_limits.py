@@ -86,7 +86,7 @@ class MadeFor(NamedTuple):
         return cls(
             digest_of(profile),
             _digest(machine),
-            _digest([asdict(control), asdict(estimator), bounds]),
+            _digest([_as_acting(control), asdict(estimator), bounds]),
         )
 
 
@@ -114,6 +114,16 @@ class LimitsInUse(NamedTuple):
     """Text for people: the file, or why no file is used."""
     stale: bool
     """Whether there is a file that could not be used."""
+
+
+def _as_acting(control: ControlSettings) -> dict[str, Any]:
+    """Return `control` without what does not act: gains by hand beside those from the machine, a factor 1."""
+    values = asdict(control)
+    if values["downswing_stiffness"] == 1.0:
+        del values["downswing_stiffness"]
+    if values.pop("gains") == "machine":
+        values |= dict.fromkeys(("pid", "damping", "move_gain"), "machine")
+    return values
 
 
 def _digest(values: Any) -> str:

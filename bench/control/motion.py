@@ -7,7 +7,7 @@ from typing import Any
 from bench.control.address_air import bring_air, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings
 from bench.control.feed_forward import KANE, NONE
-from bench.control.gain_table import DAMPING, MOVE, interpolate_gains, middle_pose
+from bench.control.gain_table import DAMPING, DERIVATIVE, MOVE, PROPORTIONAL, interpolate_gains, middle_pose
 from bench.control.homing import search
 from bench.control.pid import control, reset_integral
 from bench.control.references import (
@@ -77,7 +77,7 @@ def _follow_swing(state: Any, parameters: Any, time: float) -> None:
 def _control_openings(state: Any, parameters: Any, time: float, measured_step: float) -> None:
     """Set the desired openings (3,): PID, feed-forward, damping, charging and dither."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
-    _take_gains(s, state.pid[0], parameters.pid[0])
+    _take_gains(s, p, state.pid[0], parameters.pid[0])
     if s.swinging and p.feed_forward >= KANE:
         feed_model_forward(state, parameters, time)
     for i in range(3):
@@ -105,13 +105,20 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
 
 
 @compiled
-def _take_gains(s: Any, d: Any, p: Any) -> None:
-    """Set the gains of this tick by the reference's pose; `d` is PID_STATE, `p` PID_PARAMETERS."""
+def _take_gains(s: Any, c: Any, d: Any, p: Any) -> None:
+    """Set the gains of this tick by the reference's pose.
+
+    `c` is CONTROL_PARAMETERS, `d` PID_STATE, `p` PID_PARAMETERS.
+    """
     factor = d.supply_factor if d.supply_factor > 0.0 else 1.0
     if s.homed:
         interpolate_gains(d.gains, p, s.reference, factor)
     else:
         interpolate_gains(d.gains, p, middle_pose(p), factor)
+    if s.phase in (Phase.DOWNSWING, Phase.COMMITTED):
+        for i in range(3):
+            d.gains[PROPORTIONAL, i] *= c.downswing_stiffness
+            d.gains[DERIVATIVE, i] *= c.downswing_stiffness
     for i in range(3):
         s.move_gain[i] = d.gains[MOVE, i]
 

@@ -67,7 +67,11 @@ def design_pid(
             not hold zero between them.
     """
     parameters = new_record(PID_PARAMETERS)
-    given = {"reference_velocity_weight": reference_velocity_weight, "lowest": lowest, "highest": highest}
+    given: dict[str, Any] = {
+        "reference_velocity_weight": reference_velocity_weight,
+        "lowest": lowest,
+        "highest": highest,
+    }
     for name, values in {**given, **gains._asdict()}.items():
         parameters[name] = values
     own = {name: gains.table[..., row, :] for row, name in enumerate(Gains._fields)}

@@ -17,6 +17,7 @@ from drivers.base.compiled import new_record
 CONTROL_PARAMETERS = np.dtype(
     [
         ("downswing_damping", "f8"),
+        ("downswing_stiffness", "f8"),
         ("dither", "f8", (3,)),
         ("dither_period", "f8"),
         ("dither_delay", "f8"),
@@ -82,8 +83,8 @@ CONTROL_PARAMETERS = np.dtype(
 )
 """Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
 spools around what is wanted of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
-`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools out
-of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
+out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 CONTROL_STATE = np.dtype(
     [

@@ -93,6 +93,9 @@ class ControlSettings:
     downswing_damping: Share = 1.0
     """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
     the club's speed, a little differently in every swing."""
+    downswing_stiffness: Positive = 1.0
+    """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
+    grow with them has grown."""
     dither: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)
     """Opening to either side of what is wanted, in backswing and top. It carries spools through their dead
     band and joints through dry friction, so that every swing begins its downswing in the same pose with the

@@ -142,11 +142,10 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     state = rehearsal.bench.state.pid[0]
     gains = gains_along(rehearsal.bench.parameters.pid, cycles["angle"], float(state["supply_factor"]) or 1.0)
     damped = control.downswing_damping * gains[:, DAMPING]
-    away = _silent_velocity(
-        cycles["velocity"], acceleration, window, profile.period, gains[:, DERIVATIVE], damped
-    )
+    stiff = control.downswing_stiffness * gains[:, DERIVATIVE]
+    away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, stiff, damped)
     velocity[rows] = cycles["velocity"] + away
-    derivative = gains[:, DERIVATIVE] * away
+    derivative = stiff * away
     following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
     damping = damped * ((following - velocity[rows]) / profile.period - acceleration)
     damping[window:] = 0.0

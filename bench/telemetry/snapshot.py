@@ -78,9 +78,11 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "air_good",
             "air_since",
             "air_ready",
+            "move_gain",
             "low_head",
         }
-    )
+    ),
+    "pid": frozenset({"gains", "supply_factor"}),
 }
 """Fields that the controller's memory did not have in records of before; there they are as at power-up."""
 

@@ -31,7 +31,7 @@ derivative = {row(gains.derivative)}
 
 def machine_gains_file(base: Path) -> str:
     """Return TOML on top of the file `base` with gains from the machine."""
-    return f"""# Gains by pose, from the robot's linearised loops. Profiles hold for the gains they were designed with.
+    return f"""# Gains by pose, from the robot's linearised loops. Design again what was designed with others.
 base = {json.dumps(str(base.resolve()))}
 
 [control]

@@ -103,7 +103,7 @@ def test_the_supply_at_the_address_holds_for_the_swing() -> None:
     parameters = build_controller(PlantParameters(), load_profile(find_profile("default")))
     parameters.pid["supply"] = 8e5
     state, readings = new_control_state(), new_record(READINGS)
-    factors = []
+    factors = list[float]()
     for phase, pressure in ((Phase.HOLD, 7.0e5), (Phase.DOWNSWING, 6.0e5), (Phase.RETURN, 6.5e5)):
         readings["supply_pressure"] = pressure
         estimate_tick(state, parameters, readings, 0.001 * len(factors))

@@ -17,7 +17,8 @@ from bench.control.settings import ControlSettings, EstimatorSettings, build_con
 from bench.simulation.variation import WORN
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.plant import Actuator, PlantParameters, build_plant
+from sim.plant import PlantParameters, build_plant
+from sim.pneumatics import Actuator
 
 TOLERANCE, TIMEOUT = (0.015, 0.010, 0.020), 6.0
 
