@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.config.safety import Mistake, check_safety
 from bench.config.settings import Configuration
-from bench.control.settings import (
-    MODEL_PHASES,
-    OPTIONAL_ROWS,
-    ControlSettings,
-    EnvelopeSettings,
-    ModelSettings,
-)
+from bench.control.settings import MODEL_PHASES, OPTIONAL_ROWS, EnvelopeSettings, ModelSettings
 from bench.errors import BenchError
 from bench.from_toml import Leaf, Tree, format_value
 from drivers.base.ranges import short
@@ -209,17 +203,6 @@ def _leaf(tree: Tree, path: str) -> Leaf | None:
     return node if isinstance(node, Leaf) else None
 
 
-def _gains(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    """Refuse gains set by hand that nothing would take."""
-    own = ControlSettings()
-    for name in ("pid", "damping", "move_gain"):
-        value = getattr(c.control, name)
-        if c.control.gains == "machine" and value != getattr(own, name):
-            found = 'set by hand, beside control.gains = "machine"'
-            wanted = 'gains by hand with control.gains = "hand" only'
-            yield f"control.{name}", found, wanted, 'Set control.gains = "hand", or delete it.'
-
-
 def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     substep = c.plant.tick / c.plant.substeps
     if substep > LONGEST_SUBSTEP * (1 + 1e-9):
@@ -379,7 +362,6 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
     _network,
     _actuators,
     _linkage,
-    _gains,
     _times,
     _air,
     _site,

@@ -256,7 +256,10 @@ _SETTINGS: Mapping[str, type[Any]] = {
 """Arguments of `build_controller` by their table in the configuration."""
 
 
-_BEFORE: Mapping[str, Any] = {"plant": {"vent_feedback": False}, "control": {"gains": "hand"}}
+_BEFORE: Mapping[str, Any] = {
+    "plant": {"vent_feedback": False},
+    "control": {"gains": "hand", "downswing_stiffness": 1.0},
+}
 """Values of settings for records of before they existed: what the machine was then, not today's default."""
 
 

@@ -68,6 +68,7 @@ LONG = (
     "learning",
     "identified",
     "swing_design",
+    "machine_gains",
 )
 """Their `run` takes the rest of the command line."""
 PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")

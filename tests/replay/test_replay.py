@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from bench.cli import main
+from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.model import KINDS
 from bench.control.model_limits import ADDED_TO_CLUBS
 from bench.control.records import ControlParameters
@@ -117,6 +118,13 @@ def scale(record: str, field: str, joint: int | None, factor: float = 1.0 + 1e-6
     return change
 
 
+def scale_gain(row: int, joint: int) -> Change:
+    def change(parameters: ControlParameters) -> None:
+        parameters.pid["table"][0][..., row, joint] *= 1.0 + 1e-6
+
+    return change
+
+
 def shift_profile(parameters: ControlParameters) -> None:
     parameters.angle[500, 2] += 1e-6
 
@@ -127,10 +135,10 @@ def delay_impact(parameters: ControlParameters) -> None:
 
 
 CHANGES: dict[str, tuple[Path, Change, str]] = {
-    "proportional": (SWING, scale("pid", "proportional", 0), "proportional"),
-    "integral": (SWING, scale("pid", "integral", 1), "integral"),
-    "derivative": (SWING, scale("pid", "derivative", 2), "derivative"),
-    "damping": (SWING, scale("control", "damping", 0), "feedforward"),
+    "proportional": (SWING, scale_gain(PROPORTIONAL, 0), "proportional"),
+    "integral": (SWING, scale_gain(INTEGRAL, 1), "integral"),
+    "derivative": (SWING, scale_gain(DERIVATIVE, 2), "derivative"),
+    "damping": (SWING, scale_gain(DAMPING, 0), "feedforward"),
     "brake gain, follow-through": (SWING, scale("control", "brake_gain", 1), "desired_valve"),
     "brake gain, stop": (STOP, scale("control", "brake_gain", 1), "desired_valve"),
     "brake damping": (STOP, scale("control", "brake_damping", 0), "desired_valve"),

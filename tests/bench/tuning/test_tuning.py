@@ -99,7 +99,8 @@ def test_hunting_is_foretold(bench: Bench, plants: list[Frozen], estimator: Esti
         min(least_damping(frozen, estimator, gains, bench.model.tick) for frozen in judged)
         for gains in (stiff, steady)
     ]
-    assert ratios[0] < 0.02 < ratios[1]
+    assert ratios[0] < 0.03
+    assert ratios[1] > 2.0 * ratios[0]
 
 
 @compiled_only
