@@ -62,11 +62,8 @@ def plants() -> dict[str, PlantParameters]:
         return replace(actuator, area_a=area * actuator.area_a, area_b=area * actuator.area_b, valve=valve)
 
     def resized(area: float = 1.0, conductance: float = 1.0, frequency: float = 1.0) -> PlantParameters:
-        names = ("shoulder", "right_arm", "wrist")
-        return replace(
-            shipped,
-            **{name: changed(getattr(shipped, name), area, conductance, frequency) for name in names},
-        )
+        a, b, c = (changed(one, area, conductance, frequency) for one in shipped.actuators)
+        return replace(shipped, shoulder=a, right_arm=b, wrist=c)
 
     return {
         "shipped": shipped,
