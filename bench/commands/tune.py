@@ -53,7 +53,6 @@ def tune(
     the configured robot does not swing with what was found.
     """
     import json
-    from dataclasses import replace
 
     from rich.console import Console
 
@@ -67,8 +66,6 @@ def tune(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
     from bench.tuning.along_swing import gains_along, judge, operating_points
-    from bench.tuning.gains import with_gains
-    from bench.tuning.recipe import tune_by_recipe
     from sim.plant import build_plant
 
     configuration = context.ensure_object(Session).configuration()
@@ -76,7 +73,6 @@ def tune(
     swing = load_profile(path)
     require_possible(swing, plant, configuration.envelope, str(path))
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
-    tuned, recipe = bench, None
     with progress_bar() as bar:
         task = bar.add_task("a swing, linearised", total=1.0)
         built, period = build_plant(plant), plant.tick
@@ -84,12 +80,7 @@ def tune(
         filters = estimator_record(configuration.estimator, plant)
         estimator = steady_estimator(filters, period, plant.encoders.latency)
         bar.update(task, completed=1.0)
-        if method == "machine":
-            tuned = bench._replace(control=replace(bench.control, gains="machine"))
-        elif method == "thesis":
-            task = bar.add_task("steps", total=None)
-            recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
-            tuned = bench._replace(control=with_gains(bench.control, recipe.gains))
+        tuned, recipe = _tuned(method, bench, bar)
         judged = judge(plants, estimator, gains_along(tuned), period)
         proofs = {} if method == "none" else _proofs(bench, tuned, bar)
     failed = bool(proofs) and bool(proofs["nominal"][1].failure)
@@ -111,6 +102,22 @@ def tune(
         if not json_:
             typer.echo("Nothing is written: the configured robot does not swing with these gains.")
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _tuned(method: Method, bench: Bench, bar: Progress) -> tuple[Bench, Recipe | None]:
+    """Return `bench` with the gains by `method`, and the thesis' recipe if they are by it."""
+    from dataclasses import replace
+
+    from bench.tuning.gains import with_gains
+    from bench.tuning.recipe import tune_by_recipe
+
+    if method == "machine":
+        return bench._replace(control=replace(bench.control, gains="machine")), None
+    if method == "thesis":
+        task = bar.add_task("steps", total=None)
+        recipe = tune_by_recipe(bench, lambda trial: bar.update(task, advance=1))
+        return bench._replace(control=with_gains(bench.control, recipe.gains)), recipe
+    return bench, None
 
 
 def _machine(bench: Bench) -> MachineGains | None:
@@ -240,7 +247,7 @@ def _by_pose(machine: MachineGains) -> list[str]:
         f"Gains by pose. Bandwidths: {rates}.",
         f"Asked for at every pose: gain {required.gain:.1f} times, phase {degrees(required.phase):.0f}°, "
         f"delay {1e3 * required.delay:.1f} ms, damping ratio {required.damping_ratio:.2f}.",
-        f"Worst: {worst.name} {loop}, {100 * worst.share:.0f} % of what is asked for, at {pose}.",
+        f"Worst: {worst.name} {loop}, {100 * worst.share:.0f} % of the margin asked for, at {pose}.",
     ]
     if worst.share < 1.0:
         lines.append(

@@ -97,7 +97,7 @@ Bandwidths = tuple[Bandwidth, Bandwidth, Bandwidth]
 
 
 class WorstMargin(NamedTuple):
-    """The margin that falls shortest of what is required."""
+    """The margin with the lowest share of the required one."""
 
     share: float
     """Share of the required one; negative where a mode grows."""
@@ -233,7 +233,7 @@ def _worst(
     period: float,
     at_least: float = -np.inf,
 ) -> WorstMargin:
-    """Return the margin that falls shortest of what is required, over `poses`.
+    """Return the worst margin over `poses`, by its share of the required one.
 
     No more poses are tried once it is below `at_least`; the pose that was worst is the first next time.
     """
@@ -255,7 +255,7 @@ def worst_margin(
     period: float,
     at_least: float = -np.inf,
 ) -> WorstMargin:
-    """Return the margin that falls shortest of what is required, of the loops with `gains` at one instant.
+    """Return the worst margin of the loops with `gains` at one instant, by its share of the required one.
 
     `estimated` is the `estimator_response`. Once a margin is below `at_least` the damping is not looked at.
     """

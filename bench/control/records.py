@@ -82,7 +82,7 @@ CONTROL_PARAMETERS = np.dtype(
     align=True,
 )
 """Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
-spools around what is wanted of them up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
+spools around their openings up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
 `rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
 out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
