@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
+    from bench.control.linear_loop import Estimator
+    from bench.control.linear_plant import Frozen
     from bench.control.machine_gains import MachineGains
     from bench.simulation.series import Bench
     from bench.tuning.along_swing import Judged
@@ -57,16 +59,12 @@ def tune(
     from rich.console import Console
 
     from bench.commands.progress import progress_bar
-    from bench.control.linear_loop import steady_estimator
-    from bench.control.linear_plant import freeze
-    from bench.control.settings import estimator_record
     from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.simulation.series import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
-    from bench.tuning.along_swing import gains_along, judge, operating_points
-    from sim.plant import build_plant
+    from bench.tuning.along_swing import gains_along, judge
 
     configuration = context.ensure_object(Session).configuration()
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
@@ -75,13 +73,10 @@ def tune(
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     with progress_bar() as bar:
         task = bar.add_task("a swing, linearised", total=1.0)
-        built, period = build_plant(plant), plant.tick
-        plants = [freeze(built, point) for point in operating_points(bench)]
-        filters = estimator_record(configuration.estimator, plant)
-        estimator = steady_estimator(filters, period, plant.encoders.latency)
+        plants, estimator = _linearised(bench)
         bar.update(task, completed=1.0)
         tuned, recipe = _tuned(method, bench, bar)
-        judged = judge(plants, estimator, gains_along(tuned), period)
+        judged = judge(plants, estimator, gains_along(tuned), plant.tick)
         proofs = {} if method == "none" else _proofs(bench, tuned, bar)
     failed = bool(proofs) and bool(proofs["nominal"][1].failure)
     machine = _machine(tuned)
@@ -91,7 +86,7 @@ def tune(
         console = Console()
         console.print(margins_table(f"margins along {swing.name}", judged))
         judging = [frozen for frozen in plants if frozen.point.judged]
-        old, new = (_worst(judge(judging, estimator, gains_along(one), period)) for one in (bench, tuned))
+        old, new = (_worst(judge(judging, estimator, gains_along(one), plant.tick)) for one in (bench, tuned))
         for line in _story(recipe, proofs, (old, new), machine):
             console.print(line, highlight=False)
     if method != "none" and not failed and output is not None:
@@ -102,6 +97,20 @@ def tune(
         if not json_:
             typer.echo("Nothing is written: the configured robot does not swing with these gains.")
         raise typer.Exit(ExitCode.REFUSED)
+
+
+def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
+    """Return the plant at instants of the bench's swing, and its settled filters."""
+    from bench.control.linear_loop import steady_estimator
+    from bench.control.linear_plant import freeze
+    from bench.control.settings import estimator_record
+    from bench.tuning.along_swing import operating_points
+    from sim.plant import build_plant
+
+    plant = build_plant(bench.model)
+    filters = estimator_record(bench.estimator, bench.model)
+    estimator = steady_estimator(filters, bench.model.tick, bench.model.encoders.latency)
+    return [freeze(plant, point) for point in operating_points(bench)], estimator
 
 
 def _tuned(method: Method, bench: Bench, bar: Progress) -> tuple[Bench, Recipe | None]:
