@@ -62,8 +62,9 @@ def highest_speed(
 ) -> HighestSpeed:
     """Return the fastest downswing within the demand that the plant follows within its cushions.
 
-    The fastest plan is only a start: with cushions that must hold when the ball is missed, faster ones are
-    found by demanding them, until half a m/s more fails. `progress` gets the speeds that are tried.
+    The fastest plan is only a start, or the speed of the swing that the search starts from, if the plant does
+    not follow that plan. With cushions that must hold when the ball is missed, faster ones are found by
+    demanding them, until half a m/s more fails. `progress` gets the speeds that are tried.
 
     Raises:
         BenchError: the package casadi is not installed.
@@ -72,6 +73,13 @@ def highest_speed(
     load_casadi()
     progress("as fast as it goes")
     begun = sweep(study, [None], engine)[0]
+    if isinstance(begun, str):
+        # The plant could not follow that plan. The swing that the search starts from is known to be possible.
+        known = study.start.delivery.get("head_speed_mps") if study.start is not None else None
+        if known is None:
+            raise DesignFailed(begun)
+        progress(f"{known:.1f} m/s")
+        begun = sweep(study, [known], engine)[0]
     if isinstance(begun, str):
         raise DesignFailed(begun)
     plan, failed, limit = begun, inf, ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,8 @@ from bench.design import highest_speed as module
 from bench.design.designer import DesignFailed, SwingDemand
 from bench.design.highest_speed import DownswingStudy, highest_speed
 from bench.simulation.local_engine import InProcess
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
 STUDY = DownswingStudy(
@@ -67,3 +70,15 @@ def test_a_robot_without_a_downswing_is_refused(monkeypatch: pytest.MonkeyPatch)
     robot_that_does(30.0, monkeypatch)
     with pytest.raises(DesignFailed, match="cushion"):
         highest_speed(STUDY, InProcess())
+
+
+def test_a_fastest_plan_that_the_plant_does_not_follow_is_replaced_by_the_known_swing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It opens the valves as far as they go, so that nothing is left to correct with."""
+    asked = robot_that_does(44.0, monkeypatch, plans=50.0)
+    start = load_profile(find_profile("driver-85mph"))
+    known = start.delivery["head_speed_mps"]
+    found = highest_speed(replace(STUDY, start=start), InProcess())
+    assert asked[:4] == [None, known, known + 2.0, known + 4.0]
+    assert 43.5 <= found.plan.speed <= 44.0
