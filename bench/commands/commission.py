@@ -37,8 +37,9 @@ def commission(
 ) -> None:
     """Measure an unknown robot's wiring, valves, air, friction and delays in five bounded steps.
 
-    Writes robot.toml, with standard errors, and a report to sign. Exits with 1 and says what to do if the
-    machine is wrong. Swings, gains and learning are not part of it yet: go on with identify, tune and learn.
+    Writes robot.toml, with standard errors, and a report to sign. If the machine is wrong it says what to do.
+    Exit code 0 is for a robot with a learned swing. Swings, gains and learning are not part of it yet, so it
+    exits with 1 after these steps, too: go on with identify, tune and learn.
     """
     from datetime import UTC, datetime
 
@@ -48,7 +49,7 @@ def commission(
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.robot_file import robot_file
     from bench.config import load_configuration
-    from bench.errors import BenchError
+    from bench.errors import BenchError, ExitCode
     from bench.telemetry.whole_file import whole_file
 
     if not sim:
@@ -81,6 +82,7 @@ def commission(
     with whole_file(output / "robot.toml") as stream:
         stream.write(robot_file(known, state.configuration, now().date()).encode())
     _show(state)
+    raise typer.Exit(ExitCode.REFUSED)  # not yet a robot with a learned swing
 
 
 def _loads(machine: SimulatedMachine) -> str:

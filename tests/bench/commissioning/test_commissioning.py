@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from bench.cli import main
 from bench.commissioning.commissioning import STEPS, Commissioning, begin, commission, read_state
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
@@ -182,3 +184,19 @@ def test_errors_cover_the_truth_of_a_drawn_robot(tmp_path: Path, configuration: 
         off.append(abs(gap) / (found.error or 1.0))
     assert np.mean(np.array(off) < 1.96) >= 0.9, dict(zip(known.found, np.round(off, 1), strict=True))
     assert max(off) < 5.0, dict(zip(known.found, np.round(off, 1), strict=True))
+
+
+def test_without_a_learned_swing_the_command_does_not_exit_with_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody's script takes five steps for a commissioned robot."""
+
+    def all_steps_done(state: Commissioning, nominal: PlantParameters, *_: Any, **__: Any) -> KnownRobot:
+        return KnownRobot(nominal)
+
+    monkeypatch.setattr("bench.commissioning.commissioning.commission", all_steps_done)
+    with pytest.raises(SystemExit) as ended:
+        main(["commission", "--sim", "--output", str(tmp_path / "day")])
+    assert ended.value.code == 1
+    assert (tmp_path / "day" / "robot.toml").is_file()
+    assert "not part of commissioning yet" in " ".join(capsys.readouterr().out.split())
