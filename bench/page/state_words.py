@@ -26,7 +26,22 @@ STATE_WORDS = {
     State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
     State.FAULT: ("Fault, latched", "Clear the cause, then reset."),
 }
-"""State and next step, for the operator."""
+"""State and next step, for the operator; of a robot whose chambers are proven empty where it says vented."""
+
+VENTING_WORDS = {
+    State.ESTOP: (
+        "Stopped and latched, not vented yet",
+        "Stay outside until it is vented; clear the cause, then reset.",
+    ),
+    State.SAFE: ("Venting, not homed", "Wait until it is vented, then home the robot."),
+    State.READY: ("Venting, homed", "Wait until it is vented."),
+    State.ACCESS: ("Access, but a chamber shows pressure", "Leave the robot and close the guard."),
+    State.FAULT: (
+        "Fault, latched, not vented yet",
+        "Stay outside until it is vented; clear the cause, then reset.",
+    ),
+}
+"""The same of a standing robot whose chambers are not proven empty yet."""
 
 PHASE_WORDS = {
     Phase.STANDING: "standing",
@@ -54,12 +69,14 @@ REACTION_WORDS = {
 def state_view(status: BenchStatus) -> dict[str, Any]:
     """Return `status` as the page shows it, valid as JSON."""
     state = State[status["state"]]
-    words, following = STATE_WORDS[state]
+    words, following = (
+        STATE_WORDS[state] if status["vented"] else VENTING_WORDS.get(state, STATE_WORDS[state])
+    )
     chambers = status["chamber_pressure_pa"]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     return {
         "state": state.name,
-        "tone": "stopped" if state in LATCHED else "moving" if state in MOVING else "rest",
+        "tone": _tone(state, vented=status["vented"]),
         "words": words,
         "next": following,
         "phase": PHASE_WORDS[Phase[status["phase"]]],
@@ -76,6 +93,15 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         "accepts": accepted_commands(state),
         **{name: status[name] for name in _UNCHANGED},  # type: ignore[literal-required]
     }
+
+
+def _tone(state: State, *, vented: bool) -> str:
+    """Return the colour of `state`: stopped, moving, ready or rest."""
+    if state in LATCHED:
+        return "stopped"
+    if state in MOVING:
+        return "moving"
+    return "ready" if state is State.READY and vented else "rest"
 
 
 _UNCHANGED = (

@@ -10,7 +10,7 @@ export function showState(content) {
   set("bench", view.bench);
   const title = `${view.state} – bench ${view.bench}`;
   if (document.title !== title) document.title = title;
-  by("state").dataset.tone = view.state === "READY" ? "ready" : view.tone;
+  by("state").dataset.tone = view.tone;
   set("state-word", view.state);
   set("state-words", view.words);
   set("phase", [view.phase, view.reaction].filter(Boolean).join("; "));

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
 from bench.lifecycle import CAUSE_TEXT, Phase, Reaction, State
 from bench.network.bench_service import CauseStatus
-from bench.page.state_words import PHASE_WORDS, REACTION_WORDS, STATE_WORDS, accepted_commands, state_view
+from bench.page.state_words import (
+    MOVING,
+    PHASE_WORDS,
+    REACTION_WORDS,
+    STATE_WORDS,
+    VENTING_WORDS,
+    accepted_commands,
+    state_view,
+)
 from tests.bench.fake_bench_service import FakeDesk
 
 
@@ -42,3 +51,21 @@ def test_what_needs_attention_is_named() -> None:
         "nothing is armed without recorder and publisher",
         "read only: the bench observes and sends nothing but safe outputs",
     ]
+
+
+@pytest.mark.parametrize("state", State)
+def test_nothing_is_called_vented_before_it_is(state: State) -> None:
+    status = FakeDesk(state).status() | {"vented": False}
+    view = state_view(status)
+    assert not re.search("(?<!not )vented", view["words"].lower())
+    assert view["tone"] != "ready"
+    if state not in MOVING | {State.STARTING}:
+        assert view["words"] == VENTING_WORDS[state][0] != STATE_WORDS[state][0]
+    if state in (State.SAFE, State.READY):
+        assert view["words"].startswith("Venting")
+        assert state_view(status | {"vented": True})["words"] == STATE_WORDS[state][0]
+
+
+def test_only_a_vented_ready_bench_is_green() -> None:
+    assert state_view(FakeDesk(State.READY).status())["tone"] == "ready"
+    assert state_view(FakeDesk(State.SAFE).status())["tone"] == "rest"
