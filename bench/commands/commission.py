@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.steps import CommissioningStep
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
@@ -26,6 +27,10 @@ Robot = Annotated[
 ]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of state, records, robot.toml and report.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue after the last step done in DIR.")]
+Check = Annotated[
+    bool, typer.Option("--check", help="Move nothing: check the files, and say what each step does.")
+]
+Json = Annotated[bool, typer.Option("--json", help="With --check: print JSON for a program to read.")]
 
 
 def commission(
@@ -34,6 +39,8 @@ def commission(
     sim: Simulated = False,
     robot: Robot = None,
     resume: Resume = False,
+    check: Check = False,
+    json_: Json = False,
 ) -> None:
     """Measure an unknown robot's wiring, valves, air, friction and delays in five bounded steps.
 
@@ -41,12 +48,14 @@ def commission(
     Exit code 0 is for a robot with a learned swing. Swings, gains and learning are not part of it yet, so it
     exits with 1 after these steps, too: go on with identify, tune and learn.
     """
+    from contextlib import ExitStack
     from datetime import UTC, datetime
 
     from bench.commands.progress import progress_bar
     from bench.commissioning.commissioning import STEPS, begin
     from bench.commissioning.commissioning import commission as commissioned
     from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.folder_lock import folder_lock
     from bench.commissioning.robot_file import robot_file
     from bench.config import load_configuration
     from bench.errors import BenchError, ExitCode
@@ -58,31 +67,65 @@ def commission(
     configuration = context.ensure_object(Session).configuration()
     truth = configuration if robot is None else load_configuration(robot)
     state = begin(output, configuration, simulated=True, resume=resume)
+    state.robot = "" if robot is None else str(robot.resolve())
     nominal = configuration.plant
+    if check:
+        with SimulatedMachine(truth.plant, nominal):
+            _show_steps(state, json_=json_)
+        return
 
     def now() -> datetime:
         return datetime.now(UTC)
 
-    try:
-        with (
-            progress_bar() as bar,
-            SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())) as machine,
-        ):
-            task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
-            known = commissioned(
-                state,
-                nominal,
-                machine,
-                now,
-                observe=lambda: (_loads(machine),),
-                on_step=lambda step: bar.update(task, description=step.title, completed=len(state.done)),
-            )
-    finally:
-        _write_report(state, nominal, now())
-    with whole_file(output / "robot.toml") as stream:
-        stream.write(robot_file(known, state.configuration, now().date()).encode())
+    with ExitStack() as stack:
+        stack.enter_context(folder_lock(output))
+        state.save()
+        stack.callback(lambda: _write_report(state, nominal, now()))
+        bar = stack.enter_context(progress_bar())
+        machine = stack.enter_context(SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())))
+        task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
+
+        def on_step(step: CommissioningStep) -> None:
+            bar.update(task, description=step.title, completed=len(state.done))
+            _write_report(state, nominal, now())
+
+        known = commissioned(
+            state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
+        )
+        with whole_file(output / "robot.toml") as stream:
+            stream.write(robot_file(known, state.configuration, now().date()).encode())
     _show(state)
     raise typer.Exit(ExitCode.REFUSED)  # not yet a robot with a learned swing
+
+
+def _show_steps(state: Commissioning, *, json_: bool) -> None:
+    """Print the steps, their bounds, and which are done."""
+    import json
+
+    from rich.console import Console
+
+    from bench.commissioning.commissioning import STEPS
+
+    done = {step.name for step in state.done}
+    if json_:
+        steps = [
+            {"name": step.name, "title": step.title, "bounds": step.bounds_text, "done": step.name in done}
+            for step in STEPS
+        ]
+        found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
+        typer.echo(json.dumps(found | {"steps": steps}, indent=2))
+        return
+    console = Console()
+    console.print(
+        f"Robot, simulated: {state.robot or 'as configured'}. Folder: {state.folder}.",
+        highlight=False,
+        markup=False,
+    )
+    for number, step in enumerate(STEPS, start=1):
+        word = "done" if step.name in done else "left"
+        console.print(
+            f"{number}. {step.title} ({word})\n   {step.bounds_text}", highlight=False, markup=False
+        )
 
 
 def _loads(machine: SimulatedMachine) -> str:

@@ -70,6 +70,8 @@ class Commissioning:
     configuration: str
     """File of the configuration, the last of its files."""
     simulated: bool
+    robot: str = ""
+    """File of the robot that truly moved last, simulated; empty: the configured one."""
     done: list[DoneStep] = field(default_factory=list)
     wrong: WrongFound | None = None
 
@@ -85,11 +87,13 @@ class Commissioning:
 
     def save(self) -> None:
         """Store the state, whole or not at all."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         content = {
             "version": _VERSION,
             "digest": self.digest,
             "configuration": self.configuration,
             "simulated": self.simulated,
+            "robot": self.robot,
             "done": [
                 step._asdict() | {"values": [value._asdict() for value in step.values]} for step in self.done
             ],
@@ -102,6 +106,8 @@ class Commissioning:
 def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume: bool) -> Commissioning:
     """Return the commissioning in `folder`: a new one, or with `resume` the one that was begun there.
 
+    Nothing is written before its `save`.
+
     Raises:
         BenchError: there is one already, or none to resume, or it is of another configuration.
     """
@@ -111,7 +117,6 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
         if path.exists():
             cure = "Continue it with --resume, or name another folder."
             raise BenchError(str(path), "a commissioning that was begun", "an empty folder", cure)
-        folder.mkdir(parents=True, exist_ok=True)
         file = str(configuration.files[-1].resolve())
         return Commissioning(folder, digest, file, simulated)
     state = read_state(folder)
@@ -146,7 +151,8 @@ def read_state(folder: Path) -> Commissioning:
         ]
         wrong = None if content["wrong"] is None else WrongFound(**content["wrong"])
         digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-        return Commissioning(folder, digest, configuration, simulated, done, wrong)
+        robot = str(content.get("robot", ""))  # not in the first version's files
+        return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
     except FileNotFoundError:
         cure = "Begin without --resume."
         raise BenchError(str(path), "no such file", "a commissioning that was begun", cure) from None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,8 +13,16 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.commissioning.commissioning import STEPS, Commissioning, begin, commission, read_state
+from bench.commissioning.commissioning import (
+    STATE_FILE,
+    STEPS,
+    Commissioning,
+    begin,
+    commission,
+    read_state,
+)
 from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.commissioning.report import commissioning_report
@@ -100,6 +110,45 @@ def test_another_robot_is_not_resumed(tmp_path: Path, configuration: Configurati
         begin(tmp_path, replace(configuration, plant=plant), simulated=True, resume=True)
     with pytest.raises(BenchError, match="Begin without --resume"):
         begin(tmp_path / "empty", configuration, simulated=True, resume=True)
+
+
+def test_two_processes_do_not_commission_in_one_folder(tmp_path: Path) -> None:
+    assert commissioning_process(tmp_path / "day") is None
+    with folder_lock(tmp_path / "day"):
+        assert commissioning_process(tmp_path / "day") == os.getpid()
+        with pytest.raises(Refused, match=f"process {os.getpid()}"), folder_lock(tmp_path / "day"):
+            pass
+    assert commissioning_process(tmp_path / "day") is None
+
+
+def test_a_check_says_the_steps_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "day"
+    given = ["commission", "--sim", "--check", "--output", str(folder)]
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--json"])
+    assert ended.value.code == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [(step["name"], step["done"]) for step in said["steps"]] == [(step.name, False) for step in STEPS]
+    assert (said["robot"], said["simulated"]) == ("", True)
+    with pytest.raises(SystemExit):
+        main(given)
+    assert f"1. {STEPS[0].title} (left)" in capsys.readouterr().out
+    assert not folder.exists()
+
+
+def test_a_state_names_the_robot_that_moved(tmp_path: Path, configuration: Configuration) -> None:
+    state = begin(tmp_path / "day", configuration, simulated=True, resume=False)
+    assert not (tmp_path / "day").exists()
+    state.robot = "/srv/other.toml"
+    state.save()
+    assert read_state(tmp_path / "day").robot == "/srv/other.toml"
+    file = tmp_path / "day" / STATE_FILE
+    content = json.loads(file.read_text())
+    del content["robot"]
+    file.write_text(json.dumps(content))
+    assert read_state(tmp_path / "day").robot == ""
 
 
 def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configuration) -> None:
