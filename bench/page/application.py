@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bench.page.answers import InvalidBody, json_answer
 from bench.page.campaign_service import CampaignService
+from bench.page.commissioning_service import CommissioningService
 from bench.page.guard import Application, Guard
 from bench.page.page_service import PageService
 from bench.page.start_service import StartService
@@ -23,10 +24,11 @@ def page_application(
     service: PageService,
     campaigns: CampaignService,
     starts: StartService,
+    commissionings: CommissioningService,
     scheme: str,
     hosts: Collection[str],
 ) -> Application:
-    """Return the application of the three services, reached by `scheme` under `hosts` (HOST:PORT)."""
+    """Return the application of the four services, reached by `scheme` under `hosts` (HOST:PORT)."""
     from starlette.applications import Starlette
     from starlette.routing import Route
 
@@ -49,6 +51,10 @@ def page_application(
         Route("/api/values", starts.values),
         Route("/api/values/{form}", starts.enter, methods=["POST"]),
         Route("/api/viewer/close", starts.close_viewer, methods=["POST"]),
+        Route("/api/commissioning/check", commissionings.check, methods=["POST"]),
+        Route("/api/commissioning/start", commissionings.start, methods=["POST"]),
+        Route("/api/commissioning/stop", commissionings.stop, methods=["POST"]),
+        Route("/commissioning/{commissioning}/{kind}", commissionings.file),
         Route("/viewer", starts.viewer),
         Route("/report/{campaign}", campaigns.report),
         Route("/record/{name}", campaigns.record),

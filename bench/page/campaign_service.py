@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from bench.page.answers import InvalidBody, body_of, json_answer, number_in, text_in
 from bench.page.campaign_archive import REQUESTS, CampaignArchive
-from bench.page.campaign_runner import CampaignRunner
 from bench.page.command_line import CommandLine
 from bench.page.downloads import REPORT_POLICY, Downloads
+from bench.page.lasting_command import LastingCommand
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService
 
@@ -26,6 +26,7 @@ PART = 1 << 16
 """Size of a part of a file, bytes."""
 LONGEST_COMMENT = 200
 LONGEST_NAME = 64
+STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 
 
 class CampaignService:
@@ -37,7 +38,7 @@ class CampaignService:
         archive: CampaignArchive,
         downloads: Downloads,
         golfbench: CommandLine,
-        runner: CampaignRunner,
+        runner: LastingCommand,
     ) -> None:
         self._page, self._archive, self._downloads = page, archive, downloads
         self._golfbench, self._runner = golfbench, runner
@@ -146,7 +147,8 @@ class CampaignService:
         """Start a runner for a campaign that has none; return what happens."""
         known = self._archive.unfinished(campaign)
         more = ["--ask"] if ask else []
-        return self._runner.start(known, "resume", f"--by={by}", *more, "--", known)
+        self._runner.start(known, "campaign", "resume", f"--by={by}", *more, "--", known)
+        return STARTED.format(known)
 
 
 def _count(body: dict[str, Any]) -> int | None:

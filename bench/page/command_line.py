@@ -108,6 +108,11 @@ def lower_priority(process: int) -> None:
         os.setpriority(os.PRIO_PROCESS, process, max(NICE, os.getpriority(os.PRIO_PROCESS, process)))
 
 
+def names_fault(text: str) -> bool:
+    """Return whether a command that said `text` named an error."""
+    return _FAULT.search(text) is not None
+
+
 def fault_of(place: str, code: int, text: str) -> BenchError:
     """Return the error that a command ended with: exit `code` and what it said, `text`."""
     faults = [BenchError(**one.groupdict()) for one in _FAULT.finditer(text)]

@@ -45,16 +45,16 @@ class Downloads:
 
     def record(self, name: str) -> Path | None:
         """Return the record called `name`; None if it does not exist."""
-        return _plain_file(self._records / name) if _RECORD.fullmatch(name) else None
+        return plain_file(self._records / name) if _RECORD.fullmatch(name) else None
 
     def report(self, campaign: str) -> Path | None:
         """Return the report of `campaign`; None if it does not exist."""
         if not _CAMPAIGN.fullmatch(campaign):
             return None
         folder = self._campaigns / campaign
-        return None if folder.is_symlink() else _plain_file(folder / "report.html")
+        return None if folder.is_symlink() else plain_file(folder / "report.html")
 
 
-def _plain_file(path: Path) -> Path | None:
+def plain_file(path: Path) -> Path | None:
     """Return `path` if it is a file itself, no link to one."""
     return path if path.is_file() and not path.is_symlink() else None

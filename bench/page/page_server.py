@@ -15,19 +15,22 @@ from typing import TYPE_CHECKING, Any
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.config.identity_files import identity_files
-from bench.errors import BenchError
+from bench.errors import BenchError, ExitCode
 from bench.page.application import page_application
 from bench.page.bench_link import BenchLink, record_of
 from bench.page.bench_values import bench_values
 from bench.page.broadcaster import PageBroadcaster
 from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
-from bench.page.campaign_runner import CampaignRunner
 from bench.page.campaign_service import CampaignService
 from bench.page.command_line import CommandLine
+from bench.page.commissioning_service import CommissioningService
+from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.commissioning_watch import CommissioningWatch
 from bench.page.downloads import Downloads
 from bench.page.guard import Application
 from bench.page.http_protocol import http_protocol
 from bench.page.last_swing import SwingReader
+from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress, checked_address, page_access
 from bench.page.page_service import PageService
 from bench.page.plan_shelf import PlanShelf
@@ -76,12 +79,21 @@ def serve_page(
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
-        runner = CampaignRunner(program, log, broadcaster.publish)
+        runner = LastingCommand(program, log, broadcaster.publish, "runner")
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(service, archive, downloads, program, runner)
         plans = PlanShelf(settings.data_dir)
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
+        shelf = CommissioningShelf(settings.data_dir, settings.id)
+        watch = CommissioningWatch(shelf, broadcaster.publish)
+        log = settings.data_dir / "commissioning" / f".process-of-{settings.id}.log"
+        command = LastingCommand(
+            program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
+        )
+        commissionings = CommissioningService(service, program, shelf, command)
+        watch.start()
+        stack.callback(watch.close)
         c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)
         reader = SwingReader(broadcaster.publish, c.plant, FlightConditions(c.air, c.wind, c.turf))
         reader.start()
@@ -92,7 +104,7 @@ def serve_page(
         _watch_campaigns(archive, link, broadcaster)
         link.start()
         stack.callback(link.close)
-        application = page_application(service, campaigns, starts, address.scheme, hosts)
+        application = page_application(service, campaigns, starts, commissionings, address.scheme, hosts)
         asyncio.run(_serve(application, link, broadcaster, address, listener, ready))
 
 

@@ -53,10 +53,10 @@ class PlanShelf:
             own = sorted(self._folder.glob("*.toml"))[:MAX_PLANS]
         except OSError:
             own = []
-        return shipped | {path.stem: path for path in own if _is_plan(path)}
+        return shipped | {path.stem: path for path in own if is_toml_to_name(path)}
 
 
-def _is_plan(path: Path) -> bool:
+def is_toml_to_name(path: Path) -> bool:
     """Return whether `path` is a file itself, no link, of a plan's size, with a name that is safe to show."""
     try:
         plain = path.is_file() and not path.is_symlink() and path.stat().st_size <= LONGEST_PLAN

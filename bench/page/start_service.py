@@ -9,10 +9,10 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
 from bench.page.answers import InvalidBody, body_of, json_answer, number_in, text_in
-from bench.page.campaign_runner import CampaignRunner
-from bench.page.campaign_service import LONGEST_NAME
+from bench.page.campaign_service import LONGEST_NAME, STARTED
 from bench.page.command_line import CommandLine
 from bench.page.entry_forms import FORMS, form_arguments
+from bench.page.lasting_command import LastingCommand
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService
 from bench.page.plan_shelf import PlanShelf
@@ -34,7 +34,7 @@ class StartService:
         page: PageService,
         golfbench: CommandLine,
         plans: PlanShelf,
-        runner: CampaignRunner,
+        runner: LastingCommand,
         viewer: ViewerProcess,
         values: Callable[[], dict[str, Any]],
     ) -> None:
@@ -80,7 +80,8 @@ class StartService:
             self._page.numbers.check(number, seen)
             # A plan that was changed since it was checked is refused by the runner.
             given = [f"--by={by}", f"--units={units}", f"--expect={digest}", *(["--ask"] if ask else [])]
-            return {"note": f"{self._runner.start(name, 'run', *given, '--', str(self._plans.file(name)))}."}
+            self._runner.start(name, "campaign", "run", *given, "--", str(self._plans.file(name)))
+            return {"note": f"{STARTED.format(name)}."}
 
         return await self._page.worked(work)
 

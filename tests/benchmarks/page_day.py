@@ -18,6 +18,7 @@ from typing import Any
 
 from bench.network.free_port import free_port
 from tests.bench.page.browser_tab import PATIENCE, open_tab
+from tests.bench.page.chromium import launched
 from tests.bench.page.day_at_page import (
     OPERATOR,
     VIEWER,
@@ -47,9 +48,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     expect.set_options(timeout=PATIENCE)
     program = shutil.which("chromium") or shutil.which("chromium-browser")
     with TemporaryDirectory() as folder, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=program, args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE
-        )
+        browser = launched(playwright, program)
         try:
             return _day(browser, Path(folder))
         finally:

@@ -1,5 +1,6 @@
 import { loadArchive } from "./archive.js";
 import { onEnd, setSeen, showCampaigns } from "./campaign.js";
+import { showCommissioner, showCommissioning, startCommissioning } from "./commission.js";
 import { by } from "./dom.js";
 import { loadValues, showAccess } from "./forms.js";
 import { keep, startTheme } from "./keep.js";
@@ -20,10 +21,13 @@ on("swing", (view) => { showSwing(view); if (view.stored) loadArchive(); });
 on("campaigns", (content) => { showCampaigns(content); showPlansBeside(content); });
 on("runner", (content) => { showRunner(content); if (!content.running) loadArchive(); });
 on("viewer", showViewer);
+on("commissioning", showCommissioning);
+on("commissioner", showCommissioner);
 onEnd(loadArchive);
 startPlans();
 startViewer();
-startOperate(startStream(["link", "you", "state", "events", "swing", "campaigns", "runner", "viewer"]));
+startCommissioning();
+startOperate(startStream(["link", "you", "state", "events", "swing", "campaigns", "runner", "viewer", "commissioning", "commissioner"]));
 const askRole = () => fetch("/api/you").then((response) => response.json()).then(showYou).catch(() => {});
 on("refused", askRole); // a page that was started again has forgotten its sessions
 askRole();

@@ -11,6 +11,7 @@ import pytest
 
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.page.browser_tab import PATIENCE
+from tests.bench.page.chromium import launched
 from tests.bench.page.running_page import RunningPage, running_page
 
 
@@ -55,8 +56,6 @@ def browser(tool: Callable[[str], str]) -> Iterator[Any]:
 
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=tool("chromium"), args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE
-        )
+        browser = launched(playwright, tool("chromium"))
         yield browser
         browser.close()

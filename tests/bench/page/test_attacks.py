@@ -115,6 +115,19 @@ ATTACKS = {
     "script for a plan, without a slash": Attack(
         "POST", "/api/plan/<img%20onerror=x>/check", {}, b"{}", {409}
     ),
+    "a commissioning from another site": Attack(
+        "POST", "/api/commissioning/start", {"origin": "http://evil.example"}, PLAN, {403}
+    ),
+    "a commissioning by a form": Attack(
+        "POST", "/api/commissioning/start", {"content-type": "text/plain"}, PLAN, {415}
+    ),
+    "a commissioning by GET": Attack("GET", "/api/commissioning/start", {}, b"", {405}),
+    "a malformed commissioning": Attack("POST", "/api/commissioning/start", {}, b"\xff{", {400}),
+    "an oversized commissioning": Attack("POST", "/api/commissioning/start", {}, b" " * 5000, {413}),
+    "the end of what is no commissioning": Attack(
+        "POST", "/api/commissioning/stop", {}, b'{"number": "an-attack-03", "name": "1"}', {409}
+    ),
+    "a commissioning above": Attack("GET", "/commissioning/..%2f..%2fetc/report", {}, b"", {404}),
     "an unknown form": Attack("POST", "/api/values/explode", {}, PLAN, {404}),
     "a form by its Python name": Attack("POST", "/api/values/__class__", {}, PLAN, {404}),
     "a value that is code": Attack("POST", "/api/values/air", {}, b'{"temperature": "1; reboot"}', {400}),

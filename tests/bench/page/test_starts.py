@@ -6,7 +6,6 @@ test_browser_campaign.py.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -24,62 +23,18 @@ from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import command_line, viewer_process
 from bench.page.answers import InvalidBody
-from bench.page.campaign_runner import CampaignRunner
 from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
+from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
+from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
 
 SCRIPT = "<script>alert(1)</script>"
-PROGRAM = """
-import json, sys, time
-from pathlib import Path
-folder, given = Path(sys.argv[1]), sys.argv[2:]
-with (folder / "asked").open("a") as file:
-    file.write(json.dumps(given) + "\\n")
-if given[:2] == ["campaign", "check"]:
-    trial = {"role": "test", "section": 1, "block": 1, "position": 1, "swing": "s", "club": "c", "ball": "b"}
-    print(json.dumps({"digest": "0123456789abcdef", "title": "x", "sequence": [trial] * 3}))
-elif given[:2] in (["campaign", "run"], ["campaign", "resume"]):
-    print("campaign x-1")
-    while not (folder / "end").exists():
-        time.sleep(0.01)
-    if (folder / "fail").exists():
-        sys.exit("error: bench b\\n  found:    held by Ann\\n  expected: a free bench\\n  to do:    Wait.")
-elif given[:1] == ["calibrate"] and "--x=9.0" in given:
-    sys.exit("error: calibrate ball\\n  found:    9\\n  expected: up to 3 m\\n  to do:    Measure again.")
-elif given[:1] == ["view"]:
-    if (folder / "fail").exists():
-        sys.exit("error: Rerun\\n  found:    nothing\\n  expected: it\\n  to do:    Install it.")
-    print("http://127.0.0.1:9999/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy", flush=True)
-    time.sleep(600)
-else:
-    print("ball version 1 of bench1 <script>alert(1)</script>")
-"""
-
-
-class NotingProgram:
-    """The script in place of `golfbench`."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        file = folder / "golfbench.py"
-        file.write_text(PROGRAM)
-        self.command = (sys.executable, "-S", str(file), str(folder))
-
-    @property
-    def asked(self) -> list[list[str]]:
-        """Arguments of each call."""
-        file = self.folder / "asked"
-        return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-
-    def note(self, name: str) -> None:
-        """Make the script end ("end"), or fail ("fail")."""
-        (self.folder / name).touch()
 
 
 def wait_until(holds: Callable[[], bool], words: Callable[[], object]) -> None:
@@ -221,8 +176,10 @@ def test_a_plan_is_checked_and_started_as_at_the_command_line(
 
 def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> None:
     log, said = tmp_path / "data" / "runner.log", list[Any]()
-    runner = CampaignRunner(CommandLine(program.command), log, lambda topic, content: said.append(content))
-    runner.start("x-1", "resume", "--", "x-1")
+    runner = LastingCommand(
+        CommandLine(program.command), log, lambda topic, content: said.append(content), "runner"
+    )
+    runner.start("x-1", "campaign", "resume", "--", "x-1")
     wait_until(lambda: bool(program.asked), log.read_text)
     process = runner._process
     assert process is not None
@@ -238,9 +195,11 @@ def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> N
 
 def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
     (tmp_path / "data").write_text("no folder")
-    runner = CampaignRunner(CommandLine(program.command), tmp_path / "data" / "log", lambda *_: None)
+    runner = LastingCommand(
+        CommandLine(program.command), tmp_path / "data" / "log", lambda *_: None, "runner"
+    )
     with pytest.raises(BenchError):
-        runner.start("x-1", "resume", "--", "x-1")
+        runner.start("x-1", "campaign", "resume", "--", "x-1")
     assert program.asked == []
 
 

@@ -1,0 +1,270 @@
+"""Commissionings on the page: listed as they are stored, started and ended as at the command line.
+
+The program is a script that notes its arguments; the real one runs in test_browser_commissioning.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.commissioning.commissioning import STEPS, Commissioning, DoneStep, WrongFound
+from bench.commissioning.folder_lock import folder_lock
+from bench.config import Configuration
+from bench.errors import Refused
+from bench.network.free_port import free_port
+from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.page_address import PageAddress
+from tests.bench.fake_bench_service import loopback_configuration
+from tests.bench.page.noting_program import NotingProgram
+from tests.bench.page.running_page import HURRY, RunningPage, running_page
+
+SCRIPT = "<script>alert(1)</script>"
+DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
+HOLDER = """
+import sys, time
+from pathlib import Path
+from bench.commissioning.folder_lock import folder_lock
+with folder_lock(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[NotingProgram]:
+    found = NotingProgram(tmp_path)
+    yield found
+    found.note("end")
+
+
+@pytest.fixture
+def configuration(tmp_path: Path) -> Configuration:
+    given = loopback_configuration()
+    return replace(given, bench=replace(given.bench, data_dir=tmp_path / "data"))
+
+
+@pytest.fixture
+def page(configuration: Configuration, program: NotingProgram) -> Iterator[RunningPage]:
+    with running_page(configuration, golfbench=program.command) as page:
+        yield page
+
+
+def stored(data_dir: Path, name: str, done: int = 1, wrong: bool = False) -> Path:
+    """Store a commissioning with `done` steps."""
+    folder = data_dir / "commissioning" / name
+    state = Commissioning(folder, "0" * 16, "/srv/bench.toml", simulated=True, robot="/srv/other.toml")
+    for step in STEPS[:done]:
+        one = DoneStep(step.name, step.title, "bounds", DAY.isoformat(), 61.0, "records/1.npz", (), (SCRIPT,))
+        state.done.append(one)
+    if wrong:
+        state.wrong = WrongFound(STEPS[done].name, DAY.isoformat(), "hose", "air", "none", "Fit the hose.")
+    state.save()
+    (folder / "report.html").write_text(f"<!doctype html><title>Report</title>{SCRIPT}")
+    return folder
+
+
+def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
+    page.numbers += 1
+    answer = page.post(f"/api/commissioning/{path}", {"number": f"commission-{page.numbers}"} | content)
+    return answer.status, answer.content
+
+
+# What is shown ---------------------------------------------------------------------------------------
+
+
+def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
+    shelf = CommissioningShelf(tmp_path, "bench1")
+    assert shelf.view()["commissionings"] == []
+    assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in STEPS]
+    stored(tmp_path, "first-day", done=2, wrong=True)
+    (one,) = shelf.view()["commissionings"]
+    assert (one["name"], one["done"], one["robot"], one["process"]) == ("first-day", 2, "other", None)
+    assert [step["done"] for step in one["steps"]] == [True, True, False, False, False]
+    assert one["steps"][0]["notes"] == [SCRIPT]
+    assert one["wrong"]["cure"] == "Fit the hose."
+    assert one["files"] == ["report"]
+    with folder_lock(tmp_path / "commissioning" / "first-day"):
+        assert shelf.view()["commissionings"][0]["process"] == os.getpid()
+
+
+def test_a_state_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+    folder = stored(tmp_path, "first-day")
+    (folder / "commissioning.json").write_text("{")
+    (one,) = CommissioningShelf(tmp_path, "bench1").view()["commissionings"]
+    assert "Begin again in another folder" in one["unreadable"]
+
+
+def test_only_listed_names_are_taken(tmp_path: Path) -> None:
+    folder = stored(tmp_path, "first-day")
+    robots = tmp_path / "robots"
+    robots.mkdir()
+    (robots / "other.toml").write_text("")
+    (robots / "--help.toml").write_text("")
+    (robots / "linked.toml").symlink_to("/etc/passwd")
+    (tmp_path / "commissioning" / "linked").symlink_to(folder)
+    (folder / "robot.toml").symlink_to("/etc/passwd")
+    shelf = CommissioningShelf(tmp_path, "bench1")
+    assert shelf.view()["robots"] == ["other"]
+    assert [one["name"] for one in shelf.view()["commissionings"]] == ["first-day"]
+    assert shelf.folder("first-day") == folder
+    assert shelf.robot("other") == robots / "other.toml"
+    assert shelf.file("first-day", "report") == folder / "report.html"
+    for name in ("linked", "--help", "..", "", "../first-day", "/etc/passwd", SCRIPT):
+        for look in (shelf.folder, shelf.robot):
+            with pytest.raises(Refused) as refused:
+                look(name)
+            assert SCRIPT not in str(refused.value)
+        assert shelf.file(name, "report") is None
+    for kind in ("robot", "commissioning.json", "..", ""):
+        assert shelf.file("first-day", kind) is None
+
+
+def test_changes_reach_the_page(page: RunningPage, configuration: Configuration) -> None:
+    with page.stream() as following:
+        assert following("commissioning")["commissionings"] == []
+        stored(configuration.bench.data_dir, "first-day")
+        while not (found := following("commissioning")["commissionings"]):
+            pass
+        assert found[0]["done"] == 1
+
+
+def test_the_report_can_run_nothing(page: RunningPage, configuration: Configuration) -> None:
+    folder = stored(configuration.bench.data_dir, "first-day")
+    answer = page.ask("GET", "/commissioning/first-day/report")
+    assert answer.status == 200
+    assert "sandbox" in answer.headers["content-security-policy"]
+    assert "script-src" not in answer.headers["content-security-policy"]
+    assert page.ask("GET", "/commissioning/first-day/robot").status == 404
+    (folder / "robot.toml").write_text("x = 1\n")
+    answer = page.ask("GET", "/commissioning/first-day/robot")
+    assert answer.body == b"x = 1\n"
+    assert "attachment" in answer.headers["content-disposition"]
+    for path in ("none/report", "first-day/state", "..%2ffirst-day/report", "..%2f..%2fetc/robot"):
+        assert page.ask("GET", f"/commissioning/{path}").status == 404
+
+
+# What is started -------------------------------------------------------------------------------------
+
+
+def test_a_commissioning_is_checked_started_and_resumed_as_at_the_command_line(
+    page: RunningPage, program: NotingProgram, configuration: Configuration
+) -> None:
+    robots = configuration.bench.data_dir / "robots"
+    robots.mkdir(parents=True)
+    (robots / "other.toml").write_text("")
+    first = stored(configuration.bench.data_dir, "first-day")
+    status, content = asked(page, "check", robot="", resume="")
+    assert (status, content["steps"][0]["title"]) == (200, "T")
+    check = program.asked[0]
+    assert check[:2] == ["commission", "--sim"]
+    assert check[2].startswith(f"--output={first.parent}/bench1-")
+    assert check[3:] == ["--check", "--json"]
+    with page.stream() as following:
+        status, content = asked(page, "start", robot="other", resume="first-day")
+        assert status == 200, content
+        assert following("commissioner") == {"what": "first-day", "running": True, "text": ""}
+        status, content = asked(page, "start", robot="", resume="")
+        assert (status, "no other" in content["what"]) == (409, True)
+        wait_for(lambda: len(program.asked) == 2)
+        given = ["commission", "--sim", f"--output={first}", f"--robot={robots / 'other.toml'}", "--resume"]
+        assert program.asked[1] == given
+        program.note("fail")
+        program.note("end")
+        assert following("commissioner")["text"] == "bench b: held by Ann; expected a free bench. Wait."
+    status, content = asked(page, "check", robot="", resume="first-day")
+    assert (status, content["what"], content["cure"]) == (
+        409,
+        "Robot: no sensors; expected some.",
+        "Fit them.",
+    )
+
+
+def test_the_end_without_a_learned_swing_is_no_fault(page: RunningPage, program: NotingProgram) -> None:
+    program.note("refuse")
+    program.note("end")
+    with page.stream() as following:
+        assert asked(page, "start", robot="", resume="")[0] == 200
+        while (said := following("commissioner"))["running"]:
+            pass
+        assert said["text"] == ""
+
+
+def test_a_commissioning_is_stopped_also_by_a_later_page(
+    page: RunningPage, configuration: Configuration
+) -> None:
+    folder = stored(configuration.bench.data_dir, "first-day")
+    assert asked(page, "stop", name="first-day")[0] == 409
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(folder)], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            status, content = asked(page, "stop", name="first-day")
+            assert status == 200, content
+            process.wait(HURRY)
+        finally:
+            process.kill()
+    with page.stream() as following:
+        while not (found := following("commissioning")["commissionings"]):
+            pass
+        assert found[0]["process"] is None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"robot": "--help", "resume": ""},
+        {"robot": "../../etc/passwd", "resume": ""},
+        {"robot": "", "resume": "../first-day"},
+        {"robot": SCRIPT, "resume": ""},
+        {"robot": "", "resume": "x" * 200},
+        {"robot": 1, "resume": ""},
+        {"robot": "", "resume": "a\nb"},
+        {},
+    ],
+)
+def test_what_is_not_listed_starts_nothing(
+    page: RunningPage, program: NotingProgram, content: dict[str, Any]
+) -> None:
+    for path in ("check", "start"):
+        status, answer = asked(page, path, **content)
+        assert status in (400, 409)
+        assert SCRIPT not in json.dumps(answer)
+    assert program.asked == []
+
+
+def test_it_needs_the_operators_role(
+    configuration: Configuration, program: NotingProgram, tmp_path: Path
+) -> None:
+    stored(configuration.bench.data_dir, "first-day")
+    tokens = tmp_path / "tokens"
+    tokens.write_text(f"viewer {'v' * 24}\n")
+    tokens.chmod(0o600)
+    address = PageAddress(port=free_port(), tokens=tokens)
+    with running_page(configuration, address, program.command) as page:
+        report = "/commissioning/first-day/report"
+        assert page.ask("GET", report).status == 401
+        cookie = page.post("/api/sign-in", {"token": "v" * 24}).headers["set-cookie"].partition(";")[0]
+        assert page.ask("GET", report, None, {"cookie": cookie}).status == 200
+        content = {"number": "number-1", "robot": "", "resume": "", "name": "first-day"}
+        for path in ("check", "start", "stop"):
+            assert page.post(f"/api/commissioning/{path}", content).status == 401
+            assert page.post(f"/api/commissioning/{path}", content, cookie=cookie).status == 403
+    assert program.asked == []
+
+
+def wait_for(holds: Any) -> None:
+    deadline = time.monotonic() + HURRY
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
