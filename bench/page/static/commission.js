@@ -1,7 +1,7 @@
 // Commissioning as a guided form: choose a robot, check, start, follow the steps, repair, resume, read the report.
 
 import { by, make, rows, set } from "./dom.js";
-import { mayOperate, outcome, randomNumber } from "./operate.js";
+import { isOperator, outcome, randomNumber } from "./operate.js";
 import { say, send } from "./send.js";
 import { duration } from "./state.js";
 
@@ -38,11 +38,12 @@ export function showCommissioner(content) {
 const option = (name) => make("option", { value: name }, name || CONFIGURED);
 const isRunning = () => view !== null && view.commissionings.some((one) => one.process !== null);
 
+// It needs no bench: the robot is simulated.
 function refresh() {
-  const may = mayOperate() && !busy && !isRunning();
+  const may = isOperator() && !busy && !isRunning();
   by("commission-check").disabled = !may;
   by("commission-start").disabled = !(may && checked !== null);
-  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !mayOperate() || busy;
+  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !isOperator() || busy;
 }
 
 function redraw() {
@@ -137,7 +138,7 @@ function wrong(w) {
 
 function actions(c) {
   const link = (kind, text, more) => (c.files.includes(kind) ? [make("a", { href: `/commissioning/${encodeURIComponent(c.name)}/${kind}`, ...more }, text)] : []);
-  const files = [...link("report", "Report to sign", { target: "_blank", rel: "noopener" }), ...link("robot", "robot.toml", { download: `${c.name}.toml` })];
+  const files = [...link("report", finished(c) ? "Report to sign" : "Report so far", { target: "_blank", rel: "noopener" }), ...link("robot", "robot.toml", { download: `${c.name}.toml` })];
   if (c.process !== null) return [button("Stop", c, () => stop(c.name)), ...files];
   if (finished(c) || isRunning()) return files;
   const robots = make("select", { "aria-label": `Robot of ${c.name}` }, ...["", ...view.robots].map(option));

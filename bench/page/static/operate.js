@@ -61,7 +61,8 @@ export function showLease(view) {
   refresh();
 }
 
-export const mayOperate = () => you.role === "operator" && isLive();
+export const isOperator = () => you.role === "operator";
+export const mayOperate = () => isOperator() && isLive();
 export const operator = () => by("holder").value.trim();
 
 function refresh() {
