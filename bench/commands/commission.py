@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.steps import CommissioningStep
+    from bench.config import Configuration
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
@@ -48,18 +49,10 @@ def commission(
     Exit code 0 is for a robot with a learned swing. Swings, gains and learning are not part of it yet, so it
     exits with 1 after these steps, too: go on with identify, tune and learn.
     """
-    from contextlib import ExitStack
-    from datetime import UTC, datetime
-
-    from bench.commands.progress import progress_bar
-    from bench.commissioning.commissioning import STEPS, begin
-    from bench.commissioning.commissioning import commission as commissioned
+    from bench.commissioning.commissioning import begin
     from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.folder_lock import folder_lock
-    from bench.commissioning.robot_file import robot_file
     from bench.config import load_configuration
     from bench.errors import BenchError, ExitCode
-    from bench.telemetry.whole_file import whole_file
 
     if not sim:
         cure = "Add --sim: commissioning of a running bench is not part of golfbench yet."
@@ -68,34 +61,48 @@ def commission(
     truth = configuration if robot is None else load_configuration(robot)
     state = begin(output, configuration, simulated=True, resume=resume)
     state.robot = "" if robot is None else str(robot.resolve())
-    nominal = configuration.plant
     if check:
-        with SimulatedMachine(truth.plant, nominal):
+        with SimulatedMachine(truth.plant, configuration.plant):
             _show_steps(state, json_=json_)
         return
+    _measure(state, configuration.plant, truth)
+    _show(state)
+    raise typer.Exit(ExitCode.REFUSED)  # not yet a robot with a learned swing
+
+
+def _measure(state: Commissioning, nominal: PlantParameters, truth: Configuration) -> None:
+    """Do the steps that are left on the simulated `truth`; write state, report and robot.toml."""
+    from datetime import UTC, datetime
+
+    from bench.commands.progress import progress_bar
+    from bench.commissioning.commissioning import STEPS, commission
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.folder_lock import folder_lock
+    from bench.commissioning.robot_file import robot_file
+    from bench.telemetry.whole_file import whole_file
 
     def now() -> datetime:
         return datetime.now(UTC)
 
-    with ExitStack() as stack:
-        stack.enter_context(folder_lock(output))
+    def on_step(step: CommissioningStep) -> None:
+        bar.update(task, description=step.title, completed=len(state.done))
+        _write_report(state, nominal, now())
+
+    with folder_lock(state.folder):
         state.save()
-        stack.callback(lambda: _write_report(state, nominal, now()))
-        bar = stack.enter_context(progress_bar())
-        machine = stack.enter_context(SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())))
-        task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
-
-        def on_step(step: CommissioningStep) -> None:
-            bar.update(task, description=step.title, completed=len(state.done))
+        try:
+            with (
+                progress_bar() as bar,
+                SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())) as machine,
+            ):
+                task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
+                known = commission(
+                    state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
+                )
+        finally:
             _write_report(state, nominal, now())
-
-        known = commissioned(
-            state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
-        )
-        with whole_file(output / "robot.toml") as stream:
+        with whole_file(state.folder / "robot.toml") as stream:
             stream.write(robot_file(known, state.configuration, now().date()).encode())
-    _show(state)
-    raise typer.Exit(ExitCode.REFUSED)  # not yet a robot with a learned swing
 
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:
