@@ -80,7 +80,7 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         "words": words,
         "next": following,
         "phase": PHASE_WORDS[Phase[status["phase"]]],
-        "reaction": REACTION_WORDS[Reaction[status["reaction"]]],
+        "reaction": _reaction(Reaction[status["reaction"]], vented=status["vented"]),
         "cause": _cause(status["cause"]),
         "latest_cause": _cause(status["latest_cause"]),
         "conditions": [c._asdict() for c in (*robot_conditions(status), *interlock_conditions(status))],
@@ -93,6 +93,11 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         "accepts": accepted_commands(state),
         **{name: status[name] for name in _UNCHANGED},  # type: ignore[literal-required]
     }
+
+
+def _reaction(reaction: Reaction, *, vented: bool) -> str:
+    """Return the words of `reaction`; none for a venting that is over."""
+    return "" if reaction is Reaction.VENT and vented else REACTION_WORDS[reaction]
 
 
 def _tone(state: State, *, vented: bool) -> str:

@@ -69,3 +69,9 @@ def test_nothing_is_called_vented_before_it_is(state: State) -> None:
 def test_only_a_vented_ready_bench_is_green() -> None:
     assert state_view(FakeDesk(State.READY).status())["tone"] == "ready"
     assert state_view(FakeDesk(State.SAFE).status())["tone"] == "rest"
+
+
+def test_a_venting_that_is_over_is_not_told() -> None:
+    status = FakeDesk(State.READY).status() | {"reaction": "VENT"}
+    assert state_view(status)["reaction"] == ""
+    assert state_view(status | {"vented": False})["reaction"] == "vents"
