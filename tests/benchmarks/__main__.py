@@ -56,7 +56,6 @@ LONG = (
     "recorder_kills",
     "telemetry_age",
     "telemetry_viewer",
-    "page_day",
     "page_views",
     "soak",
     "campaign_kills",

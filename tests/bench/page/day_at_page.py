@@ -1,7 +1,4 @@
-"""Parts of a day at the page, by clicks alone: used by the browser's test and by `page_day`, which has all.
-
-One operator and viewers look at once. Each part begins where the one before ended.
-"""
+"""Parts of a day at the page, by clicks alone; each begins where the one before ended."""
 
 from __future__ import annotations
 
@@ -55,11 +52,16 @@ def page_beside(file: Path, port: int, tokens: Path) -> Iterator[subprocess.Pope
         yield process
 
 
-def sign_in(tab: Tab, token: str) -> None:
-    """Sign in with `token`."""
+def sign_in_idle(tab: Tab, token: str) -> None:
+    """Sign in with `token` on a page without a bench."""
     tab.page.fill("#token", token)
     tab.page.click("#sign-in-button")
     tab.text("#sign-in").to_be_hidden()
+
+
+def sign_in(tab: Tab, token: str) -> None:
+    """Sign in with `token`."""
+    sign_in_idle(tab, token)
     tab.text("body").not_to_have_class("stale")
 
 

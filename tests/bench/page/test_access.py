@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import ssl
+import time
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
 from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import page_service
+from bench.page.application import page_application
+from bench.page.guard import Guard
 from bench.page.page_access import MAX_SESSIONS, SESSION, PageAccess, PageRole, read_tokens
 from bench.page.page_address import PageAddress, checked_address
+from bench.page.page_commands import COMMANDS
 from tests.bench.certified import Folder
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.page.running_page import RunningPage, running_page
@@ -182,3 +187,61 @@ def test_a_certificate_gives_the_role(running: RunningPlane, tmp_path: Path) -> 
             page.tls = client_context(folder, identity)
             with pytest.raises((ssl.SSLError, ConnectionError)):
                 page.ask("GET", "/")
+
+
+# Every path ------------------------------------------------------------------------------------------
+
+FILLED = {
+    "name": "reset",
+    "plan": "two-balls",
+    "campaign": "x-1",
+    "form": "air",
+    "commissioning": "x-1",
+    "kind": "report",
+}
+OPEN = {"/", "/static/{name}", "/api/you"}
+"""Paths that tell nothing of the bench."""
+
+
+def paths() -> dict[str, str]:
+    """Return the method of each path of the page."""
+    nothing = MagicMock()
+    application = page_application(nothing, nothing, nothing, nothing, "http", ())
+    assert isinstance(application, Guard)
+    routes = application._application.routes  # type: ignore[attr-defined]
+    return {route.path: "POST" if route.methods == {"POST"} else "GET" for route in routes}
+
+
+def test_every_path_needs_its_role(running: RunningPlane, tmp_path: Path) -> None:
+    address = PageAddress(port=free_port(), tokens=both(tmp_path))
+    with running_page(running.configuration, address) as page:
+        cookie = page.post("/api/sign-in", {"token": VIEWER}).headers["set-cookie"].partition(";")[0]
+        running.desk.requests.clear()
+        body = {"number": "number-of-all", "seen": time.monotonic(), "by": "Eve", "holder": "Eve"}
+        for path, method in paths().items():
+            if path in OPEN | {"/api/sign-in", "/api/stop/{name}", "/api/stream"}:
+                continue
+            where = path.format(**FILLED)
+            if method == "GET":
+                own = {"sec-fetch-site": "same-origin"}
+                assert page.ask("GET", where, None, own).status == 401, path
+                looked = page.ask("GET", where, None, own | {"cookie": cookie}).status
+                assert looked == 403 if path == "/viewer" else looked in (200, 404, 409), (path, looked)
+            else:
+                assert page.post(where, body).status == 401, path
+                assert page.post(where, body, cookie=cookie).status == 403, path
+        assert running.desk.requests == []
+        assert running.plane.lease() is None
+
+
+def test_a_command_with_a_viewers_certificate_moves_nothing(running: RunningPlane, tmp_path: Path) -> None:
+    folder = Folder(tmp_path / "certificates")
+    network = replace(running.configuration.network, viewers=("vera",), operators=("otto",))
+    address = PageAddress(port=free_port(), identity=folder.add("bench1"))
+    running.desk.requests.clear()
+    with running_page(replace(running.configuration, network=network), address) as page:
+        for name in ("vera", "nora"):
+            page.tls = client_context(folder, folder.add(name))
+            for command in COMMANDS:
+                assert page.command(command).status == 403
+        assert running.desk.requests == []

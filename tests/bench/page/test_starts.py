@@ -1,7 +1,7 @@
 """Campaigns started on the page, measured values entered on it, and the viewer: programs beside the page.
 
 The program is a script that notes its arguments and answers as `golfbench` would: the real one is started in
-test_browser_campaign.py.
+test_browser_day.py.
 """
 
 from __future__ import annotations

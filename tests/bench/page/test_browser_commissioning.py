@@ -1,0 +1,68 @@
+"""A commissioning by clicks: a wrong machine is named, repaired, and measured to its report."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.commissioning.commissioning import STEPS, read_state
+from bench.commissioning.folder_lock import commissioning_process
+from bench.network.free_port import free_port
+from tests.bench.page.browser_tab import open_tab
+from tests.bench.page.day_at_page import OPERATOR, VIEWER, page_beside, sign_in_idle, write_day
+from tests.running_bench import write_configuration
+
+pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.requires("chromium"), pytest.mark.timeout(900)]
+
+WRONG = '[faults.vents]\nsignal = "vents"\nkind = "stuck"\nvalue = 1.0\n'
+
+
+def test_a_wrong_machine_is_named_repaired_and_measured(browser: Any, tmp_path: Path) -> None:
+    tokens, file, port = write_day(tmp_path), write_configuration(tmp_path, "first"), free_port()
+    robots = tmp_path / "data" / "robots"
+    robots.mkdir()
+    (robots / "shut-vents.toml").write_text(f'base = "{file}"\n{WRONG}')
+    url = f"http://127.0.0.1:{port}/"
+    with page_beside(file, port, tokens), open_tab(browser, url) as tab, open_tab(browser, url) as viewer:
+        sign_in_idle(tab, OPERATOR)
+        sign_in_idle(viewer, VIEWER)
+        tab.text("#commission-card").to_contain_text("A running bench cannot be commissioned yet.")
+        tab.text("#commission-start").to_be_disabled()
+        tab.page.select_option("#robot-file", "shut-vents")
+        tab.page.click("#commission-check")
+        tab.text("#commission-preview").to_contain_text(STEPS[0].bounds_text)
+        tab.page.click("#commission-start")
+        for one in (tab, viewer):
+            one.text("#commissionings .prompt").to_contain_text("The machine is wrong: vents")
+            one.text("#commissionings .prompt").to_contain_text("The vents stay shut")
+        viewer.text("#commissionings button:has-text('Resume')").to_be_disabled()
+        (folder,) = (path.parent for path in tmp_path.glob("data/commissioning/*/commissioning.json"))
+        assert read_state(folder).done == []
+
+        tab.page.select_option("#commissionings select", "")  # the vents are repaired
+        tab.page.click("#commissionings button:has-text('Resume')")
+        tab.text("#commissionings").to_contain_text("running, 1 of 5 steps done")
+        process = commissioning_process(folder)
+        assert process is not None
+        os.kill(process, signal.SIGKILL)  # a crash costs one step
+        tab.text("#commissionings").to_contain_text("not running, 1 of 5 steps done")
+        tab.text("#commission-ended").to_contain_text("exit code -9")
+        tab.page.click("#commissionings button:has-text('Resume')")
+        tab.text("#commissionings").to_contain_text("running, 2 of 5 steps done")
+        tab.page.click("#commissionings button:has-text('Stop')")
+        tab.text("#commissionings").to_contain_text("not running, 2 of 5 steps done")
+        tab.text("#commission-ended").to_be_empty()
+        tab.page.click("#commissionings button:has-text('Resume')")
+        tab.text("#commissionings").to_contain_text("all steps done", timeout=600_000)
+        with viewer.context.expect_page() as opened:
+            viewer.page.click("#commissionings a:has-text('Report to sign')")
+        opened.value.wait_for_load_state()
+        assert "All 5 steps done" in opened.value.content()
+        assert "Signature" in opened.value.content()
+        with viewer.page.expect_download() as download:
+            viewer.page.click("#commissionings a:has-text('robot.toml')")
+        assert "Commissioned on" in download.value.path().read_text()
