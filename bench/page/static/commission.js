@@ -40,10 +40,11 @@ const isRunning = () => view !== null && view.commissionings.some((one) => one.p
 
 // It needs no bench: the robot is simulated.
 function refresh() {
-  const may = isOperator() && !busy && !isRunning();
+  const free = isOperator() && !busy && !said?.running; // a process may still end after its words
+  const may = free && !isRunning();
   by("commission-check").disabled = !may;
   by("commission-start").disabled = !(may && checked !== null);
-  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !isOperator() || busy;
+  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !(button.dataset.stop ? isOperator() : free);
 }
 
 function redraw() {
@@ -146,4 +147,4 @@ function actions(c) {
   return [make("label", {}, c.wrong ? "Repaired robot " : "Robot ", robots), button("Resume", c, () => begin(robots.value, c.name)), ...files];
 }
 
-const button = (label, c, act) => make("button", { type: "button", "aria-label": `${label} ${c.name}`, on: { click: act } }, label);
+const button = (label, c, act) => make("button", { type: "button", "data-stop": label === "Stop", "aria-label": `${label} ${c.name}`, on: { click: act } }, label);
