@@ -44,7 +44,7 @@ function refresh() {
   const may = free && !isRunning();
   by("commission-check").disabled = !may;
   by("commission-start").disabled = !(may && checked !== null);
-  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !(button.dataset.stop ? isOperator() : free);
+  for (const button of document.querySelectorAll("#commissionings button")) button.disabled = !("stop" in button.dataset ? isOperator() : free);
 }
 
 function redraw() {
