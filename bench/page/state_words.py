@@ -43,6 +43,9 @@ VENTING_WORDS = {
 }
 """The same of a standing robot whose chambers are not proven empty yet."""
 
+NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
+"""Before the next step of an armed bench."""
+
 PHASE_WORDS = {
     Phase.STANDING: "standing",
     Phase.HOMING: "homing",

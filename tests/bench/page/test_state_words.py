@@ -11,6 +11,7 @@ from bench.lifecycle import CAUSE_TEXT, Phase, Reaction, State
 from bench.network.bench_service import CauseStatus
 from bench.page.state_words import (
     MOVING,
+    NO_BALL,
     PHASE_WORDS,
     REACTION_WORDS,
     STATE_WORDS,
@@ -75,3 +76,9 @@ def test_a_venting_that_is_over_is_not_told() -> None:
     status = FakeDesk(State.READY).status() | {"reaction": "VENT"}
     assert state_view(status)["reaction"] == ""
     assert state_view(status | {"vented": False})["reaction"] == "vents"
+
+
+def test_a_missing_ball_is_told_before_the_swing() -> None:
+    status = FakeDesk(State.ARMED).status()
+    assert state_view(status)["next"].startswith(NO_BALL)
+    assert NO_BALL not in state_view(status | {"ball_present": True})["next"]
