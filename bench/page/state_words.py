@@ -72,9 +72,10 @@ REACTION_WORDS = {
 def state_view(status: BenchStatus) -> dict[str, Any]:
     """Return `status` as the page shows it, valid as JSON."""
     state = State[status["state"]]
-    words, following = (
-        STATE_WORDS[state] if status["vented"] else VENTING_WORDS.get(state, STATE_WORDS[state])
-    )
+    known = STATE_WORDS[state]
+    words, following = known if status["vented"] else VENTING_WORDS.get(state, known)
+    if state is State.ARMED and not status["ball_present"]:
+        following = f"{NO_BALL} {following}"
     chambers = status["chamber_pressure_pa"]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     return {
