@@ -178,7 +178,9 @@ def poisoned(content: Any, key: str = "") -> Any:
 
 def state() -> dict[str, Any]:
     status = FakeDesk().status() | {"drift": ["d"], "air_faults": ["a"]}
-    view = poisoned(state_view(status) | {"lease": {"holder": "h", "seconds_left": 9.0}, "seen": 1.0})
+    view: dict[str, Any] = poisoned(
+        state_view(status) | {"lease": {"holder": "h", "seconds_left": 9.0}, "seen": 1.0}
+    )
     return view | {"accepts": accepted_commands(FakeDesk().state), "chambers": poisoned(view["chambers"])}
 
 
