@@ -21,7 +21,7 @@ function redraw() {
     ["Strike, toe / up", `${number(f.strike_x_mm, 1)} / ${number(f.strike_y_mm, 1)} mm`],
     ["Ball speed", quantity("speed", f.ball_speed_mps)],
     ["Launch", degrees(f.launch_angle_deg)],
-    ["Spin", `${number(f.spin_rpm, 0)} rpm`],
+    ["Spin", typeof f.spin_rpm === "number" ? `${number(f.spin_rpm, 0)} rpm` : "–"],
     ["Carry", quantity("distance", f.carry_m)],
   ].map(pair));
   const when = view.time_utc ? new Date(view.time_utc).toLocaleString() : "";
