@@ -83,10 +83,11 @@ def check(
     from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 
     plan, configuration = _checked(context, file)
-    free, warnings = free_space(configuration.bench.data_dir), list[str]()
+    free, series = free_space(configuration.bench.data_dir), ""
     hits = _hits_before(configuration)
     if needs_series(plan) and not configuration.lifecycle.series:
-        warnings.append(f"On a running bench this plan needs the address held between swings. {START_SERIES}")
+        series = f"On a running bench this plan needs the address held between swings. {START_SERIES}"
+    warnings = [series] if series else []
     if json_:
         beside = {
             "title": plan.campaign.title,
@@ -94,6 +95,7 @@ def check(
             "needs_words": needs_words(plan, free),
             "free_bytes": free,
             "warnings": warnings,
+            "series_warning": series,
         }
         typer.echo(json.dumps(preview_record(plan, hits) | beside, indent=2))
         return

@@ -12,12 +12,16 @@ const SHOWN = 6;
 let plans = [];
 let preview = null;
 let runner = null;
-let seen = 0;
+let bench = { seen: 0, series: false };
 let busy = false;
 let whole = false;
 let running = false;
 
-export const setPlansSeen = (value) => { seen = value; };
+export const setPlansBench = (view) => {
+  const changed = bench.series !== view.series;
+  bench = view;
+  if (changed && preview !== null) show(preview);
+};
 
 export async function loadPlans() {
   const response = await fetch("/api/plans", { cache: "no-store" }).catch(() => null);
@@ -87,6 +91,8 @@ function parts(found) {
   const work = found.hand_work;
   const more = () => { whole = true; show(preview); };
   const cut = (list) => (whole ? list : list.slice(0, SHOWN));
+  // The command knows the configuration; this bench may have been started with --series.
+  const warnings = found.warnings.filter((text) => !(bench.series && text === found.series_warning));
   const rest = (list) => (whole || list.length <= SHOWN ? "" : make("button", { type: "button", on: { click: more } }, `Show ${list.length - SHOWN} more`));
   return [
     make("dl", { class: "big" }, ...[
@@ -96,7 +102,7 @@ function parts(found) {
       ["Club changes", String(found.needs.club_changes)],
       ["Feeder fills", String(found.needs.feeder_fills)],
     ].map(pair)),
-    make("ul", { class: "words" }, ...[...found.warnings.map((text) => make("li", { class: "warn" }, `Attention: ${text}`)),
+    make("ul", { class: "words" }, ...[...warnings.map((text) => make("li", { class: "warn" }, `Attention: ${text}`)),
       ...[...found.outlook_words, ...found.needs_words].map((text) => make("li", {}, text))]),
     make("h3", {}, "Hits of each ball"),
     make("p", {}, Object.entries(found.hits).map(([name, number]) => `${name}: ${number}`).join(", ")),
@@ -130,7 +136,7 @@ async function start() {
   if (!(await ask("Start the campaign?", text, "Start", possible))) return;
   if (!possible()) return;
   if (!(await releaseLease())) return;
-  const body = { number: randomNumber(), seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
+  const body = { number: randomNumber(), seen: bench.seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
   const answer = await send(`/api/plan/${encodeURIComponent(plan)}/start`, body);
   outcome(say(answer, answer.note), !answer.ok);
   if (answer.ok) show(null);

@@ -44,6 +44,8 @@ def test_check_says_with_which_option_the_bench_is_to_be_started(tmp_path: Path,
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
     arguments = ["--config", str(file), "campaign", "check", "two-balls", "--json"]
-    warnings = json.loads(CliRunner().invoke(app, arguments).stdout)["warnings"]
-    assert [START_SERIES in text for text in warnings] == ([] if series else [True])
+    said = json.loads(CliRunner().invoke(app, arguments).stdout)
+    assert [START_SERIES in text for text in said["warnings"]] == ([] if series else [True])
+    assert said["warnings"] == ([] if series else [said["series_warning"]])
+    assert bool(said["series_warning"]) is not series
     assert "golfbench run --series" in START_SERIES

@@ -132,6 +132,7 @@ ANSWERS: dict[str, Any] = {
         "expected_duration_s": 60.0,
         "needs": {"hand_work": 1.0, "club_changes": 1, "feeder_fills": 1},
         "warnings": ["w"],
+        "series_warning": "",
         "outlook_words": ["o"],
         "needs_words": ["n"],
         "hits": {"b": 2},
