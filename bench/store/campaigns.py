@@ -6,6 +6,7 @@ transaction. What a crash leaves is therefore at worst a file that no row knows,
 
 from __future__ import annotations
 
+import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -15,7 +16,7 @@ from enum import StrEnum
 from functools import wraps
 from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
-from sqlalchemy import Connection, Engine, Select, func, insert, select, update
+from sqlalchemy import Connection, Engine, Executable, Select, func, insert, select, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.errors import BenchError, Refused
@@ -31,9 +32,10 @@ from bench.store.tables import (
     ShotExclusionRow,
     ShotNoteRow,
     ShotRow,
+    WriterRow,
 )
 
-_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS = (
+_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS, _WRITERS = (
     Row.metadata.tables[row.__tablename__]
     for row in (
         CampaignRow,
@@ -44,6 +46,7 @@ _CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS = (
         CampaignRunRow,
         ShotNoteRow,
         ShotExclusionRow,
+        WriterRow,
     )
 )
 
@@ -184,25 +187,17 @@ class Hit(NamedTuple):
 
 
 def _again_if_lost(method: Callable[_Call, _Answer]) -> Callable[_Call, _Answer]:
-    """Repeat one transaction of a store whose connection is lost in it, if the store waits for its database.
-
-    What was not committed is not in the database. If the very commit lost its answer, the repetition may
-    store an event or a prompt twice; a batch of shots is looked up.
-    """
+    """Repeat a transaction that only reads if its connection is lost and the store waits for it."""
 
     @wraps(method)
     def repeated(*arguments: _Call.args, **options: _Call.kwargs) -> _Answer:
         store = cast(CampaignStore, arguments[0])
-        try:
-            while True:
-                try:
-                    return method(*arguments, **options)
-                except OperationalError as error:
-                    if store.waiting is None or not is_away(error):
-                        raise
-                    store.unsure = True
-        finally:
-            store.unsure = False
+        while True:
+            try:
+                return method(*arguments, **options)
+            except OperationalError as error:
+                if not store.is_to_be_repeated(error):
+                    raise
 
     return repeated
 
@@ -214,15 +209,17 @@ class CampaignStore:
         self._engine = engine
         self.waiting: Callable[[DatabaseLocked], None] | None = None
         """Called while the database is held by another process or away; raises its argument to give up."""
-        self.unsure = False
-        """Whether a call lost its connection, and is repeated: what it writes may be stored already."""
+        self._writer, self._writes = secrets.token_hex(16), 0
 
     @property
     def database(self) -> Engine:
         """The database, for its other contents."""
         return self._engine
 
-    @_again_if_lost
+    def is_to_be_repeated(self, error: OperationalError) -> bool:
+        """Return whether `error` has cut off a transaction that this store repeats."""
+        return self.waiting is not None and is_away(error)
+
     def begin(self, entry: CampaignEntry) -> None:
         """Add a campaign.
 
@@ -234,10 +231,13 @@ class CampaignStore:
             "reason": "",
             "requested": "",
         }
+
+        def work(connection: Connection) -> None:
+            last = connection.scalar(select(func.max(_CAMPAIGNS.c.number))) or 0
+            connection.execute(insert(_CAMPAIGNS).values(values | {"number": last + 1}))
+
         try:
-            with self._writing() as connection:
-                last = connection.scalar(select(func.max(_CAMPAIGNS.c.number))) or 0
-                connection.execute(insert(_CAMPAIGNS).values(values | {"number": last + 1}))
+            self._write(work)
         except IntegrityError:
             raise Refused(
                 f"campaign {entry.id}", "the id exists already", "a new id", "Start it again in a second."
@@ -296,11 +296,9 @@ class CampaignStore:
             row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
-    @_again_if_lost
     def change(self, campaign: str, **values: Any) -> None:
         """Set columns `state`, `reason` or `requested`."""
-        with self._writing() as connection:
-            connection.execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
+        self._execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
 
     @_again_if_lost
     def shots(self, campaign: str) -> list[StoredShot]:
@@ -330,22 +328,22 @@ class CampaignStore:
         with self._reading() as connection:
             return [Event(*row) for row in connection.execute(query)]
 
-    @_again_if_lost
     def note_event(self, campaign: str, event: Event) -> None:
         """Add an event at once."""
-        with self._writing() as connection:
-            connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
+        self._execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
 
-    @_again_if_lost
     def begin_run(
         self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
     ) -> None:
         """Add a run."""
         c = _RUNS.c
-        with self._writing() as connection:
+
+        def work(connection: Connection) -> None:
             last = connection.scalar(select(func.max(c.number)).where(c.campaign == campaign)) or 0
             row = CampaignRun(last + 1, began, by, versions, facts)
             connection.execute(insert(_RUNS).values(campaign=campaign, **row._asdict()))
+
+        self._write(work)
 
     @_again_if_lost
     def runs(self, campaign: str) -> list[CampaignRun]:
@@ -355,17 +353,16 @@ class CampaignStore:
         with self._reading() as connection:
             return [CampaignRun(*row) for row in connection.execute(query.order_by(c.number))]
 
-    @_again_if_lost
     def set_aside(self, campaign: str, shots: Sequence[int], event: Event) -> None:
         """Exclude `shots`, whose block restarts, with the text of `event`; they are kept. All or nothing."""
         c = _SHOTS.c
-        with self._writing() as connection:
-            mine = (c.campaign == campaign) & c.shot.in_(shots)
-            connection.execute(update(_SHOTS).where(mine).values(set_aside=True))
-            valid = mine & (c.status == ShotStatus.VALID)
-            values = {"status": ShotStatus.EXCLUDED, "reason": event.text}
-            connection.execute(update(_SHOTS).where(valid).values(**values))
-            connection.execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
+        mine = (c.campaign == campaign) & c.shot.in_(shots)
+        valid = mine & (c.status == ShotStatus.VALID)
+        self._execute(
+            update(_SHOTS).where(mine).values(set_aside=True),
+            update(_SHOTS).where(valid).values(status=ShotStatus.EXCLUDED, reason=event.text),
+            insert(_EVENTS).values(campaign=campaign, **event._asdict()),
+        )
 
     @_again_if_lost
     def last_shot(self, campaign: str) -> int:
@@ -374,7 +371,6 @@ class CampaignStore:
         with self._reading() as connection:
             return connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
 
-    @_again_if_lost
     def add_note(self, campaign: str, note: ShotNote) -> None:
         """Add a person's note on a shot.
 
@@ -382,11 +378,10 @@ class CampaignStore:
             Refused: there is no such shot.
         """
         last = self.last_shot(campaign)
-        with self._writing() as connection:
-            if not 1 <= note.shot <= last:
-                expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
-                raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
-            connection.execute(insert(_NOTES).values(campaign=campaign, **note._asdict()))
+        if not 1 <= note.shot <= last:
+            expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
+            raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
+        self._execute(insert(_NOTES).values(campaign=campaign, **note._asdict()))
 
     @_again_if_lost
     def notes(self, campaign: str) -> list[ShotNote]:
@@ -396,11 +391,9 @@ class CampaignStore:
         with self._reading() as connection:
             return [ShotNote(*row) for row in connection.execute(query)]
 
-    @_again_if_lost
     def add_exclusion(self, campaign: str, exclusion: ShotExclusion) -> None:
         """Add a person's exclusion of a shot, whose own row stays as it is."""
-        with self._writing() as connection:
-            connection.execute(insert(_EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
+        self._execute(insert(_EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
 
     @_again_if_lost
     def exclusions(self, campaign: str) -> list[ShotExclusion]:
@@ -428,21 +421,20 @@ class CampaignStore:
                 *connection.execute(query.where((c.campaign == campaign) & (c.number == number))).one()
             )
 
-    @_again_if_lost
     def ask(self, campaign: str, prompt: Prompt) -> None:
         """Add a prompt."""
-        with self._writing() as connection:
-            connection.execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
+        self._execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
 
-    @_again_if_lost
     def answer(self, campaign: str, number: int, by: str, date: datetime) -> bool:
         """Mark prompt `number` as done; return whether it was open."""
         c = _PROMPTS.c
         mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
-        with self._writing() as connection:
+
+        def work(connection: Connection) -> bool:
             values = {"answered": date, "by": by, "answer": _next_answer(connection)}
-            done = connection.execute(update(_PROMPTS).where(mine).values(values))
-        return bool(done.rowcount)
+            return bool(connection.execute(update(_PROMPTS).where(mine).values(values)).rowcount)
+
+        return self._write(work)
 
     @_again_if_lost
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
@@ -472,7 +464,6 @@ class CampaignStore:
             rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
             return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
 
-    @_again_if_lost
     def add(
         self,
         entry: CampaignEntry,
@@ -494,31 +485,70 @@ class CampaignStore:
         ]
         found = [{"campaign": entry.id, **event._asdict()} for event in events]
         asked = [{"campaign": entry.id, **prompt._asdict()} for prompt in prompts]
+
+        def work(connection: Connection) -> None:
+            if rows:
+                connection.execute(insert(_SHOTS), rows)
+            if found:
+                connection.execute(insert(_EVENTS), found)
+            if asked:
+                first = _next_answer(connection)
+                numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
+                connection.execute(insert(_PROMPTS), numbered)
+            for hit, number in (hits or {}).items():
+                _count(connection, entry.hit_scope, hit, number)
+
         try:
-            with self._writing() as connection:
-                if rows:
-                    connection.execute(insert(_SHOTS), rows)
-                if found:
-                    connection.execute(insert(_EVENTS), found)
-                if asked:
-                    first = _next_answer(connection)
-                    numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
-                    connection.execute(insert(_PROMPTS), numbered)
-                for hit, number in (hits or {}).items():
-                    _count(connection, entry.hit_scope, hit, number)
+            self._write(work)
         except IntegrityError:
-            if self.unsure and self.shots(entry.id)[-len(shots) :] == list(shots):
-                return
+            there = f"shot {shots[0].shot.shot}" if shots else "what was to be added"
             raise Refused(
                 f"campaign {entry.id}",
-                f"shot {shots[0].shot.shot} there already",
+                f"{there} there already",
                 "one runner a campaign",
                 "Stop the other runner.",
             ) from None
 
-    def _writing(self) -> AbstractContextManager[Connection]:
-        """Return a transaction that takes the write lock at once."""
-        return transaction(self._engine, writes=True, waiting=self.waiting)
+    def _write(self, work: Callable[[Connection], _Answer]) -> _Answer:
+        """Do `work` in one transaction that takes the write lock at once, and return its answer.
+
+        If its connection is lost, it is repeated when the store waits for its database. A commit whose answer
+        alone was lost has left the number of this write, so nothing is stored twice. Who does not wait does
+        not repeat, and leaves no number.
+        """
+        self._writes += 1
+        answers: list[_Answer] = []
+        while True:
+            try:
+                with transaction(self._engine, writes=True, waiting=self.waiting) as connection:
+                    if not (answers and self._is_stored(connection)):
+                        answers.append(work(connection))
+                        if self.waiting is not None:
+                            self._note_stored(connection)
+                    return answers[-1]
+            except OperationalError as error:
+                if not self.is_to_be_repeated(error):
+                    raise
+
+    def _execute(self, *statements: Executable) -> None:
+        """Execute `statements` in one transaction, once."""
+
+        def work(connection: Connection) -> None:
+            for statement in statements:
+                connection.execute(statement)
+
+        self._write(work)
+
+    def _is_stored(self, connection: Connection) -> bool:
+        """Return whether the present write is in the database."""
+        query = select(_WRITERS.c.writes).where(_WRITERS.c.id == self._writer)
+        return connection.scalar(query) == self._writes
+
+    def _note_stored(self, connection: Connection) -> None:
+        """Let the database know that the present write is in it."""
+        mine = update(_WRITERS).where(_WRITERS.c.id == self._writer)
+        if not connection.execute(mine.values(writes=self._writes)).rowcount:
+            connection.execute(insert(_WRITERS).values(id=self._writer, writes=self._writes))
 
     def _reading(self) -> AbstractContextManager[Connection]:
         return transaction(self._engine, writes=False, waiting=self.waiting)

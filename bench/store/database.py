@@ -27,11 +27,12 @@ from bench.store.tables import (
     VERSION_6,
     VERSION_7,
     VERSION_9,
+    VERSION_10,
     Row,
     SchemaVersionRow,
 )
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 
 def _add_campaigns(connection: Connection) -> None:
@@ -90,6 +91,11 @@ def _add_exclusions(connection: Connection) -> None:
     Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_9])
 
 
+def _add_writers(connection: Connection) -> None:
+    """Version 9 could store an event twice whose commit lost its answer."""
+    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_10])
+
+
 def _add_columns(connection: Connection, table: str, names: Iterable[str]) -> None:
     """Add columns to `table` unless they came with it: a table made by a migration has today's columns."""
     there = {column["name"] for column in inspect(connection).get_columns(table)}
@@ -108,6 +114,7 @@ MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
     6: _add_runs,
     7: _add_order_of_answers,
     8: _add_exclusions,
+    9: _add_writers,
 }
 """Migration of the tables from each version to the next."""
 

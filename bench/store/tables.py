@@ -269,6 +269,17 @@ class HitCountRow(Row):
     hits: Mapped[int]
 
 
+class WriterRow(Row):
+    """Last write of a program that repeats what it cannot know to be stored."""
+
+    __tablename__ = "writers"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    """Random."""
+    writes: Mapped[int]
+    """Number of its last write that is in the database, from 1."""
+
+
 class LearnedSwingRow(Row):
     """One learned correction of a profile. Rows are only added: the newest that holds is used."""
 
@@ -370,3 +381,6 @@ VERSION_7 = ("campaign_runs", "shot_notes")
 
 VERSION_9 = ("shot_exclusions",)
 """Tables that came with schema version 9."""
+
+VERSION_10 = ("writers",)
+"""Tables that came with schema version 10."""

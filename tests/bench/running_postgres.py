@@ -15,6 +15,8 @@ class PostgresServer:
 
     def __init__(self, programs: Path, data: Path) -> None:
         self._programs, self._data = programs, data
+        self.folder = data
+        """Folder of its socket."""
         self._prefix: list[str] = []
         as_root = shutil.which("setpriv") if Path("/proc/self").stat().st_uid == 0 else None
         if as_root:  # the server refuses to run as root

@@ -12,12 +12,13 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from sqlalchemy import (
     URL,
     Boolean,
+    Connection,
     DateTime,
     DefaultClause,
     Engine,
@@ -29,6 +30,7 @@ from sqlalchemy import (
     select,
 )
 from sqlalchemy import event as events
+from sqlalchemy.exc import OperationalError
 
 from bench.config import database_url
 from bench.errors import BenchError, Refused
@@ -47,6 +49,7 @@ from bench.store.campaigns import (
 )
 from bench.store.database import SCHEMA_VERSION, DatabaseLocked, open_database
 from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow, UtcTime
+from tests.bench.lossy_proxy import LossyProxy
 from tests.bench.running_postgres import PostgresServer, running_postgres
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -251,6 +254,82 @@ def test_a_writer_that_holds_a_server_is_waited_for(postgres: str, monkeypatch: 
             assert store.standing(ENTRY.id).reason == "", "readers do not wait"
         store.change(ENTRY.id, reason="lunch")
         assert store.standing(ENTRY.id).reason == "lunch"
+
+
+Loss = Literal["before", "after"]
+
+
+def _write_all(store: CampaignStore, cut: Callable[[], None]) -> None:
+    """Write in every way that there is, each after `cut`; require that all is there once.
+
+    Two commits are cut, as the first of a note's is that of a look.
+    """
+
+    def wrote(write: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        cut()
+        return write(*arguments, **options)
+
+    event, hit = Event(NOW, 2, "guard", "guard opened"), Hit("club", "driver")
+    note, exclusion = ShotNote(2, NOW, "Ann", "a gust"), ShotExclusion(2, NOW, "Ann", "a gust", True, 2)
+    wrote(store.begin, ENTRY)
+    wrote(store.begin_run, ENTRY.id, "Ann", NOW, {}, {})
+    wrote(store.note_event, ENTRY.id, event)
+    wrote(store.add, ENTRY, _shots(1, 2), [event], {hit: 2}, PROMPTS[:1])
+    wrote(store.add, ENTRY, [], [event], {hit: 1})
+    wrote(store.add_note, ENTRY.id, note)
+    wrote(store.add_exclusion, ENTRY.id, exclusion)
+    wrote(store.ask, ENTRY.id, PROMPTS[1])
+    assert wrote(store.answer, ENTRY.id, 2, "Bob", NOW)
+    assert not wrote(store.answer, ENTRY.id, 2, "Carl", NOW)
+    wrote(store.set_aside, ENTRY.id, [2], event)
+    wrote(store.change, ENTRY.id, reason="lunch")
+    assert [run.number for run in store.runs(ENTRY.id)] == [1]
+    assert store.events(ENTRY.id) == [event] * 4
+    assert [stored.set_aside for stored in store.shots(ENTRY.id)] == [False, True]
+    assert store.hits(ENTRY.id) == {hit: 3}
+    assert (store.notes(ENTRY.id), store.exclusions(ENTRY.id)) == ([note], [exclusion])
+    assert store.prompts(ENTRY.id) == [PROMPTS[0], PROMPTS[1]._replace(answered=NOW, by="Bob")]
+    assert store.standing(ENTRY.id).reason == "lunch"
+
+
+class LostAnswer(Exception):
+    """What a driver of a server raises without a connection."""
+
+    sqlstate = None
+
+
+@pytest.mark.parametrize("loss", ["before", "after"])
+def test_a_lost_commit_is_repeated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss) -> None:
+    commit, losses = Connection.commit, list[Loss]()
+
+    def lossy(self: Connection) -> None:
+        cut = losses.pop() if losses else ""
+        if cut != "before":
+            commit(self)
+        if cut:
+            raise OperationalError("COMMIT", {}, LostAnswer())
+
+    with _store(database_url("", tmp_path)) as store:
+        store.waiting = lambda _: None
+        monkeypatch.setattr(Connection, "commit", lossy)
+        _write_all(store, lambda: losses.extend([loss, loss]))
+        assert losses == []
+        store.waiting = None
+        losses.append(loss)
+        with pytest.raises(OperationalError):  # who does not wait does not repeat
+            store.change(ENTRY.id, reason="tea")
+
+
+@pytest.mark.live
+@pytest.mark.requires("postgres")
+@pytest.mark.parametrize("loss", ["before", "after"])
+def test_a_commit_that_a_server_made_without_an_answer_is_stored_once(
+    server: PostgresServer, tmp_path: Path, loss: Loss
+) -> None:
+    with LossyProxy(tmp_path, server.folder) as proxy, _store(make_url(proxy.url)) as store:
+        store.waiting = lambda _: None
+        _write_all(store, lambda: setattr(proxy, loss, 2))
+        assert (proxy.before, proxy.after) == (0, 0)
 
 
 def test_a_shot_that_is_excluded_by_hand_does_not_count_as_valid(tmp_path: Path) -> None:
