@@ -63,7 +63,7 @@ from drivers.canopen.frames import (
     max_rate,
     pressure_groups,
 )
-from drivers.canopen.link import FrameLink, SocketcanLink, open_link
+from drivers.canopen.link import FrameLink, SocketcanLink, open_link, whole_frame
 from drivers.canopen.native_state import FIXED, SHARED, NativeState
 from drivers.canopen.native_tick import MAX_WAITING, failure, words_of
 from drivers.canopen.services import Node
@@ -483,7 +483,7 @@ class CanopenDriver:
     def _receive(self, link: FrameLink, timeout: float) -> bytes | None:
         """Return the next frame, or None after `timeout` s; OSError on failure."""
         if self._pending:
-            return self._pending.popleft()
+            return whole_frame(self._pending.popleft())
         if self._receive_error:
             number, self._receive_error = self._receive_error, 0
             raise failure(number)

@@ -36,6 +36,17 @@ _MAX_ECHO_DELAY = 0.005
 """s after which an echo does not belong to the last SYNC."""
 
 
+def whole_frame(received: bytes) -> bytes:
+    """Return a frame as the kernel gave it.
+
+    Raises:
+        OSError: it was cut short.
+    """
+    if len(received) != FRAME.size:
+        raise OSError(errno.EBADMSG, f"found a frame of {len(received)} bytes, expected {FRAME.size}")
+    return received
+
+
 class FrameLink(Protocol):
     """One opened interface."""
 
@@ -91,7 +102,7 @@ class SocketcanLink:
             except BlockingIOError:
                 return None
             if not flags & socket.MSG_CONFIRM:
-                return frame
+                return whole_frame(frame)
             self._note_echo(ancillary)
             timeout = max(0.0, end - time.monotonic())
 

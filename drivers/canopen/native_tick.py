@@ -2,9 +2,9 @@
 
 Frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there. The rest
 is left to `drivers.canopen.driver`: error frames, emergencies, SDO answers, unknown identifiers, wrong
-lengths, nodes that are not operational, silence, failures of the socket. The native function then stops in
-front of that frame or failure and declines, and the driver goes on from the very state, frames received
-already included; it hands the state back at the end of its tick.
+lengths, frames cut short, nodes that are not operational, silence, failures of the socket. The native
+function then stops in front of that frame or failure and declines, and the driver goes on from the very
+state, frames received already included; it hands the state back at the end of its tick.
 """
 
 from __future__ import annotations
@@ -61,6 +61,8 @@ _CONTROL_SIZE = 32
 """Bytes for the time stamp of a frame: `CMSG_SPACE` of a timespec."""
 _HEADER_WORDS = 8
 """Words of a `struct mmsghdr`: name, its length, vector, 1, control, its size, flags, bytes received."""
+_SIZE_MASK = 0xFFFFFFFF
+"""Of the word of the bytes received; the rest pads."""
 _DONT_WAIT, _CONFIRM, _INTERRUPTED = 0x40, 0x800, errno.EINTR
 _NOTHING_THERE = errno.EAGAIN
 _READABLE = 1
@@ -179,11 +181,11 @@ def words_of(frame: bytes) -> tuple[int, ...]:
 
 
 def left_over(state: np.ndarray[Any, Any]) -> list[bytes]:
-    """Return the frames of the batch that were not taken, without echoes, and empty the batch."""
+    """Return the frames of the batch that were not taken, as received, without echoes; empty the batch."""
     s = state[0]
     begin, end = int(s["at"]), int(s["count"])
     frames = [
-        s["frames"][2 * k : 2 * k + 2].tobytes()
+        s["frames"][2 * k : 2 * k + 2].tobytes()[: s["headers"][_HEADER_WORDS * k + 7] & _SIZE_MASK]
         for k in range(begin, end)
         if not s["headers"][_HEADER_WORDS * k + 6] & _CONFIRM
     ]
@@ -297,6 +299,8 @@ def _take_pressures(states: Any, group: int, data: int) -> None:
 def _take(states: Any, k: int) -> bool:
     """Process frame `k` of the batch; False, and nothing done, where Python must."""
     s = states[0]
+    if s.headers[_HEADER_WORDS * k + 7] & _SIZE_MASK != FRAME_SIZE:
+        return False
     first, data = s.frames[2 * k], s.frames[2 * k + 1]
     identifier, length = first & 0xFFFFFFFF, first >> 32 & 0xFF
     valve_node = s.nodes[3]

@@ -36,6 +36,7 @@ LONG = (
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",
+    "native_fuzz",
     "sdo_fuzz",
     "launch_monitor_fuzz",
     "campaign_statistics",

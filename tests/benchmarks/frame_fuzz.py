@@ -68,6 +68,19 @@ class Result:
     duration: float = 0.0
 
 
+def make_frame(chance: random.Random) -> bytes:
+    """Return a frame as the kernel might give it, proper or not."""
+    way = chance.random()
+    if way < 0.2:  # anything at all
+        return chance.randbytes(FRAME.size)
+    length = chance.choice((0, 1, 2, 4, 7, 8, 8, chance.randrange(256)))
+    whole = bytearray(FRAME.pack(chance.choice(_KNOWN) | chance.choice(_FLAGS), length, chance.randbytes(8)))
+    if way < 0.5:
+        for _ in range(chance.randrange(1, 4)):
+            whole[chance.randrange(len(whole))] ^= 1 << chance.randrange(8)
+    return bytes(whole)
+
+
 class FuzzedLink:
     """A wire on which a few frames come in every tick, made from `random`."""
 
@@ -86,7 +99,7 @@ class FuzzedLink:
             self._waiting += [FRAME.pack(0x280 + number, 4, chance.randbytes(2)) for number in answers]
             count = min(self._random.randrange(0, 12), self.left)
             self.left -= count
-            self._waiting += [self._make() for _ in range(count)]
+            self._waiting += [make_frame(chance) for _ in range(count)]
             chance.shuffle(self._waiting)
         elif identifier == 0x20A:
             self.commands.add(whole)
@@ -105,20 +118,6 @@ class FuzzedLink:
 
     def shutdown(self) -> None:
         self._waiting.clear()
-
-    def _make(self) -> bytes:
-        chance = self._random
-        way = chance.random()
-        if way < 0.2:  # anything at all
-            return chance.randbytes(FRAME.size)
-        length = chance.choice((0, 1, 2, 4, 7, 8, 8, chance.randrange(256)))
-        whole = bytearray(
-            FRAME.pack(chance.choice(_KNOWN) | chance.choice(_FLAGS), length, chance.randbytes(8))
-        )
-        if way < 0.5:
-            for _ in range(chance.randrange(1, 4)):
-                whole[chance.randrange(len(whole))] ^= 1 << chance.randrange(8)
-        return bytes(whole)
 
 
 class FuzzedDriver(CanopenDriver):

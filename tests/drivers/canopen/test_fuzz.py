@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numba
 import pytest
 
+from drivers.canopen.native_tick import IS_SUPPORTED
 from tests.benchmarks.frame_fuzz import fuzz
+from tests.benchmarks.native_fuzz import fuzz as fuzz_native
 from tests.benchmarks.sdo_fuzz import fuzz as fuzz_startups
 
 
@@ -16,6 +19,15 @@ def test_no_frame_escapes_moves_or_goes_uncounted(listening: bool) -> None:
     assert result.counted == result.frames
     assert result.frames > 10_000
     assert all(result.classes.values()), result.classes
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not IS_SUPPORTED, reason="nothing is compiled")
+def test_compiled_ticks_do_what_those_in_python_do() -> None:
+    result = fuzz_native(3_000, 7)
+    assert result.escaped == []
+    assert result.differences == []
+    assert (result.motions, result.uncounted) == (0, 0)
+    assert 0 < result.declined < 2 * result.ticks
 
 
 def test_lying_nodes_are_refused_by_name_and_nothing_is_energised() -> None:

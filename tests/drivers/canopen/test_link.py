@@ -96,3 +96,10 @@ def test_an_echo_of_another_sync_does_not_count(link: SocketcanLink, bus: Bus, a
     bus.socket.waiting.append((frame(SYNC), socket.MSG_CONFIRM, sent + away))
     assert link.receive_frame(0.0) is None
     assert link.sync_time(sent) == sent
+
+
+@pytest.mark.parametrize("size", [0, 1, 15])
+def test_a_frame_that_was_cut_short_is_a_failure(bus: Bus, link: SocketcanLink, size: int) -> None:
+    bus.socket.waiting.append((POSITION[:size], 0, 1.0))
+    with pytest.raises(OSError, match=f"found a frame of {size} bytes, expected 16"):
+        link.receive_frame(0.0)
