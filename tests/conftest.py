@@ -22,6 +22,7 @@ import ctypes
 import os
 import re
 import shutil
+import subprocess
 import threading
 import time
 from collections import defaultdict
@@ -64,6 +65,15 @@ def _nspawn() -> str | None:
     return shutil.which("systemd-nspawn") if usable else None
 
 
+def _zenoh_pico() -> str | None:
+    """Return the folder of the C library's description, if a compiler is there as well."""
+    if not (shutil.which("cc") and shutil.which("pkg-config")):
+        return None
+    command = ["pkg-config", "--variable=pcfiledir", "zenohpico"]
+    found = subprocess.run(command, check=False, capture_output=True, text=True, timeout=10)
+    return found.stdout.strip() or None
+
+
 TOOLS: dict[str, Callable[[], str | None]] = {
     "chromium": _program("chromium", "chromium-browser", "google-chrome"),
     "cyclictest": _program("cyclictest"),
@@ -74,6 +84,7 @@ TOOLS: dict[str, Callable[[], str | None]] = {
     "systemd-analyze": _program("systemd-analyze"),
     "systemd-nspawn": _nspawn,
     "tmux": _program("tmux"),
+    "zenoh-pico": _zenoh_pico,
 }
 """Optional tools by name; each search returns the tool's path or None."""
 

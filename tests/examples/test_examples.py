@@ -93,6 +93,28 @@ def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
     assert 55.0 < float(figures["ball"].split()[0]) < 67.0
 
 
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(600)
+@pytest.mark.requires("zenoh-pico")
+def test_a_subscriber_in_c_gets_the_contract_and_messages_that_follow_it(tmp_path: Path) -> None:
+    flags = subprocess.check_output(["pkg-config", "--cflags", "--libs", "zenohpico"], text=True).split()
+    program = tmp_path / "subscriber"
+    compile_ = ["cc", "-Wall", "-Wextra", "-Werror", EXAMPLES / "subscriber.c", "-o", program]
+    subprocess.run([*compile_, "-DZENOH_LINUX", *flags, "-lpthread"], check=True, timeout=100)
+    with running_bench(write_configuration(tmp_path, "inc")) as bench:
+        id_, network = bench.configuration.bench.id, bench.configuration.network
+        arguments = [program, id_, network.endpoint]
+        with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            first, *states = (process.stdout.readline() for _ in range(4))
+            process.kill()
+    assert first == f"contract of {len(json.dumps(wire_contract(id_)).encode())} bytes\n"
+    rows = {row["key"]: row for row in wire_contract(id_)["published"]}
+    for state in states:
+        Draft202012Validator(rows[f"golfbench/{id_}/state"]["schema"]).validate(json.loads(state))
+
+
 @contextmanager
 def _subscriber(configuration: Configuration, output: Path) -> Iterator[None]:
     """Run the example that does not import the bench, with its `output` in a file, for the block."""
