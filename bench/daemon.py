@@ -265,7 +265,9 @@ class Daemon:
         loop = Child.start(
             "loop",
             "bench.processes.loop_process",
-            LoopPlan(c, self.profile, folder, owner.descriptor, first, self.read_only),
+            LoopPlan(
+                c, self.profile, folder, owner.descriptor, first, self.read_only, self.calibration.shifts
+            ),
             pass_fds=(owner.descriptor,),
         )
         self.children["loop"] = loop

@@ -17,6 +17,7 @@ from bench.calibration.values import (
 )
 from bench.config import Configuration
 from bench.errors import BenchError
+from bench.telemetry.zero_shift import CalibratedShifts
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,14 @@ class Calibration:
     def of(self, kind: CalibrationKind) -> Entry | None:
         """Return the calibration of `kind` in force, if any; it may have expired."""
         return next((entry for entry in self.entries if entry.kind is kind), None)
+
+    @property
+    def shifts(self) -> CalibratedShifts | None:
+        """What the encoders said of their zeros when they were calibrated; None if they never were."""
+        entry = self.of(CalibrationKind.ENCODERS)
+        if entry is None or not isinstance(entry.values, EncoderZeros):
+            return None
+        return CalibratedShifts(entry.name, entry.values.zero_shift)
 
     def problems(self, at: datetime, now: datetime | None = None) -> list[str]:
         """Return the reasons against arming `at` a time, each with its action; empty if there are none.

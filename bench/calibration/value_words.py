@@ -10,10 +10,11 @@ from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Va
 def in_words(values: Values) -> str:
     """Return `values` with their units."""
     match values:
-        case EncoderZeros(zero, sign, counts, uncertainty):
+        case EncoderZeros(zero, sign, counts, uncertainty, shifts):
             signs = "".join("+" if s > 0 else "-" for s in sign)
             known = f"± {degrees(uncertainty):.3g} deg"
-            return f"zero {_three(zero, '.1f')} of {counts} counts, sign {signs}, {known}"
+            words = f"zero {_three(zero, '.1f')} of {counts} counts, sign {signs}, {known}"
+            return f"{words}; in the devices {'; '.join(shifts)}" if any(shifts) else words
         case BallPosition(x, y, uncertainty):
             return f"x {x:.4f}, y {y:.4f} m ± {1e3 * uncertainty:.3g} mm"
         case ClubInMount():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from math import pi, radians
 from pathlib import Path
@@ -48,6 +48,8 @@ class EncoderZeros:
     counts_per_revolution: Annotated[int, Range(256, 2**24, "counts")]
     """Counts per revolution of the calibrated encoders."""
     uncertainty: Annotated[float, Range(0.0, radians(5.0), "rad")]
+    zero_shift: tuple[str, str, str] = field(default=("", "", ""), metadata={"optional": True})
+    """Preset and offset in each device at the calibration, as its driver tells them; empty if unknown."""
 
     def __post_init__(self) -> None:
         """Raise ValueError unless signs are ±1."""

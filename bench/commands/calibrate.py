@@ -99,6 +99,7 @@ def encoders(
         "sign": sign,
         "counts_per_revolution": here.counts_per_revolution,
         "uncertainty": radians(uncertainty_deg),
+        "zero_shift": _zero_shifts(configuration),
     }
     if (zero_counts is None) == (from_pose is None) or (counts is not None and from_pose is None):
         raise BenchError(
@@ -395,6 +396,21 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
             "one that reads the encoders, or --counts",
             "Start `golfbench run --read-only`, or give what the encoders show with --counts.",
         ) from error
+
+
+def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
+    """Return what the devices of the running bench say of their zeros; warn if nothing is known of them."""
+    from bench.processes.bench_folder import bench_folder
+    from bench.telemetry.zero_shift import read_shifts
+
+    found = read_shifts(bench_folder(configuration.bench.id))
+    if found is None and configuration.driver.name == "canopen":
+        typer.echo(
+            "warning: no bench runs here, so presets of the encoders are unknown, and their devices will be "
+            "refused. Start `golfbench run --read-only`, then enter this again.",
+            err=True,
+        )
+    return found or ("", "", "")
 
 
 def _measured_valves(configuration: Configuration) -> dict[str, Any]:

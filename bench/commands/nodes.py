@@ -12,6 +12,7 @@ from bench.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+    from bench.telemetry.zero_shift import CalibratedShifts
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
     from sim.nodes.plan import NodesPlan
@@ -128,6 +129,9 @@ def show_scan(configuration: Configuration) -> None:
         NoBus: the bus cannot be opened.
         UnfitNodes: a configured node is missing or would be refused.
     """
+    from datetime import UTC, datetime
+
+    from bench.calibration.archive import calibration_of
     from drivers.base import DriverError
     from drivers.canopen.scan import scan
 
@@ -139,6 +143,8 @@ def show_scan(configuration: Configuration) -> None:
         raise NoBus(
             f"nodes --scan on {where}", str(error), "a bus that can be opened", "Bring it up."
         ) from error
+    calibrated = calibration_of(configuration, datetime.now(UTC)).shifts
+    found = [_compared(node, configuration, calibrated) for node in found]
     for node in found:
         typer.echo("\n".join(_scan_lines(node)))
     refused = [str(node.number) for node in found if node.role and not node.taken]
@@ -151,9 +157,22 @@ def show_scan(configuration: Configuration) -> None:
         )
 
 
+def _compared(
+    node: ScannedNode, configuration: Configuration, calibrated: CalibratedShifts | None
+) -> ScannedNode:
+    """Return `node`, refused if the zero of its encoder is not where it was calibrated."""
+    from bench.telemetry.zero_shift import moved_zero
+
+    numbers = configuration.canopen.encoders.nodes
+    if calibrated is None or not node.taken or node.number not in numbers:
+        return node
+    moved = moved_zero(numbers.index(node.number), node.zero_shift, calibrated)
+    return node._replace(taken=False, verdict=moved) if moved else node
+
+
 def _scan_lines(node: ScannedNode) -> list[str]:
     lines = [f"node {node.number}: {node.role or 'not configured'}"]
-    lines += [f"  {text}" for text in (node.device, node.properties) if text]
+    lines += [f"  {text}" for text in (node.device, node.properties, node.zero_shift) if text]
     return [*lines, f"  {'taken' if node.taken else 'refused:'} {node.verdict}".rstrip()]
 
 

@@ -38,6 +38,7 @@ from bench.processes.thread_usage import UsageReader, stall_between
 from bench.processes.tick_timing import TickTiming, check_budget, create_timing, new_timing
 from bench.telemetry.ring import RingWriter
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
+from bench.telemetry.zero_shift import Shifts, moved_zero, write_shifts
 from drivers.base import Driver, DriverError
 from drivers.base.compiled import new_record, numbers
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
@@ -136,7 +137,7 @@ class LoopProcess:
             )
             self.cycle.state.control["first_cause"] = self.plan.first_cause
             self._bind()
-            self.driver.open()
+            self._open_driver()
             stack.callback(self.driver.close)
             stack.callback(self._make_passive)
             self._compile()
@@ -317,7 +318,25 @@ class LoopProcess:
 
     def _reopen(self) -> None:
         self.driver.close()
+        self._open_driver()
+
+    def _open_driver(self) -> None:
+        """Open the device; it stays closed if a calibrated zero has moved, unless nothing can move anyway.
+
+        Raises:
+            DriverError: the device is unsuitable.
+        """
         self.driver.open()
+        found: Shifts | None = getattr(self.driver, "zero_shifts", None)
+        if found is None:
+            return
+        write_shifts(self.plan.folder, found)
+        if self.plan.calibrated is None or self.plan.read_only:
+            return
+        for joint, shift in enumerate(found):
+            if reason := moved_zero(joint, shift, self.plan.calibrated):
+                self.driver.close()
+                raise DriverError(reason)
 
     def _make_passive(self) -> None:
         """Send the passive command several times, as a frame on a bus may be lost."""

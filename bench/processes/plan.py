@@ -8,6 +8,7 @@ from pathlib import Path
 from bench.config import Configuration
 from bench.lifecycle import Cause
 from bench.swing.profile import Profile
+from bench.telemetry.zero_shift import CalibratedShifts
 
 RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
 """Names of the files written by the loop in the bench's folder."""
@@ -28,3 +29,5 @@ class LoopPlan:
     """Cause of the initial ESTOP."""
     read_only: bool = False
     """Whether only the passive command is sent."""
+    calibrated: CalibratedShifts | None = None
+    """What the encoders said of their zeros at their calibration; None without one."""

@@ -69,6 +69,7 @@ from drivers.canopen.native_tick import MAX_WAITING, failure, words_of
 from drivers.canopen.services import Node
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 from drivers.canopen.setup import set_up_encoder, set_up_valve_node
+from drivers.canopen.zero_shift import read_zero_shift
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
 """NMT commands."""
@@ -118,6 +119,8 @@ class CanopenDriver:
         """Why it is not operational; empty while operational."""
         self._has_failed = False
         """A fault occurred that reopening has not cleared yet."""
+        self.zero_shifts: tuple[str, str, str] = "", "", ""
+        """What moves the zero inside each encoder (`read_zero_shift`), as read by the last `open`."""
         self.load = bus_load(self.settings, period, watchdog)
         """Maximum bus load as a share."""
         self._applied = PASSIVE
@@ -277,6 +280,9 @@ class CanopenDriver:
             self._range[joint] = set_up_encoder(nodes[joint], self.settings, self._counts)
             # An error that was already present is not reported again.
             self._faulty[joint] = nodes[joint].read(0x1001, 0, "error register") != 0
+        # After the settings: a device may compute its offset from them.
+        shoulder, arm, wrist = (read_zero_shift(node) for node in nodes[:_VALVE_NODE])
+        self.zero_shifts = shoulder, arm, wrist
         self._inputs = valve_node.read(0x6000, 1, "inputs")
         for channel in self.settings.valve_node.analogue_inputs:
             count = valve_node.read(0x6401, channel, "pressure")

@@ -1,24 +1,33 @@
-"""List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started."""
+"""List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started.
+
+A stopped node, as a bench leaves the valve node, answers no question. It is made pre-operational, in which it
+moves nothing, for as long as it is read.
+"""
 
 from __future__ import annotations
 
 import time as wall
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
 from drivers.base import JOINTS, DriverError
 from drivers.can_bus import FRAME
-from drivers.canopen.frames import SDO_REQUEST, SDO_RESPONSE, frame
+from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, frame
 from drivers.canopen.link import FrameLink, open_link
 from drivers.canopen.polarity import wrong_settings
 from drivers.canopen.scaling import describe_scale, describe_settings, read_scale, wanted_settings
 from drivers.canopen.services import Node, ServiceError
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import ENCODER_PROFILE, ERROR_BEHAVIOUR, IO_PROFILE, OUTPUT_ERRORS, identify
+from drivers.canopen.zero_shift import read_zero_shift
 
 _ALL_NODES = range(1, 128)
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+_STOP, _ENTER_PRE_OPERATIONAL = 2, 128
+"""NMT commands."""
+_STOPPED = 4
+"""State in a heartbeat."""
 _GAP = 0.002
 """Time between two questions, s: an interface queues few frames."""
 
@@ -37,6 +46,8 @@ class ScannedNode(NamedTuple):
     """Whether the startup would take it in its role, as far as reading shows."""
     verdict: str
     """Objects that the startup sets, or the reason and action of a refusal."""
+    zero_shift: str = ""
+    """What moves the zero inside an encoder (`read_zero_shift`)."""
 
 
 def scan(
@@ -51,7 +62,7 @@ def scan(
     Raises:
         DriverError: the interface cannot be opened, or fails.
     """
-    link = open_bus(settings, [SDO_RESPONSE + number for number in _ALL_NODES])
+    link = open_bus(settings, [base + number for base in (SDO_RESPONSE, HEARTBEAT) for number in _ALL_NODES])
     try:
         return _Scanner(link, settings, counts, clock).run()
     except OSError as error:
@@ -73,18 +84,28 @@ class _Scanner:
         joints = zip(settings.encoders.nodes, JOINTS, strict=True)
         self._roles = {number: f"encoder of the {joint}" for number, joint in joints}
         self._roles[settings.valve_node.node] = "valves and interlocks"
+        self._stopped: set[int] = set()
+        """Nodes that say so in their heartbeat."""
 
     def run(self) -> list[ScannedNode]:
-        found = self._answering()
-        return [
-            self._judge(number) if number in found else self._missing(number)
-            for number in sorted(found | self._roles.keys())
-        ]
+        found = self._answering(_ALL_NODES)
+        stopped = sorted(self._stopped - found)
+        try:
+            for number in stopped:
+                self._send(frame(NMT, bytes([_ENTER_PRE_OPERATIONAL, number])))
+            found |= self._answering(stopped) if stopped else set()
+            return [
+                self._judge(number) if number in found else self._missing(number)
+                for number in sorted(found | self._roles.keys())
+            ]
+        finally:
+            for number in stopped:
+                self._send(frame(NMT, bytes([_STOP, number])))
 
-    def _answering(self) -> set[int]:
-        """Return the nodes that answer a question for their device type."""
+    def _answering(self, numbers: Iterable[int]) -> set[int]:
+        """Return the nodes among `numbers` that answer a question for their device type."""
         found = set()
-        for number in _ALL_NODES:
+        for number in numbers:
             self._send(frame(SDO_REQUEST + number, _READ_DEVICE_TYPE))
             answer = self._take(_GAP)
             if answer is not None:
@@ -105,6 +126,8 @@ class _Scanner:
         if whole is None:
             return None
         identifier, length, data = FRAME.unpack(whole)
+        if HEARTBEAT < identifier <= HEARTBEAT + _ALL_NODES[-1] and length == 1 and data[0] == _STOPPED:
+            self._stopped.add(identifier - HEARTBEAT)
         return (identifier, data[:length]) if SDO_RESPONSE < identifier < SDO_REQUEST else None
 
     def _missing(self, number: int) -> ScannedNode:
@@ -121,26 +144,26 @@ class _Scanner:
             self._clock,
             self._settings.service_time,
         )
-        device = properties = verdict = ""
+        device = properties = verdict = shift = ""
         try:
             profile = node.read(0x1000, 0, "device type") & 0xFFFF
             device = _describe_device(node, profile)
             if profile == ENCODER_PROFILE:
                 scale = read_scale(node)
-                properties = describe_scale(scale)
+                properties, shift = describe_scale(scale), read_zero_shift(node)
                 verdict = describe_settings(wanted_settings(node, scale, self._counts))
             elif profile == IO_PROFILE:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:
-                return ScannedNode(
-                    number, role, device, properties, False, "in no role: correct the numbers in [canopen]"
-                )
+                cure = "in no role: correct the numbers in [canopen]"
+                return ScannedNode(number, role, device, properties, False, cure, shift)
             chosen = self._settings.valve_node if "valves" in role else self._settings.encoders
             wanted = IO_PROFILE if "valves" in role else ENCODER_PROFILE
             identify(node, wanted, chosen.vendor, chosen.product)
         except DriverError as error:
-            return ScannedNode(number, role, device, properties, False, f"{error}")
-        return ScannedNode(number, role, device, properties, True, verdict and f"after setting {verdict}")
+            return ScannedNode(number, role, device, properties, False, f"{error}", shift)
+        verdict = verdict and f"after setting {verdict}"
+        return ScannedNode(number, role, device, properties, True, verdict, shift)
 
 
 def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:

@@ -45,9 +45,10 @@ class EncoderNode(CanopenDevice):
         self._healthy = True
 
     def boot(self, now: float) -> None:
-        """Power up with the built-in resolution and the preset of the EDS."""
-        self._offset, self._healthy = 0, True
+        """Power up with the built-in resolution, and the preset and offset as stored or delivered."""
+        self._healthy = True
         super().boot(now)
+        self._offset = self.number_at(_OFFSET) if (_OFFSET, 0) in self else 0
         changed = () if self.personality is None else self.personality.objects
         delivered = {(one.index, one.subindex) for one in changed if one.value is not None}
         total = self._resolution * max(1, self._revolutions)
@@ -91,7 +92,8 @@ class EncoderNode(CanopenDevice):
         if index == _PRESET:
             preset = self.number_at(_PRESET)
             self._offset += preset - self.number_at(_POSITION)
-            self.put(_OFFSET, 0, self._offset)
+            if (_OFFSET, 0) in self:
+                self.put(_OFFSET, 0, self._offset)
             self.put(_POSITION, 0, preset)
 
     def set_health(self, healthy: bool) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.errors import ExitCode
 from bench.lifecycle import Cause, State
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
@@ -18,7 +19,7 @@ from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.counters import CLASSES
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
-from tests.running_bench import played_nodes, running_bench, write_configuration
+from tests.running_bench import command_beside, played_nodes, running_bench, write_configuration
 
 pytestmark = [
     pytest.mark.live,
@@ -96,3 +97,46 @@ def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: P
                 counters = device_when(bench.client, lambda device: not device["trouble"])["counters"]
                 assert counters["recoveries"] == 1
                 assert "froze" not in bench.log
+
+
+def said(file: Path, *arguments: str) -> tuple[int, str]:
+    """Return exit code and messages of a command."""
+    with command_beside(file, *arguments) as process:
+        _, told = process.communicate(timeout=300.0)
+    return process.returncode, told
+
+
+@pytest.mark.timeout(600)
+def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    file = write_configuration(
+        tmp_path,
+        "preset",
+        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )
+    calibrate = ("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "0", "0", "0")
+    with ExitStack() as first:
+        first.enter_context(played_nodes(file))
+        with running_bench(file, "--read-only", clock="wall"):
+            assert said(file, *calibrate) == (0, "")
+        with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+            bench.recover()
+            first.close()
+            bench.wait_until(lambda record: record["state"] in (State.FAULT, State.ESTOP))
+            with played_nodes(file, "--encoder", "preset-17"):
+                with pytest.raises(CommandRefused):
+                    bench.client.reset()
+                told = device_when(bench.client, lambda device: "shoulder" in device["trouble"])["trouble"]
+                assert "found preset 32768, offset 32768, expected what it was at calibration enc" in told
+                assert "preset 0, offset 0. Its zero may have moved" in told
+                with pytest.raises(CommandRefused):
+                    bench.client.home()
+                assert bench.now()["state"] in (State.FAULT, State.ESTOP)
+    with played_nodes(file, "--encoder", "preset-17"):
+        code, told = said(file, "run", "--time", "wall")
+        assert (code, "encoder of the shoulder: found preset 32768" in told) == (ExitCode.DEVICE, True)
+        code, told = said(file, "nodes", "--scan")
+        assert (code, "node 1, 2, 3 missing or refused" in told) == (ExitCode.REFUSED, True)
+        with running_bench(file, "--read-only", clock="wall"):
+            assert said(file, *calibrate) == (0, "")
+        assert said(file, "nodes", "--scan")[0] == 0

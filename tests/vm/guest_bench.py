@@ -104,7 +104,13 @@ def _calibrate(c: Configuration) -> None:
     encoders, site, club = c.plant.encoders, c.plant.site, c.plant.robot.club
     now = datetime.now(UTC)
     values: tuple[Values, ...] = (
-        EncoderZeros(encoders.zero_count, encoders.sign, encoders.counts_per_revolution, 0.001),
+        EncoderZeros(
+            encoders.zero_count,
+            encoders.sign,
+            encoders.counts_per_revolution,
+            0.001,
+            ("preset 0, offset 0",) * 3,
+        ),
         BallPosition(site.ball_x, site.ball_y, 0.001),
         ClubInMount(club.name, club.length_to_face, club.loft, club.lie, 0.001, 0.001),
         ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.02), 0.001),

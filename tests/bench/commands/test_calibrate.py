@@ -19,6 +19,7 @@ from bench.errors import ExitCode, Refused
 from bench.processes.bench_folder import bench_folder
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingWriter
+from bench.telemetry.zero_shift import write_shifts
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import fly
@@ -139,6 +140,25 @@ def test_encoders_by_counts_and_by_pose(golfbench: Run) -> None:
     # The sign in force goes on until another one is given.
     text = golfbench("calibrate", *shown, "--json")[1]
     assert json.loads(text)["values"]["sign"] == [1, -1, 1]
+
+
+def test_encoders_keep_what_the_running_devices_say_of_their_zeros(golfbench: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('base = "local_can"\n[bench]\nid = "testbench"\n', encoding="utf-8")
+    counts = ["calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7"]
+    code, text, errors = golfbench(*counts, "--json")
+    assert (code, json.loads(text)["values"]["zero_shift"]) == (0, ["", "", ""])
+    assert "presets of the encoders are unknown" in errors
+    folder = bench_folder("testbench")
+    folder.mkdir()
+    try:
+        write_shifts(folder, ("preset 0, offset 0", "preset 7, offset -7", ""))
+        code, text, errors = golfbench(*counts)
+        assert (code, errors) == (0, "")
+        assert "in the devices preset 0, offset 0; preset 7, offset -7; " in text
+    finally:
+        rmtree(folder)
+    kept = json.loads(golfbench("calibrate", "list", "--json")[1])[1]["values"]["zero_shift"]
+    assert kept == ["preset 0, offset 0", "preset 7, offset -7", ""]
 
 
 def test_valves_are_measured_on_the_software_plant(golfbench: Run) -> None:

@@ -15,7 +15,8 @@ from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_pl
 
 ENCODERS = {name: one for name, one in personalities().items() if one.role == ENCODER}
 NODES = {name: one for name, one in personalities().items() if one.role == IO}
-ROTARY = {name: one for name, one in ENCODERS.items() if name not in {"siko-msa501", "temposonics-e"}}
+NOT_THE_SHAFTS = {"siko-msa501", "temposonics-e", "preset-17"}
+ROTARY = {name: one for name, one in ENCODERS.items() if name not in NOT_THE_SHAFTS}
 TAKEN = {name: one for name, one in NODES.items() if name != "inverted-fixed"}
 PLANT_COUNTS = 2**17
 

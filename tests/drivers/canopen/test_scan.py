@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from bench.cli import app
 from bench.commands.session import Session
-from drivers.base import DriverError
+from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.scan import ScannedNode, scan
 from drivers.canopen.settings import CanopenSettings
@@ -76,6 +76,21 @@ def test_the_scan_says_what_the_startup_does(name: str, counts: int) -> None:
     assert verdict.taken is (refusal == "")
     if refusal:
         assert verdict.verdict == refusal
+
+
+def test_a_node_that_a_bench_has_stopped_is_read_and_left_stopped() -> None:
+    wire = Wire(nodes_plan())
+    driver = DriverInStep(wire, SETTINGS)
+    driver.open()
+    driver.close()
+    states = [device.state for device in wire.nodes.devices]
+    assert sorted(states) == [4, 127, 127, 127]
+    wire.sent.clear()
+    found = scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [(node.number, node.taken) for node in found] == [(1, True), (2, True), (3, True), (10, True)]
+    assert [device.state for device in wire.nodes.devices] == states
+    assert [data for identifier, data in wire.sent if identifier == 0] == [b"\x80\x0a", b"\x02\x0a"]
+    assert wire.in_force == PASSIVE
 
 
 def test_missing_and_misnumbered_nodes_are_listed() -> None:
