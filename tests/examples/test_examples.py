@@ -99,9 +99,9 @@ def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
 @pytest.mark.requires("zenoh-pico")
 def test_a_subscriber_in_c_gets_the_contract_and_messages_that_follow_it(tmp_path: Path) -> None:
     flags = subprocess.check_output(["pkg-config", "--cflags", "--libs", "zenohpico"], text=True).split()
-    program = tmp_path / "subscriber"
-    compile_ = ["cc", "-Wall", "-Wextra", "-Werror", EXAMPLES / "subscriber.c", "-o", program]
-    subprocess.run([*compile_, "-DZENOH_LINUX", *flags, "-lpthread"], check=True, timeout=100)
+    program = str(tmp_path / "subscriber")
+    compiler = ["cc", "-Wall", "-Wextra", "-Werror", str(EXAMPLES / "subscriber.c"), "-o", program]
+    subprocess.run([*compiler, "-DZENOH_LINUX", *flags, "-lpthread"], check=True, timeout=100)
     with running_bench(write_configuration(tmp_path, "inc")) as bench:
         id_, network = bench.configuration.bench.id, bench.configuration.network
         arguments = [program, id_, network.endpoint]
