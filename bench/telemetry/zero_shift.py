@@ -20,7 +20,7 @@ Shifts = tuple[str, str, str]
 """What each device says of preset and offset; empty if it does not know of any."""
 
 _CURE = (
-    "restore it with the device's own tool, or calibrate anew: golfbench run --read-only, then golfbench "
+    "restore it with the device's own tool, or calibrate again: golfbench run --read-only, then golfbench "
     "calibrate encoders"
 )
 
