@@ -99,11 +99,14 @@ def effective_calibration(
     `required` says that a kind without a calibration is a problem (a machine), not nominal (simulation).
     """
     newest: dict[CalibrationKind, Entry] = {}
+    later: dict[CalibrationKind, Entry] = {}
     for entry in list_calibrations(database, bench):
-        if entry.date <= when and entry.subject in {"", club}:
-            newest[entry.kind] = entry
-    entries = tuple(newest[kind] for kind in CalibrationKind if kind in newest)
-    return Calibration(bench, club, when, entries, required)
+        if entry.subject in {"", club}:
+            (newest if entry.date <= when else later)[entry.kind] = entry
+    entries, others = (
+        tuple(found[kind] for kind in CalibrationKind if kind in found) for found in (newest, later)
+    )
+    return Calibration(bench, club, when, entries, required, others)
 
 
 def calibration_of(configuration: Configuration, when: datetime) -> Calibration:

@@ -79,6 +79,8 @@ class Calibration:
     """At most one of each kind, in the order of Kind."""
     required: bool = False
     """Whether a missing calibration is a problem: with a machine, not in simulation."""
+    later: tuple[Entry, ...] = field(default=())
+    """Those dated after `when`, which are not in force: the clock was set back since."""
 
     @property
     def nominal(self) -> tuple[CalibrationKind, ...]:
@@ -107,6 +109,11 @@ class Calibration:
             f"{entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
             for entry in self.entries
             if entry.expired(at)
+        ]
+        found += [
+            f"{entry.name} is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock: "
+            "set the clock"
+            for entry in self.later
         ]
         if self.required:
             names = {

@@ -92,6 +92,15 @@ def test_the_newest_until_then_is_in_force(database: Engine) -> None:
     assert effective_calibration(database, "c", NOW + 9 * DAY).entries == ()
 
 
+def test_one_that_is_later_than_the_clock_is_a_problem(database: Engine) -> None:
+    add(database, BALL)
+    add(database, BallPosition(0.26, -1.56, 1e-3), NOW + DAY)
+    set_back = effective_calibration(database, "b", NOW + 0.5 * DAY)
+    (problem,) = set_back.problems(NOW + 0.5 * DAY)
+    assert "calibration ball version 2 is of 2026-11-22 12:00 UTC, later than this machine's clock" in problem
+    assert effective_calibration(database, "b", NOW + DAY).problems(NOW + DAY) == []
+
+
 def test_only_the_mounted_clubs_calibration_is_in_force(database: Engine) -> None:
     add(database, CLUB)
     add(database, ClubInMount("iron7", 0.872, 0.57, 1.09, 5e-4, 2e-3), NOW + DAY)
