@@ -38,12 +38,15 @@ def add_reading(database: Engine, bench: str, reading: AirReading) -> None:
 
 
 def newest_reading(database: Engine, bench: str, since: datetime) -> AirReading | None:
-    """Return the newest reading at `bench` since `since`; None if there is none."""
+    """Return the reading added last at `bench`, of those dated `since` or later; None if there is none.
+
+    The last one added is the newest whatever the clock said, which may have been set back.
+    """
     c = _READINGS.c
     query = (
         select(c.date, c.temperature, c.pressure, c.relative_humidity, c.by)
         .where((c.bench == bench) & (c.date >= since))
-        .order_by(c.date.desc(), c.id.desc())
+        .order_by(c.id.desc())
         .limit(1)
     )
     with database.connect() as connection:

@@ -14,13 +14,22 @@ NOON = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 HOUR = timedelta(hours=1)
 
 
-def test_the_newest_reading_of_a_bench_counts_for_a_time(tmp_path: Path) -> None:
+def test_the_last_reading_added_at_a_bench_counts_for_a_time(tmp_path: Path) -> None:
     cold, warm = AirReading(NOON, Air(285.0, 1.0e5, 0.4), "Ann"), AirReading(NOON + HOUR, Air(), "station 3")
     with open_database(database_url("", tmp_path)) as database:
         assert newest_reading(database, "bench1", NOON) is None
+        add_reading(database, "bench1", cold)
         add_reading(database, "bench1", warm)
-        add_reading(database, "bench1", cold)  # told late
         assert newest_reading(database, "bench1", NOON) == warm
         assert newest_reading(database, "bench1", NOON + HOUR) == warm
         assert newest_reading(database, "bench1", NOON + 2 * HOUR) is None
         assert newest_reading(database, "bench2", NOON) is None
+
+
+def test_a_reading_after_the_clock_was_set_back_counts(tmp_path: Path) -> None:
+    before, after = AirReading(NOON, Air(285.0, 1.0e5, 0.4), "Ann"), AirReading(NOON - HOUR, Air(), "Ann")
+    with open_database(database_url("", tmp_path)) as database:
+        add_reading(database, "bench1", before)
+        add_reading(database, "bench1", after)
+        assert newest_reading(database, "bench1", NOON - 2 * HOUR) == after
+        assert newest_reading(database, "bench1", NOON) == before
