@@ -79,10 +79,10 @@ class CampaignProgress(Watcher):
             "time_utc": shot.time_utc.isoformat()
         }
         self._last = shot
-        if self._entry.real_time:
-            self._times.append(shot.time_utc.timestamp())
-        elif not self._replaying:  # in lock-step the clock of the shots is not the wall's
+        if not self._replaying:  # the wall's clock may be set; in lock-step the shots have one of their own
             self._times.append(time.monotonic())
+        elif self._entry.real_time:
+            self._times.append(shot.time_utc.timestamp())
         self._time_left()
 
     def set_aside(self, block: int) -> None:

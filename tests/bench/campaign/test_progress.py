@@ -66,6 +66,19 @@ def test_the_time_left_is_right_after_a_resume_although_a_night_lies_between(pla
     assert progress.message["done"] == 8
 
 
+def test_the_time_left_does_not_follow_a_clock_that_is_set(
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    progress, trials = _progress(plan), all_trials(plan)
+    progress.standing(CampaignState.RUNNING, "")
+    for n, set_ahead in enumerate((0.0, 3600.0)):
+        monkeypatch.setattr("bench.campaign.progress.time.monotonic", lambda n=n: 1e3 + 10.0 * n)
+        progress.shot(_shot(trials[n], n + 1, 10.0 * n + set_ahead))
+    clubs = [trial.arm.club for trial in trials[1:]]
+    changes = sum(one != two for one, two in pairwise(clubs))
+    assert progress.message["seconds_left"] == 10.0 * (36 - 2) + 180.0 * changes
+
+
 def test_the_next_work_by_hand_and_when_it_comes(plan: CampaignPlan) -> None:
     progress, trials = _progress(plan), all_trials(plan)
     for n in range(2):
