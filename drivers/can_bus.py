@@ -197,7 +197,8 @@ class LocalSocketBus(can.BusABC):
             if name.endswith(".sock") and name[0] != "." and name != self._name and name not in self._peers:
                 self._connect(name)
         # A change within one step of the file system's clock is invisible: rescan until the folder settles.
-        self._listed = changed if time.time_ns() - changed > _SETTLED else -1
+        # A change in the future was made before the clock was set back.
+        self._listed = changed if abs(time.time_ns() - changed) > _SETTLED else -1
 
     def _connect(self, name: str) -> None:
         peer = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)

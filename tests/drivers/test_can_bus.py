@@ -210,3 +210,27 @@ def test_a_name_is_a_folder_of_this_user(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert folder_of("bench1") == tmp_path / f"golfbench-can-{os.getuid()}-bench1"
     assert folder_of(tmp_path / "x") == tmp_path / "x"
+
+
+def test_a_clock_that_was_set_back_makes_no_look_at_each_frame(
+    folder: Path, join: Join, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = join(), join()
+    ahead = time.time() + 3600.0
+    os.utime(folder, (ahead, ahead))
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        looks += 1
+        original()
+
+    original = one._look
+    monkeypatch.setattr(one, "_look", look)
+    for _ in range(5):
+        one.send(message())
+    assert looks == 1
+    assert len(heard(other)) == 5
+    third = join()
+    one.send(message())
+    assert len(heard(third)) == 1
