@@ -145,7 +145,7 @@ class LiveView:
     def turn(self, timeout: float) -> int:
         """Wait up to `timeout` s for messages and log them; return the number of cycles."""
         news = self._feed.take(timeout)
-        now = self._clock()
+        now = time.monotonic()
         cycles = self._show_batches(news.batches)
         for topic, message in news.messages:
             self._show_message(topic, message)
@@ -166,7 +166,7 @@ class LiveView:
         total = 0
         for arrived in batches:
             self.to_subscriber.add(arrived.age)
-            self._heard = arrived.at
+            self._heard = time.monotonic()
             cycles = arrived.batch.cycles
             placed = self.axis.place(cycles, arrived.batch.time)
             if placed.hole:
@@ -303,7 +303,10 @@ class LiveView:
     def _show_event(self, message: Mapping[str, Any]) -> None:
         """Log an event as a line, at its loop time if given."""
         tick = message.get("loop_time")
-        place = self.axis.of_loop(float(tick)) if isinstance(tick, int | float) else self._at(self._clock())
+        if isinstance(tick, int | float):
+            place = self.axis.of_loop(float(tick))
+        else:
+            place = self._at(time.monotonic())
         latched = message.get("state") in ("ESTOP", "FAULT")
         level = _LEVELS.get(str(message.get("event")), "WARN" if latched else "INFO")
         self._recording.send_columns(
@@ -313,7 +316,7 @@ class LiveView:
     # Status text ---------------------------------------------------------------------------------
 
     def _at(self, now: float) -> float:
-        """Return the time of `now` on the time axis: that of the newest cycle, later if silent."""
+        """Return where `now` (s, CLOCK_MONOTONIC) is: at the newest cycle, later if the bench is silent."""
         silent = max(0.0, now - self._heard) if np.isfinite(self._heard) else 0.0
         return self.axis.now + (silent if silent > _SILENT else 0.0)
 
@@ -327,7 +330,7 @@ class LiveView:
         return ball_at_rest(self._plant.robot, self._plant.site, self._plant.ball.radius)
 
     def _text(self, now: float) -> str:
-        """Return the status panel of the bench as Markdown."""
+        """Return the status panel of the bench at `now` (s, CLOCK_MONOTONIC) as Markdown."""
         silent = now - self._heard
         rows: list[tuple[str, str]] = []
         head = f"**Bench {self._bench}**"

@@ -100,6 +100,19 @@ def test_what_is_shown_is_what_the_record_holds(
     assert np.allclose(changes, cycles["time"][known] - cycles["time"][0], atol=1e-9)
 
 
+def test_the_status_is_renewed_although_the_clock_was_set_back(
+    watched: Watched, make_swing: Callable[[int], Cycles]
+) -> None:
+    cycles = make_swing(1)
+    watched.send(cycles[:500])
+    watched.until(lambda: np.isfinite(watched.view._shown))
+    watched.view._clock = lambda: time.time() - 3600.0
+    shown = watched.view._shown
+    watched.send(cycles[500:1000])
+    watched.until(lambda: watched.view._shown > shown)
+    assert "SILENT: no telemetry for 30 s" in watched.view._text(watched.view._heard + 30.0)
+
+
 def test_the_swing_is_followed_by_its_figures_and_its_flight(
     watched: Watched, make_swing: Callable[[int], Cycles]
 ) -> None:
@@ -169,7 +182,7 @@ def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Calla
         },
     )
     watched.send(day[20:])
-    text = watched.view._text(time.time())
+    text = watched.view._text(time.monotonic())
     for words in (
         "FAULT",
         "guard open",
@@ -181,7 +194,7 @@ def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Calla
     ):
         assert words in text
     assert "SILENT" not in text
-    assert "SILENT: no telemetry for 30 s" in watched.view._text(time.time() + 30.0)
+    assert "SILENT: no telemetry for 30 s" in watched.view._text(time.monotonic() + 30.0)
 
 
 def test_events_and_shots_of_the_bench_are_shown(
