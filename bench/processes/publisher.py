@@ -84,13 +84,14 @@ class Publisher:
         """
         self._wall = plan.wall
         self._heartbeat = HeartbeatSender(plan.heartbeat)
-        self._ring = RingReader(plan.ring)
         self._timing = TimingReader(plan.timing)
         self._session = open_client(plan.network, plan.bench)
         declare, drop = self._session.declare_publisher, zenoh.CongestionControl.DROP
         key = f"golfbench/{plan.bench}"
         self._telemetry = declare(f"{key}/telemetry", encoding=_ARROW, congestion_control=drop)
         self._loop = declare(f"{key}/loop", encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=drop)
+        # Last: what the ring loses until somebody could have heard it is no loss.
+        self._ring = RingReader(plan.ring)
         self.batches = 0
         self._connected = True
         self._statistics_at = now + _STATISTICS
@@ -103,12 +104,14 @@ class Publisher:
 
     def turn(self, now: float, utc: float, *, ending: bool = False) -> None:
         """Send new cycles, at `now` (s, CLOCK_MONOTONIC) and `utc` (s since 1970)."""
+        newest = None if self._wall else self._ring.newest()
+        loop_now = now if newest is None else float(newest["time"][0])
         for part in range(_MAX_BATCHES):
             cycles = self._ring.read(LONGEST_BATCH)
             if len(cycles):
                 if part:
                     time.sleep(_GAP)
-                self._send(cycles, utc - max(0.0, now - float(cycles["time"][-1])) if self._wall else utc)
+                self._send(cycles, utc - max(0.0, loop_now - float(cycles["time"][-1])))
             # Bounded: a batch takes longer than a tick, so there would always be another one.
             if len(cycles) < LONGEST_BATCH:
                 break

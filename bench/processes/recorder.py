@@ -100,7 +100,7 @@ class RecorderPlan:
     segment_seconds: float = 0.0
     """Length of continuous recording files, s; 0 disables continuous recording."""
     room: int = 65536
-    """Max cycles of the current record in memory: 43 MB; a minute at 1 kHz."""
+    """Max cycles of the current record in memory, 0.7 kB each."""
     waiting: int = 8
     """Max records waiting in memory for the disk."""
     least_free: int = 64 << 20
@@ -191,11 +191,13 @@ class Recorder:
         Returns whether there were new cycles. With `ending`, records are retried at once and the heartbeat
         reports ENDING.
         """
+        newest = self._ring.newest()  # is of now; what waits to be read may be seconds old
         self._note_snapshot()
         cycles = self._read()
         if len(cycles):
             self._tick, self._last_cycle_at = int(cycles["tick"][-1]), now
-            self._utc_less_loop = utc - (now if self._plan.wall else float(cycles["time"][-1]))
+            paced = None if self._plan.wall else newest
+            self._utc_less_loop = utc - (now if paced is None else float(paced["time"][0]))
         lost, self._lost = self._ring.lost - self._past_lost - self._lost, self._ring.lost - self._past_lost
         for cut in self._cutter.take(cycles, lost):
             self._keep(cut, self._swings)

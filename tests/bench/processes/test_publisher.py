@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from bench.lifecycle import State
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.processes.child_process import HEARTBEAT, Condition
-from bench.processes.publisher import PublisherPlan
+from bench.processes.publisher import Publisher, PublisherPlan
 from bench.processes.tick_timing import TickTiming, create_timing
 from bench.telemetry.batches import Batch, decode_batch
 from bench.telemetry.ring import RingWriter
@@ -95,11 +96,14 @@ class Bench:
 
     def start_anyhow(self) -> subprocess.Popen[bytes]:
         process = self.run("-m", "bench.processes.publisher")
-        plan = PublisherPlan(
+        send(process, self.plan)
+        return process
+
+    @property
+    def plan(self) -> PublisherPlan:
+        return PublisherPlan(
             "b1", self.network, self.folder / "ring", self.folder / "timing", self.folder / "heart"
         )
-        send(process, plan)
-        return process
 
     def start(self) -> subprocess.Popen[bytes]:
         process = self.start_anyhow()
@@ -301,6 +305,44 @@ def test_what_the_ring_lost_is_counted(tmp_path: Path, day: MakeDay) -> None:
         assert joined(batches) == cycles[:100].tobytes() + cycles[744:].tobytes()
         assert batches[0].lost == 0
         assert batches[-1].lost == 644 == bench.heartbeat()["lost"]
+    finally:
+        bench.close()
+
+
+def test_what_passes_before_its_session_is_open_is_no_loss(
+    tmp_path: Path, day: MakeDay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path, capacity=256)
+
+    def slow(network: NetworkSettings, name: str) -> zenoh.Session:
+        session = open_client(network, name)
+        bench.write(day(1100))
+        return session
+
+    monkeypatch.setattr("bench.processes.publisher.open_client", slow)
+    try:
+        bench.listen()
+        publisher = Publisher(bench.plan, time.monotonic())
+        publisher.turn(time.monotonic(), time.time())
+        assert publisher.lost == 0
+        publisher.close()
+    finally:
+        bench.close()
+
+
+def test_the_times_of_cycles_that_waited_are_theirs(tmp_path: Path, make_day: MakeDay) -> None:
+    bench = Bench(tmp_path)
+    try:
+        bench.listen()
+        telemetry = bench.subscribe("telemetry")
+        publisher = Publisher(replace(bench.plan, wall=False), time.monotonic())
+        cycles = make_day([(State.READY, 600)])
+        bench.write(cycles)
+        while publisher.batches < 10:
+            publisher.turn(time.monotonic(), 1e9)
+        for batch in batches_up_to(telemetry, int(cycles["tick"][-1])):
+            assert batch.time == pytest.approx(1e9 - (cycles["time"][-1] - batch.cycles["time"][-1]))
+        publisher.close()
     finally:
         bench.close()
 

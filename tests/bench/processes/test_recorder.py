@@ -21,6 +21,7 @@ import pytest
 
 from bench.lifecycle import Cause, State
 from bench.processes.child_process import HEARTBEAT, Condition
+from bench.processes.recorder import Recorder
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -96,6 +97,24 @@ def test_a_swing_becomes_one_whole_file(bench: Bench, day: MakeDay) -> None:
     assert bench.end() == 0
     assert bench.event() == {"event": "ended", "waiting": 0}
     assert bench.heartbeat()["condition"] == Condition.ENDING
+
+
+def test_the_time_of_a_record_is_right_although_its_cycles_waited_in_the_ring(
+    bench: Bench, make_day: MakeDay
+) -> None:
+    cycles = make_day([*SWING, (S.READY, 6000)])  # on a virtual clock: the newest is of now
+    bench.write(cycles)
+    recorder = Recorder(bench.plan(wall=False), 50.0)
+    utc = 1e9
+    for turn in range(4):
+        recorder.turn(50.0 + turn, utc)
+    recorder.finish("the test is over", 60.0)
+    recorder.close()
+    (path,) = bench.files()
+    record, metadata = read_swing(path)
+    first = metadata["begin"] + record["time"][0]
+    found = datetime.fromisoformat(metadata["time_utc"]).timestamp()
+    assert found == pytest.approx(utc - (cycles["time"][-1] - first), abs=1e-3)
 
 
 def test_a_record_holds_the_profile_as_it_was_swung(bench: Bench, day: MakeDay) -> None:
