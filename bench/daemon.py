@@ -21,7 +21,7 @@ import numpy as np
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.config import Configuration
-from bench.design.validate import beyond_range
+from bench.design.validate import beyond_range, other_rate
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import StopFlag, stop_on_signals
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
@@ -65,6 +65,8 @@ _START = 240.0
 """Startup time-out of a process, s: the first start compiles."""
 _STOP_TIMEOUT = 20.0
 """Time-out of the loop for bringing the robot to rest and ending, s."""
+_RECORDED = 65.0
+"""Time that the longest record may take, s; at 1 kHz 40 MB of memory."""
 _AFTERMATH = 1.5
 """Time for which a simulated plant continues after its loop has died, s, as a real robot would."""
 _STATISTICS = 1.0
@@ -106,6 +108,8 @@ class Daemon:
         path = find_profile(running.swing.profile)
         self.profile = load_profile(path)
         self.configuration = running.for_profile(self.profile, path)
+        if note := other_rate(self.profile, running.plant):
+            _log.warning(note)
         self._basis, self._profile_digest = basis_of(self.profile), digest_of(self.profile)
         self.wall = not configuration.driver.paced
         """Whether the loop runs in wall-clock time."""
@@ -312,6 +316,7 @@ class Daemon:
             calibrations=self.calibration.record(),
             timing=folder / TIMING_FILE,
             wall=self.wall,
+            room=round(_RECORDED * c.loop.rate),
         )
         return Child.start("recorder", "bench.processes.recorder", plan)
 

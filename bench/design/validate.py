@@ -178,6 +178,17 @@ def _allowed_steps(plan: MachineSwing) -> Array:
     return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 
 
+def other_rate(profile: Profile, plant: PlantParameters) -> str:
+    """Return what holds where a swing is not made for the loop's tick; empty if it is."""
+    if abs(profile.period - plant.tick) <= 1e-9:
+        return ""
+    return (
+        f"swing {profile.name} has a sample every {1e3 * profile.period:g} ms, the loop a tick every "
+        f"{1e3 * plant.tick:g} ms: it is swung with values between the samples, but swing check, campaigns, "
+        "learning and faults need a sample a tick: set loop.rate_hz, or design a swing for this rate"
+    )
+
+
 def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings) -> str:
     """Return where the swing leaves the working range of a joint; empty if it does not."""
     motion, share = Motion(profile, plant), envelope.minimum_stop_margin

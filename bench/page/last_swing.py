@@ -28,8 +28,8 @@ from bench.telemetry.ring import NoRing, RingReader
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
-PAST = 8192
-"""Number of newest cycles in which the swing that has ended is searched."""
+PAST = 8.0
+"""Time of the newest cycles in which the swing that has ended is searched, s."""
 POINTS = 160
 """Max number of points of a curve."""
 NICE = 10
@@ -80,9 +80,10 @@ def ended_swing_view(ring: Path, plant: PlantParameters, around: FlightCondition
     Raises:
         BenchError: there is no ring on this machine.
     """
-    reader = RingReader(ring, past=PAST)
+    past = round(PAST / plant.tick)
+    reader = RingReader(ring, past=past)
     try:
-        cycles = reader.read(PAST)
+        cycles = reader.read(past)
     finally:
         reader.close()
     swinging = cycles["state"] == State.SWINGING

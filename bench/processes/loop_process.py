@@ -36,7 +36,7 @@ from bench.processes.real_time import real_time
 from bench.processes.supervision import SUPERVISION_FILE, Orders
 from bench.processes.thread_usage import UsageReader, stall_between
 from bench.processes.tick_timing import TickTiming, check_budget, create_timing, new_timing
-from bench.telemetry.ring import RingWriter
+from bench.telemetry.ring import RingWriter, ring_capacity
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from bench.telemetry.zero_shift import Shifts, moved_zero, write_shifts
 from drivers.base import Driver, DriverError
@@ -122,7 +122,7 @@ class LoopProcess:
         c, folder = self.plan.configuration, self.plan.folder
         with ExitStack() as stack:
             stack.enter_context(adopt(self.plan.lock))
-            ring = RingWriter(folder / RING_FILE)
+            ring = RingWriter(folder / RING_FILE, ring_capacity(c.loop.rate))
             stack.callback(ring.close)
             self.orders = Orders(folder / SUPERVISION_FILE, c.lifecycle.supervisor_time)
             stack.callback(self.orders.close)

@@ -19,10 +19,17 @@ from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
 from drivers.base.native_calls import NativeCall
 
 CAPACITY = 16384
-"""Records; over 16 s of a loop at 1 kHz."""
+"""Min number of records."""
+_SECONDS = 16.0
+"""Time that the ring holds, s: a reader that stores a swing on a busy machine takes some."""
 
 _KIND = "ring"
 _ATTEMPTS = 16
+
+
+def ring_capacity(rate: float) -> int:
+    """Return the number of records of the ring of a loop at `rate` (Hz): a power of two, 16 s or more."""
+    return max(CAPACITY, 1 << (round(_SECONDS * rate) - 1).bit_length())
 
 
 class NoRing(BenchError):

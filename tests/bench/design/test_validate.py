@@ -11,7 +11,13 @@ import pytest
 
 from bench.control.settings import EnvelopeSettings
 from bench.design.air_limits import force_bounds, needed_force, steady_speed, stop_forces
-from bench.design.validate import beyond_range, check_profile, profile_faults, require_possible
+from bench.design.validate import (
+    beyond_range,
+    check_profile,
+    other_rate,
+    profile_faults,
+    require_possible,
+)
 from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.swing.motion import Motion, phase_times
@@ -60,6 +66,12 @@ def test_a_possible_swing_passes_every_check(
         "air",
     ]
     require_possible(slow_swing, plant, envelope)
+
+
+def test_a_swing_for_another_rate_is_named(slow_swing: Profile, plant: PlantParameters) -> None:
+    assert other_rate(slow_swing, plant) == ""
+    note = other_rate(slow_swing, replace(plant, tick=0.00025))
+    assert "a sample every 1 ms, the loop a tick every 0.25 ms" in note
 
 
 def _machine(**changes: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.ring import NoRing, RingReader, RingWriter
+from bench.telemetry.ring import NoRing, RingReader, RingWriter, ring_capacity
 from drivers.base.shared_record import SharedRecord
 
 CAPACITY = 16
@@ -153,3 +153,10 @@ def test_writing_and_reading_keep_no_memory(write: RingWriter, reader: RingReade
 
     before = blocks_after(100)
     assert abs(blocks_after(2000) - before) < 100
+
+
+@pytest.mark.parametrize("rate", [100.0, 999.0, 1000.0, 1024.0, 1025.0, 4000.0, 5000.0])
+def test_a_ring_holds_sixteen_seconds_at_every_rate(rate: float) -> None:
+    capacity = ring_capacity(rate)
+    assert capacity & (capacity - 1) == 0
+    assert max(CAPACITY, 16.0 * rate) <= capacity <= max(16384, 32.0 * rate)
