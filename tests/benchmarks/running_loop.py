@@ -92,14 +92,18 @@ class RunningLoop:
 
 
 def configured(rate: float, priority: int, cpu: int) -> Configuration:
-    """Return the shipped configuration at `rate` (Hz), real time required, swing following on swing."""
+    """Return the shipped configuration at `rate` (Hz), real time required, swing following on swing.
+
+    The plant has a clock of its own: one in step with the loop would let it be late.
+    """
     c = load_configuration(Path("shipped"))
     return replace(
         c,
+        driver=replace(c.driver, time="wall"),
         loop=replace(c.loop, rate=rate, realtime="require", priority=priority, cpu=cpu),
         plant=replace(c.plant, tick=1.0 / rate, substeps=max(1, round(PLANT_RATE / rate))),
         lifecycle=replace(c.lifecycle, series=True, warning_time=0.1),
-    )
+    ).running()
 
 
 @contextmanager
