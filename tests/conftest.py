@@ -75,6 +75,7 @@ def _zenoh_pico() -> str | None:
 
 
 TOOLS: dict[str, Callable[[], str | None]] = {
+    "cc": _program("cc"),
     "chromium": _program("chromium", "chromium-browser", "google-chrome"),
     "cyclictest": _program("cyclictest"),
     "octave": _program("octave-cli", "octave"),

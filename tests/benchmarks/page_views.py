@@ -54,7 +54,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         file = write_configuration(folder, "views")
         bench = stack.enter_context(running_bench(file, clock=options.time))
         stack.enter_context(command_beside(file, "page", "--port", str(port)))
-        _wait(port)
+        wait_for_page(port)
         ended = _swing_ages(bench, port, options.swings)
         first = [_first_figure(port) for _ in range(10)]
         alone, beside = [], []
@@ -117,7 +117,7 @@ def _swing_ages(bench: BenchProcess, port: int, swings: int) -> dict[str, list[f
     arrived: list[tuple[float, bool]] = []
 
     def read() -> None:
-        for at, view in _messages(port, "swing"):
+        for at, view in messages(port, "swing"):
             arrived.append((at, view["stored"]))
             if over.is_set():
                 return
@@ -270,7 +270,7 @@ def _bar(share: float) -> str:
     return "█" * round(30 * share)
 
 
-def _wait(port: int) -> None:
+def wait_for_page(port: int) -> None:
     deadline = time.monotonic() + _START
     while True:
         with suppress(OSError):
@@ -281,7 +281,7 @@ def _wait(port: int) -> None:
         time.sleep(0.2)
 
 
-def _messages(port: int, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
+def messages(port: int, topic: str) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield the time of arrival (s, CLOCK_MONOTONIC) and the content of each message on `topic`."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
     try:
@@ -308,7 +308,7 @@ def _first_figure(port: int) -> float:
             connection.getresponse().read()
     finally:
         connection.close()
-    at, _ = next(_messages(port, "state"))
+    at, _ = next(messages(port, "state"))
     return at - began
 
 
@@ -318,7 +318,7 @@ def _readers(port: int, number: int, ages: list[tuple[float, float]]) -> Iterato
     over = threading.Event()
 
     def read() -> None:
-        for count, (at, state) in enumerate(_messages(port, "state")):
+        for count, (at, state) in enumerate(messages(port, "state")):
             if over.is_set():
                 return
             if count > 1:  # the first ones waited for the reader
