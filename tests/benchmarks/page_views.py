@@ -164,6 +164,7 @@ def _browsers(port: int, number: int, painted: _Painted) -> Iterator[None]:
         pages = []
         for _ in range(number):
             page = browser.new_context().new_page()
+            page.set_default_timeout(_START * 1e3)
             page.add_init_script(_FIRST_FIGURE)
             page.add_init_script(_UPDATES)
             page.goto(f"http://127.0.0.1:{port}/")
