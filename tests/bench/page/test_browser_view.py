@@ -1,33 +1,24 @@
-"""Rerun's web viewer of a running bench, one click away from its page: the robot stands on its lawn."""
+"""Rerun's web viewer of a running bench, one click away from its page, from this machine alone."""
 
 from __future__ import annotations
 
-import io
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from bench.network.free_port import free_port
-from tests.bench.page.browser_tab import PATIENCE, listens, open_tab
+from tests.bench.page.browser_tab import listens, open_tab
 from tests.running_bench import command_beside, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.requires("chromium"), pytest.mark.timeout(900)]
 
 OPENS = 300_000.0
-"""ms for the viewer to start: it compiles, and this browser draws without a graphics card."""
+"""ms for the viewer to start: it compiles."""
 
 
-def lawn(picture: bytes) -> float:
-    """Return the share of green pixels in a PNG."""
-    red, green, blue = np.moveaxis(imread(io.BytesIO(picture))[..., :3], -1, 0)
-    return float(np.mean((green > red + 0.1) & (green > blue + 0.1)))
-
-
-def test_the_robot_is_shown_live_in_a_tab_of_its_own(browser: Any, tmp_path: Path) -> None:
+def test_the_viewer_opens_in_a_tab_of_its_own_and_ends(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "view"), free_port()
     with running_bench(file), command_beside(file, "page", "--port", str(port)) as process:
         while not listens(port):
@@ -35,17 +26,16 @@ def test_the_robot_is_shown_live_in_a_tab_of_its_own(browser: Any, tmp_path: Pat
             time.sleep(0.2)
         with open_tab(browser, f"http://127.0.0.1:{port}/") as tab:
             tab.text("body").not_to_have_class("stale")
-            answered: list[str] = []
+            answered, deadline = list[str](), time.monotonic() + OPENS / 1e3
             tab.context.on("requestfinished", lambda asked: answered.append(asked.url))
             with tab.context.expect_page(timeout=OPENS) as opened:
                 tab.page.click("#viewer a")
             tab.text("#outcome").to_contain_text("opens in a tab of its own")
             view = opened.value
             view.wait_for_url("**/?url=rerun*", timeout=OPENS)
-            deadline = time.monotonic() + OPENS / 1e3
-            while lawn(view.screenshot(timeout=PATIENCE)) < 0.02:
+            while not any(".wasm" in url for url in answered):  # the whole viewer, of this machine
                 assert time.monotonic() < deadline
-                view.wait_for_timeout(2000)
+                view.wait_for_timeout(200)
             assert [
                 url for url in answered if not url.startswith(("http://127.0.0.1:", "blob:", "data:"))
             ] == []
