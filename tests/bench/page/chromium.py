@@ -9,13 +9,6 @@ from tests.bench.page.browser_tab import PATIENCE
 
 
 def launched(playwright: Any, program: str | None) -> Any:
-    """Start Chromium; its sandbox refuses to run as root, which containers are: only there it is off.
-
-    It draws 3D views without a graphics card.
-    """
-    options = [
-        "--disable-gpu",
-        "--enable-unsafe-swiftshader",
-        *(["--no-sandbox"] if os.geteuid() == 0 else []),
-    ]
+    """Start Chromium; its sandbox refuses to run as root, which containers are: only there it is off."""
+    options = ["--disable-gpu", *(["--no-sandbox"] if os.geteuid() == 0 else [])]
     return playwright.chromium.launch(executable_path=program, args=options, timeout=PATIENCE)
