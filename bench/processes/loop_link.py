@@ -107,18 +107,32 @@ class LoopLink:
         return cycles
 
     def request(self, request: Request) -> Reply:
-        """Send `request` to the loop and wait for its answer; one at a time."""
+        """Send `request` to the loop and wait for its answer; one at a time.
+
+        One that the loop has not taken in time is withdrawn, so that it is not done after its refusal.
+        """
         with self._request_lock:
             number = int(self._orders["request_number"][0]) + 1
             lease = int(self._orders["lease"][0])
             self._order(request=request, request_number=number, request_lease=lease)
-            deadline = time.monotonic() + _ANSWER
-            while time.monotonic() < deadline:
-                newest = self.newest()
-                if newest is not None and newest["request_number"][0] >= number:
-                    return _reply(newest)
-                time.sleep(_POLL_PERIOD)
-        return Reply(False, self.state, "the loop does not answer: it may be stalled; check its timing")
+            if (reply := self._answer_to(number)) is None:
+                self._order(request=0)
+                reply = self._answer_to(number)  # taken just before
+        return reply or Reply(
+            False, self.state, "the loop does not answer: it may be stalled; check its timing"
+        )
+
+    def _answer_to(self, number: int) -> Reply | None:
+        """Wait for the answer to request `number`; None after the time-out."""
+        deadline = time.monotonic() + _ANSWER
+        while True:
+            late = time.monotonic() >= deadline  # looked at once more: this process may have stood still
+            newest = self.newest()
+            if newest is not None and newest["request_number"][0] >= number:
+                return _reply(newest)
+            if late:
+                return None
+            time.sleep(_POLL_PERIOD)
 
     def correct(self, weights: Sequence[float]) -> Reply:
         """Order a correction of the following swings and wait for the loop's answer; one at a time."""
