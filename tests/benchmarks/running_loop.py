@@ -24,7 +24,7 @@ from sim.live.process import start_plant
 
 START = 180.0
 """s that compiling may take."""
-PATIENCE = 30.0
+PATIENCE = 120.0
 """s in which the robot should be at its address."""
 PLANT_RATE = 4000.0
 """Hz of the plant's internal steps at the shipped 1 kHz; kept at higher rates."""
