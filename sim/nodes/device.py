@@ -184,6 +184,9 @@ class CanopenDevice:
             self._heartbeat_due = now + self._heartbeat
             self._send(0x700 + self.number, bytes([self.state]))
         if self.state != OPERATIONAL:
+            # A heartbeat that ends now is watched again from its next one on.
+            for node, (period, due) in self._watched.items():
+                self._watched[node] = period, due if now < due else math.inf
             return
         for pdo in self._rpdos.values():
             if now >= pdo.due:

@@ -126,7 +126,7 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
             with played_nodes(file, "--encoder", "preset-17"):
                 with pytest.raises(CommandRefused):
                     bench.client.reset()
-                told = device_when(bench.client, lambda device: "shoulder" in device["trouble"])["trouble"]
+                told = device_when(bench.client, lambda device: "preset" in device["trouble"])["trouble"]
                 assert "found preset 32768, offset 32768, expected what it was at calibration enc" in told
                 assert "preset 0, offset 0. Its zero may have moved" in told
                 with pytest.raises(CommandRefused):

@@ -255,6 +255,20 @@ def test_the_masters_heartbeat_is_watched_from_the_first_one_on(valves: Wire) ->
     assert valves.device.state == 127
 
 
+def test_a_master_that_went_while_the_node_was_stopped_is_not_missed_at_the_next_start(valves: Wire) -> None:
+    valves.write(0x1016, 1, 0x7F << 16 | 30, 4)
+    valves.receive(0, b"\x01\x05")
+    valves.receive(0x77F, b"\x05")
+    valves.receive(0, b"\x02\x05")
+    assert valves.wait(1.0) == []
+    valves.receive(0, b"\x80\x05")
+    valves.receive(0, b"\x01\x05")
+    valves.wait(0.2)
+    assert valves.device.state == 5
+    valves.receive(0x77F, b"\x05")
+    assert [data[:2] for _, data in valves.wait(0.04)] == [b"\x30\x81"]
+
+
 def test_a_stop_lets_it_fall_back(valves: Wire) -> None:
     commanded(valves).receive(0, b"\x02\x05")
     assert centred(valves.commands[-1])
