@@ -376,9 +376,9 @@ class BenchClient:
         """Swing from the address, once its air is as the profile plans it: asked again for `patience` (s)."""
         return self._ask_while(Verb.SWING, _FILLING, LONGEST_AIR if patience is None else patience)
 
-    def tee(self) -> CommandAnswer:
-        """Raise the next ball."""
-        return self._ask_keyed(Verb.TEE)
+    def tee(self, patience: float | None = None) -> CommandAnswer:
+        """Raise the next ball, once the robot rests; it is asked again for `patience` (s)."""
+        return self._ask_at_rest(Verb.TEE, patience)
 
     def reset(self, patience: float | None = None) -> CommandAnswer:
         """Leave ESTOP or FAULT once the cause is cleared and the robot rests; never moves the robot.

@@ -137,7 +137,7 @@ CONDITIONS = (
     Condition(
         "moving",
         Refusal.MOVING,
-        only(Request.ARM, Request.RESET, Request.HOME),
+        only(Request.ARM, Request.RESET, Request.HOME, Request.TEE),
         "control",
         {"moved_at": NOW - 2.0**-5},
     ),
