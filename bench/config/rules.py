@@ -8,12 +8,19 @@ from dataclasses import replace
 from importlib.metadata import entry_points
 from ipaddress import ip_address
 from math import asin, ceil, degrees, hypot, pi, radians
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.config.safety import Mistake, check_safety
 from bench.config.settings import Configuration
-from bench.control.settings import MODEL_PHASES, OPTIONAL_ROWS, EnvelopeSettings, ModelSettings
+from bench.control.settings import (
+    MODEL_PHASES,
+    OPTIONAL_ROWS,
+    ControlSettings,
+    EnvelopeSettings,
+    ModelSettings,
+)
 from bench.errors import BenchError
 from bench.from_toml import Leaf, Tree, format_value
 from drivers.base.ranges import short
@@ -227,6 +234,33 @@ def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield "envelope.lost_time", f"{short(lost)} s", wanted, "Lower it."
 
 
+_HAND_GAINS = ("pid.proportional", "pid.integral", "pid.derivative", "damping", "move_gain")
+
+
+def _gains(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    """Check that no gain is set by hand in the file that takes them from the machine, or above it."""
+    if c.control.gains == "hand":
+        return
+    chosen, known = _leaf(tree, "control.gains"), ControlSettings()
+    for name in _HAND_GAINS:
+        key = f"control.{name}"
+        leaf, value = _leaf(tree, key), attrgetter(name)(c.control)
+        if value == attrgetter(name)(known) or _is_below(leaf, chosen, c.files):
+            continue
+        cure = 'Delete it, or set control.gains = "hand".'
+        yield key, format_value(value), 'not set, as gains are from the "machine"', cure
+
+
+def _is_below(leaf: Leaf | None, other: Leaf | None, files: tuple[Path, ...]) -> bool:
+    """Return whether `leaf` is of a file that `other`'s is laid over."""
+    return leaf is not None and other is not None and _layer(leaf, files) < _layer(other, files)
+
+
+def _layer(leaf: Leaf, files: tuple[Path, ...]) -> int:
+    """Return the place of a value's file among those laid over each other; -1 for the defaults."""
+    return files.index(leaf.file) if leaf.file in files else -1
+
+
 def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     supply, least = c.plant.supply, c.envelope.min_supply_pressure
     if not supply.atmosphere < least < supply.pressure:
@@ -363,6 +397,7 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
     _actuators,
     _linkage,
     _times,
+    _gains,
     _air,
     _site,
     _club_sites,

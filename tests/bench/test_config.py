@@ -437,6 +437,27 @@ def test_each_mistake_names_place_found_and_expected(
     assert fault.cure
 
 
+@pytest.mark.parametrize(
+    "text", ["damping = [0.0, 0.0, 0.0]", "move_gain = [0.1, 0.1, 0.1]", "pid.integral = [0.5, 0.8, 0.3]"]
+)
+def test_a_gain_set_by_hand_beside_those_of_the_machine_is_refused(text: str, overlay: Overlay) -> None:
+    key = text.partition(" ")[0]
+    (fault,) = faults(overlay(f'[control]\ngains = "machine"\n{text}'))
+    assert fault.place.endswith(f"control.{key}")
+    assert fault.cure == 'Delete it, or set control.gains = "hand".'
+    assert faults(overlay(f'[control]\ngains = "hand"\n{text}')) == []
+
+
+def test_gains_of_the_machine_may_lie_over_those_set_by_hand(overlay: Overlay, tmp_path: Path) -> None:
+    overlay('[control]\ngains = "hand"\ndamping = [0.0, 0.0, 0.0]')
+    over = tmp_path / "over.toml"
+    over.write_text('base = "mine.toml"\n[control]\ngains = "machine"\n')
+    assert faults(over) == []
+    over.write_text('base = "mine.toml"\n[control]\ngains = "machine"\nmove_gain = [0.1, 0.1, 0.1]\n')
+    (fault,) = faults(over)
+    assert fault.place == f"{over}: control.move_gain"
+
+
 def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path: Path) -> None:
     lower = overlay("[air]\nhumidity = 0.5\n[loop]\nrate_hz = 5")
     upper = tmp_path / "upper.toml"
