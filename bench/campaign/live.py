@@ -90,8 +90,8 @@ def require_live(
 
     Raises:
         Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; it
-            is simulated and vents between swings, which the gate excludes; or the plan does not name the
-            carry it compares, or a ball's aerodynamics were not `measured`.
+            is simulated and vents between swings, which the gate excludes without planned air; or the plan
+            does not name the carry it compares, or a ball's aerodynamics were not `measured`.
     """
     place, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
@@ -111,7 +111,7 @@ def require_live(
             "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
         )
     if status["driver"] == "sim":
-        if needs_series(plan) and not status["series"]:
+        if needs_series(plan, profiles.values()) and not status["series"]:
             expected = "a bench that holds the address between swings"
             raise Refused(f"bench {status['bench']}", series_words(plan), expected, START_SERIES)
         return

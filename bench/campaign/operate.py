@@ -188,7 +188,7 @@ def run_live(
         client.publish_campaign(entry.id) as publish,
     ):
         watcher = Together(watcher, Broadcast(entry, plan, publish))
-        for warning in _warnings(plan, entry, store, client.status()):
+        for warning in _warnings(plan, profiles, entry, store, client.status()):
             watcher.say(warning)
         corrections = CampaignCorrections(
             entry, plan, configuration, store.database, profiles, simulated=entry.simulated
@@ -212,7 +212,7 @@ def run_live(
 
 
 def _warnings(
-    plan: CampaignPlan, entry: CampaignEntry, store: CampaignStore, status: BenchStatus
+    plan: CampaignPlan, profiles: Profiles, entry: CampaignEntry, store: CampaignStore, status: BenchStatus
 ) -> Iterator[str]:
     """Yield what in the running bench does not suit the plan, but may end well."""
     now, needed = datetime.now(UTC), needs(plan)
@@ -220,7 +220,7 @@ def _warnings(
     yield from calibration_warnings(
         store.database, entry.bench, plan.design.clubs, now, now + lasts, required=not entry.simulated
     )
-    if needs_series(plan) and not status["series"]:
+    if needs_series(plan, profiles.values()) and not status["series"]:
         yield f"This is {series_words(plan)}. {START_SERIES}"
 
 

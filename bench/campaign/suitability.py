@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from bench.campaign.fitting import load_lists
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import all_trials, is_mounted
 from bench.campaign.split_plot import as_split_plot, fully_randomised
+from bench.swing.profile import Profile
 
 BYTES = 1_400_000
 """Size of a shot's record in real time, bytes."""
@@ -76,9 +78,12 @@ def _changes(found: Needs) -> str:
     return f"{found.club_changes} club changes, about {found.hand_work / 60:.0f} min of work by hand"
 
 
-def needs_series(plan: CampaignPlan) -> bool:
-    """Return whether the gate of `plan` is narrower than what venting between swings scatters."""
-    return 0 < plan.gate.club_speed < _SCATTER_VENTED
+def needs_series(plan: CampaignPlan, profiles: Iterable[Profile]) -> bool:
+    """Return whether the gate of `plan` is narrower than what venting between swings scatters.
+
+    `profiles` are the plan's. With planned air at their addresses it scatters no more than a series.
+    """
+    return 0 < plan.gate.club_speed < _SCATTER_VENTED and not all(profile.air for profile in profiles)
 
 
 def series_words(plan: CampaignPlan) -> str:
@@ -89,5 +94,8 @@ def series_words(plan: CampaignPlan) -> str:
     )
 
 
-START_SERIES = "Start the bench with golfbench run --series, or set [lifecycle] series = true for it."
+START_SERIES = (
+    "Start the bench with golfbench run --series, or set [lifecycle] series = true for it, "
+    "or plan the air of its profiles: golfbench swing address."
+)
 """Cure of a bench that vents after each swing."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from bench.campaign.plan import CampaignPlan
     from bench.campaign.reader_units import UnitSystem
     from bench.campaign.runner import RunOutcome
+    from bench.campaign.swings import Profiles
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignEntry, CampaignStore, Hit, ShotNote
@@ -82,10 +83,10 @@ def check(
     from bench.campaign.preview import preview_record, show_preview
     from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 
-    plan, configuration = _checked(context, file)
+    plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
     hits = _hits_before(configuration)
-    if needs_series(plan) and not configuration.lifecycle.series:
+    if needs_series(plan, profiles.values()) and not configuration.lifecycle.series:
         series = f"On a running bench this plan needs the address held between swings. {START_SERIES}"
     warnings = [series] if series else []
     if json_:
@@ -105,15 +106,14 @@ def check(
         console.print(line, highlight=False, markup=False)
 
 
-def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration]:
-    """Return the plan in `file`, whose swings fit its clubs, and the configuration."""
+def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:
+    """Return the plan in `file`, whose swings fit its clubs, the configuration and the plan's profiles."""
     from bench.campaign.plan_file import load_plan
     from bench.campaign.swings import require_swings
 
     configuration = context.ensure_object(Session).configuration()
     plan = load_plan(file, configuration)
-    require_swings(plan, configuration)
-    return plan, configuration
+    return plan, configuration, require_swings(plan, configuration)
 
 
 @contextmanager
@@ -170,7 +170,7 @@ def run(
     from bench.commands.campaign_baseline import read_baseline
     from bench.errors import Refused
 
-    plan, configuration = _checked(context, file)
+    plan, configuration, _ = _checked(context, file)
     if expect not in ("", plan.digest):
         raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", "Check it again.")
     bands = read_baseline(check_) if check_ else []

@@ -34,8 +34,9 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role
-from bench.campaign.swings import require_swings
+from bench.campaign.swings import Profiles, require_swings
 from bench.config import database_url, load_configuration
+from bench.control.planned_air import with_planned_air
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
 from bench.lifecycle import REFUSAL_TEXT, Phase, Refusal, State
@@ -54,6 +55,7 @@ from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
+from sim.plant import PlantParameters
 from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -255,6 +257,11 @@ def plan() -> CampaignPlan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
+def with_air(profiles: Profiles) -> Profiles:
+    """Return `profiles` with planned air at their addresses."""
+    return {arm: with_planned_air(profile, PlantParameters()) for arm, profile in profiles.items()}
+
+
 def shots_of(
     plan: CampaignPlan,
     bench: Any,
@@ -263,11 +270,16 @@ def shots_of(
     interrupted: Any = never,
     monitored: bool = False,
     air: Air | None = None,
+    planned: bool = False,
 ) -> LiveShots:
+    """Return shots of `bench`; if `planned`, its profiles plan the air at the address."""
     configuration = load_configuration(Path("shipped"))
+    profiles = require_swings(plan, configuration)
+    if planned:
+        profiles = with_air(profiles)
     return LiveShots(
         plan,
-        AsDesigned(require_swings(plan, configuration)),
+        AsDesigned(profiles),
         configuration.clubs,
         bench,
         "me",
@@ -338,6 +350,8 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
     with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
         require(series=False)
     require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
+    profiles = with_air(profiles)
+    require(series=False)
     with pytest.raises(Refused, match=r"held by Ann"):
         require(lease={"holder": "Ann", "seconds_left": 12.0})
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
@@ -784,24 +798,26 @@ class ArmableBench(StandingBench):
 
 
 @pytest.mark.parametrize(
-    ("series", "practice", "asked"),
+    ("series", "practice", "planned", "asked"),
     [
-        (True, True, ["arm", "swing", "tee", "swing", "tee", "swing"]),
-        (False, True, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
-        (True, False, ["arm", "tee", "swing", "tee", "swing"]),
+        (True, True, False, ["arm", "swing", "tee", "swing", "tee", "swing"]),
+        (False, True, False, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
+        (True, False, False, ["arm", "tee", "swing", "tee", "swing"]),
+        (True, True, True, ["arm", "tee", "swing", "tee", "swing"]),
+        (False, True, True, ["arm", "tee", "swing", "arm", "tee", "swing"]),
     ],
 )
-def test_a_swing_without_a_ball_follows_each_arming(
-    plan: CampaignPlan, series: bool, practice: bool, asked: list[str]
+def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
+    plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
 ) -> None:
     plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
     bench, events = ArmableBench(series=series), list[tuple[str, str]]()
-    with shots_of(plan, bench) as source:
+    with shots_of(plan, bench, planned=planned) as source:
         source._take_lease()
         for _ in range(2):
             source._swing(a_step(), events)
     assert bench.asked == asked
-    assert [kind for kind, _ in events] == ["practice"] * practice
+    assert [kind for kind, _ in events] == ["practice"] * (practice and not planned)
 
 
 class Listening(Watcher):

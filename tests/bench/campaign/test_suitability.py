@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,9 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 from bench.cli import app
 from bench.config import load_configuration
+from bench.control.planned_air import with_planned_air
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile, save_profile
 
 SHIPPED = load_configuration(Path("shipped"))
 
@@ -32,20 +36,34 @@ def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -
 
 def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None:
     plan = load_plan(Path("two-balls"), SHIPPED)
+    free = load_profile(find_profile("default"))
+    planned = with_planned_air(free, SHIPPED.plant)
 
-    def needed(gate: float) -> bool:
-        return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)))
+    def needed(gate: float, *profiles: Profile) -> bool:
+        return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)), profiles)
 
-    assert (needed(1.0), needed(2.5), needed(0.0)) == (True, False, False)
+    assert (needed(1.0, free), needed(2.5, free), needed(0.0, free)) == (True, False, False)
+    assert (needed(1.0, planned), needed(1.0, planned, free)) == (False, True)
 
 
-@pytest.mark.parametrize("series", [False, True])
-def test_check_says_with_which_option_the_bench_is_to_be_started(tmp_path: Path, series: bool) -> None:
+@pytest.mark.parametrize(
+    ("series", "profile", "warned"),
+    [(False, "default", True), (True, "default", False), (False, "planned.toml", False)],
+)
+def test_check_says_with_which_option_the_bench_is_to_be_started(
+    tmp_path: Path, series: bool, profile: str, warned: bool
+) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
-    arguments = ["--config", str(file), "campaign", "check", "two-balls", "--json"]
+    shipped = (resources.files("bench") / "campaigns" / "two-balls.toml").read_text()
+    planned = with_planned_air(load_profile(find_profile("default")), SHIPPED.plant)
+    save_profile(tmp_path / "planned.toml", replace(planned, name="planned"))
+    swing = tmp_path / profile if profile.endswith(".toml") else profile
+    plan = tmp_path / "plan.toml"
+    plan.write_text(shipped.replace("[design]", f'[design]\nswings = ["{swing}"]'))
+    arguments = ["--config", str(file), "campaign", "check", str(plan), "--json"]
     said = json.loads(CliRunner().invoke(app, arguments).stdout)
-    assert [START_SERIES in text for text in said["warnings"]] == ([] if series else [True])
-    assert said["warnings"] == ([] if series else [said["series_warning"]])
-    assert bool(said["series_warning"]) is not series
+    assert [START_SERIES in text for text in said["warnings"]] == [True] * warned
+    assert said["warnings"] == ([said["series_warning"]] if warned else [])
+    assert bool(said["series_warning"]) is warned
     assert "golfbench run --series" in START_SERIES
