@@ -278,6 +278,10 @@ Start = Annotated[
         show_default="the configuration's",
     ),
 ]
+Near = Annotated[
+    str | None,
+    typer.Option("--near", metavar="PROFILE", help="Keep near the downswing of this swing."),
+]
 
 
 _ASK_FOR_LESS = (
@@ -293,6 +297,7 @@ def design(
     output: Output = None,
     club: ClubName = None,
     golfer: GolferName = None,
+    near: Near = None,
     speed: HeadSpeed = None,
     attack: Attack = 0.0,
     lean: Lean = None,
@@ -332,8 +337,8 @@ def design(
         margin=margin / 100,
         nearest=nearest,
     )
-    demand = _with_golfer(demand, plant, whose, speed, backswing)
-    begin = None if start == "nothing" else start or configuration.swing.profile
+    demand = _with_motion(demand, plant, whose, near, speed, backswing)
+    begin = None if start == "nothing" else start or near or configuration.swing.profile
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
@@ -349,19 +354,30 @@ def design(
     typer.echo(f"Next: golfbench swing check {path}")
 
 
-def _with_golfer(
+def _with_motion(
     demand: SwingDemand,
     plant: PlantParameters,
     golfer: Golfer | None,
+    near: str | None,
     speed: float | None,
     backswing: float | None,
 ) -> SwingDemand:
-    """Return `demand` as `golfer` would swing; `speed` (m/s) and `backswing` (s) override the golfer's."""
-    from bench.design.follow import demand_like
-    from bench.swing.golfers import human_downswing
+    """Return `demand` as `golfer` would swing, or near the profile `near`.
 
+    `speed` (m/s) and `backswing` (s) override the golfer's.
+    """
+    from bench.design.follow import demand_like, demand_near
+    from bench.errors import Refused
+    from bench.swing.golfers import human_downswing
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    if golfer is not None and near is not None:
+        raise Refused("swing design", "--golfer and --near", "one of them", "Leave one out.")
     if golfer is not None:
         demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, speed)
+    if near is not None:
+        demand = demand_near(plant, load_profile(find_profile(near)), demand)
     return demand if backswing is None else replace(demand, backswing_time=backswing)
 
 

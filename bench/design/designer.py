@@ -1,6 +1,7 @@
 """The swing designer: optimal control on a model of arms and air, then refinement on the plant itself.
 
-1. The controller takes the nominal plant to the top, so that the downswing begins where it truly will.
+1. The chambers at the address are planned, and the controller takes the nominal plant from there to the top,
+   so that the downswing begins where it truly will.
 2. `optimal_control` plans the downswing by direct collocation within the machine's limits.
 3. `refine` corrects its openings on the plant until the head passes the ball as planned. The cushions' loads
    (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.gain_table import MOVE, gains_along
+from bench.control.planned_air import with_planned_air
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.casadi_package import load_casadi
@@ -144,6 +146,8 @@ class _Start:
     velocity: Array
     valve: Array
     begins: tuple[int, int, int]
+    air: tuple[float, ...]
+    """Planned pressures of the six chambers at the address, Pa absolute."""
 
 
 class Downswing(NamedTuple):
@@ -234,6 +238,10 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
     sketch = _sketch(demand, period, address, top, pid_record(bench.control, bench.estimator, parameters))
+    try:
+        sketch = with_planned_air(sketch, parameters)
+    except ValueError as error:
+        raise DesignFailed(f"at the address: {error}") from None
     n = round((demand.backswing_time + demand.top_time) / period)
     try:
         rehearsal = Rehearsal(replace(bench, profile=sketch))
@@ -248,6 +256,7 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
         sketch.velocity[:n],
         sketch.valve[:n],
         (0, 1, round(demand.backswing_time / period)),
+        sketch.air,
     )
 
 
@@ -525,6 +534,8 @@ def _assemble(
         blind_brake=np.zeros(((len(angle) - 1) // SPACING + 1, 6)),
         ball=(parameters.site.ball_x, parameters.site.ball_y),
         impact_time=(top + contact) * period,
+        air=begun.air,
+        air_supply=parameters.supply.pressure,
     )
 
 

@@ -5,6 +5,10 @@ about as long for the downswing, and keeps close to the human's joint angles by 
 its range. A motion out of reach is not scaled; the deviation shows it. If the demand itself is out of reach,
 a nearest swing gives way, in the downswing's time and the path's rise first, in head speed last; `gave_way`
 says where and by how much.
+
+A robot's swing is followed in the same way, more closely (`demand_near`). Without one to follow a plan takes
+the least opening of the valves, which leaves much of the head's speed to the wrist's release: what that
+delivers depends on its instant more than where the shoulder still drives.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from dataclasses import replace
 from math import degrees, pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.design.designer import SwingDemand
 from bench.swing.golfers import Golfer, HumanDownswing
@@ -20,11 +25,18 @@ from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
 from sim.plant import PlantParameters
 
+Array = NDArray[np.float64]
+
 _TIME = 0.9, 1.2
 """Shortest and longest downswing, as shares of the human's."""
 _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
+
+_NEAR = 0.2
+"""Share of its ranges in which the deviation from a robot's swing is counted."""
+_ROWS = 41
+"""Poses of a robot's downswing."""
 
 _REPORTED = 0.003, 0.1, 0.1
 """Deviations from the demand that are reported, s, degrees, m/s: smaller ones come from the plant."""
@@ -38,9 +50,28 @@ def demand_like(
     speed: float | None = None,
 ) -> SwingDemand:
     """Return `demand` with the motion of `human`, at `speed` (m/s), or at the golfer's."""
-    top = human.angle[0]
+    demand = replace(
+        demand,
+        head_speed=golfer.head_speed if speed is None else speed,
+        backswing_time=golfer.backswing,
+    )
+    return _following(plant, demand, human.angle, float(human.time[-1]), np.ptp(human.angle, axis=0))
+
+
+def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:
+    """Return `demand` with a downswing near that of `profile`, from its top and in about its time."""
+    begin, end = profile.begins[3], profile.impact_time / profile.period
+    at, samples = np.linspace(begin, end, _ROWS), np.arange(len(profile.angle))
+    angle = np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
+    return _following(plant, demand, angle, profile.downswing_time, _NEAR * np.ptp(angle, axis=0))
+
+
+def _following(
+    plant: PlantParameters, demand: SwingDemand, angle: Array, time: float, ranges: Array
+) -> SwingDemand:
+    """Return `demand` with a downswing of about `time` (s) close to `angle` (n, 3), rad by `ranges`."""
+    top = angle[0]
     extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
-    time = float(human.time[-1])
     shoulder = max(float(top[0]), plant.shoulder.lower + _INSIDE[0])
     extension = max(extension, plant.right_arm.lower + _INSIDE[1])
     cock = min(plant.wrist.upper - float(top[2]), demand.top_cock)
@@ -51,14 +82,12 @@ def demand_like(
     ]
     return replace(
         demand,
-        head_speed=golfer.head_speed if speed is None else speed,
-        backswing_time=golfer.backswing,
         downswing_time=(_TIME[0] * time, _TIME[1] * time),
         top_shoulder=shoulder,
         top_extension=extension,
         top_cock=cock,
-        follow=np.clip(human.angle, least, [plant.shoulder.upper, 1.5 * pi, plant.wrist.upper]),
-        ranges=np.ptp(human.angle, axis=0),
+        follow=np.clip(angle, least, [plant.shoulder.upper, 1.5 * pi, plant.wrist.upper]),
+        ranges=ranges,
     )
 
 

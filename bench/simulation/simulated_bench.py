@@ -174,6 +174,7 @@ def simulate_swings(
         if not powered.arm():
             return
         for ball in balls:
+            powered.engine.await_air()
             if stop():
                 powered.engine.rest()
                 return
@@ -221,6 +222,10 @@ class ArmedBench:
         if not powered.arm():
             raise KeyboardInterrupt
         self._mark = engine.mark()
+        if bench.profile.air:
+            engine.await_air()
+            self._mark = engine.mark()
+            return
         # Arming leaves other air in the closed chambers than a swing does: begin where a swing ends.
         if powered.swing(None).cause is Cause.NONE and engine.holding():
             engine.advance(round(_SETTLING / engine.period))
@@ -300,6 +305,7 @@ class _PoweredBench:
     def begin(self, ball: Ball | None) -> bool:
         """Tee `ball` up, hold at address and begin the swing; False if it does not begin."""
         engine, plant = self.engine, self.bench.plant
+        engine.await_air()  # before the record, which is to be as long as without planned air
         engine.begin_record()
         engine.begin_tally()
         engine.tee_up(ball=ball is not None)

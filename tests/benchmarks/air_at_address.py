@@ -43,6 +43,8 @@ NOISE, JITTER = 1e-5, 2e-6
 """rad, s"""
 _LONGEST_VENT = 25.0
 """s"""
+_REST = 0.4
+"""s in which the robot comes to rest at the address."""
 _FIGURES = ("strike", "head speed", "shaft lean", "attack angle")
 _UNITS = ("mm", "%", "deg", "deg")
 _PROMISED = (0.7, 0.1, 0.1, 0.1)
@@ -85,6 +87,8 @@ class SwingingRobot:
         return figures_of(contact.delivery(self._robot, (self._site.ball_x, self._site.ball_y))).array
 
     def _begin(self) -> None:
+        # On its way back the head passes over the ball's place, and holds before it rests.
+        self._engine.advance(round(_REST / self._engine.period))
         self._engine.tee_up(ball=True)
         if not self._engine.start_swing(300, 10):
             raise self._engine.refusal(f"cause {self._engine.cause.name} at the address")

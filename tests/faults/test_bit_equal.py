@@ -24,7 +24,8 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-SWING_AT = 6000
+LONGEST_AIR = 500
+"""Looks at the air of the address."""
 FAULTS = {
     "signals": (
         Fault("late", "wrist encoder", "delayed", 0.002, time=3.0, duration=0.5),
@@ -70,9 +71,18 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
         note_truth=driver.note_truth,
     )
     python = Follower(cycle, driver, FreeClock(parameters.tick))
-    for request, ticks in ((0, 10), (Request.ARM, SWING_AT), (Request.SWING, 1500)):
+
+    def advance(ticks: int, request: int = 0) -> None:
         ours, theirs = lockstep.advance(ticks, request), python.advance(ticks, request)
         assert ours.tobytes() == theirs.tobytes()
+
+    advance(10)
+    advance(5500, Request.ARM)  # the timed faults have come
+    for _ in range(LONGEST_AIR):
+        if lockstep.state.control["air_ready"][0]:
+            break
+        advance(20)
+    advance(1500, Request.SWING)
     cause = Cause(int(lockstep.state.control["cause"][0]))
     assert (cause is Cause.NONE) is (name != "a valve that sticks")
 
@@ -81,9 +91,11 @@ def test_a_bench_with_a_fault_that_has_not_come_is_bit_equal_to_a_healthy_one() 
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
     parameters = PlantParameters()
     healthy = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
-    assert LockstepEngine(healthy).arm()
+    engine = LockstepEngine(healthy)
+    assert engine.arm()
+    assert engine.await_air()
     faulty = healthy.copy()
     faulty.break_with(FAULTS["nothing yet"])
-    ours, theirs = healthy.advance(3000, Request.SWING), faulty.advance(3000, Request.SWING)
+    ours, theirs = healthy.advance(2900, Request.SWING), faulty.advance(2900, Request.SWING)
     assert ours.tobytes() == theirs.tobytes()
     assert Phase(int(healthy.state.control["phase"][0])) is Phase.RETURN

@@ -42,9 +42,15 @@ def armed(pair: Pair) -> None:
 
 
 def swung(pair: Pair, until: float) -> None:
-    """Begin a swing at a ball and stop `until` s after its begin."""
+    """Begin a swing at a ball, once its air is as planned, and stop `until` s after its begin."""
     pair.tee(True)
     pair.advance(300)
+    control = pair.python.state.control
+    planned = pair.compiled.parameters.profile["air_planned"][0]
+    for _ in range(200):
+        if control["air_ready"][0] or not planned:
+            break
+        pair.advance(50)
     pair.advance(1, Request.SWING)
     pair.advance(round(until * 1000))
 

@@ -103,7 +103,9 @@ def swinging(default_profile: Profile) -> Lockstep:
     parameters = PlantParameters()
     controller = build_controller(parameters, default_profile)
     bench = Lockstep(build_plant(parameters), controller, default_profile.angle[0])
-    assert LockstepEngine(bench).arm()
+    engine = LockstepEngine(bench)
+    assert engine.arm()
+    assert engine.await_air()
     bench.state.control["tee"] = True
     bench.advance(1, Request.SWING)
     assert bench.state.control["answer"][0] == Answer.ACCEPTED

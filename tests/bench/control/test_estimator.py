@@ -139,7 +139,9 @@ def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
     profile = load_profile(find_profile("default"))
     parameters = PlantParameters()
     bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
-    assert LockstepEngine(bench).arm()
+    engine = LockstepEngine(bench)
+    assert engine.arm()
+    assert engine.await_air()
     bench.state.control["tee"] = True
     cycles = bench.advance(len(profile.angle), Request.SWING)
     assert bench.plant_state["struck"][0]

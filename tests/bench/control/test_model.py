@@ -436,9 +436,10 @@ def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
     envelope = EnvelopeSettings(model=ModelSettings(check="always"))
     parameters = build_controller(PlantParameters(), profile, envelope=envelope)
     bench_ = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-    assert LockstepEngine(bench_).arm()
+    engine = LockstepEngine(bench_)
+    assert engine.arm()
+    assert engine.await_air()
     bench_.state.control["tee"] = True
-    bench_.advance(300)
     worst, request = 0.0, int(Request.SWING)
     for _ in range(len(profile.angle) // 5):
         bench_.advance(5, request)
@@ -461,7 +462,9 @@ def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
         envelope = EnvelopeSettings(model=ModelSettings(check=check))
         parameters = build_controller(PlantParameters(), profile, envelope=envelope)
         stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
-        assert LockstepEngine(stepper).arm()
+        engine = LockstepEngine(stepper)
+        assert engine.arm()
+        assert engine.await_air()
         return stepper.advance(2000, Request.SWING).tobytes()
 
     assert record("off") == record("always")

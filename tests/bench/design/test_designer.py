@@ -46,6 +46,7 @@ from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
 
 SHIPPED = (
+    ("repeatable", "repeatable", 43.2),
     ("driver-85mph", "shipped", 38.0),
     ("driver-90mph", "shipped", 40.2),
     ("driver-100mph", "steady", 45.0),
@@ -57,7 +58,7 @@ SHIPPED = (
     ("tour-male", "steady", 48.09),
 )
 """Name, whose gains, and head speed (m/s) demanded."""
-RISING = {"driver-100mph": 2.0, "two-handicap": 2.0, "tour-male": 2.0}
+RISING = {"repeatable": 2.0, "driver-100mph": 2.0, "two-handicap": 2.0, "tour-male": 2.0}
 """Attack angle in degrees; the others are level."""
 
 

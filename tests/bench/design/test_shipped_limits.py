@@ -19,7 +19,7 @@ from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 
 SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph"}
-"""Profiles designed for the shipped gains; the others are for those of `steady`."""
+"""Profiles designed for the shipped gains; `repeatable` is for its own, the others for those of `steady`."""
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE --output FILE"
 
@@ -28,16 +28,22 @@ needs_speed = pytest.mark.skipif(
 )
 
 
+def designed_for(name: str) -> Configuration:
+    """Return the configuration that the profile `name` was designed for."""
+    if name in SHIPPED_GAINS:
+        return load_configuration(None)
+    return load_configuration(Path("repeatable" if name == "repeatable" else "steady"))
+
+
 def watched(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for, with its limits."""
-    c = load_configuration(None if name in SHIPPED_GAINS else Path("steady"))
-    path = find_profile(name)
+    c, path = designed_for(name), find_profile(name)
     return replace(c, envelope=c.envelope.with_model_check("always")).for_profile(load_profile(path), path)
 
 
 @pytest.mark.parametrize("name", WITH_LIMITS)
 def test_shipped_limits_are_not_stale(name: str) -> None:
-    c, path = load_configuration(None if name in SHIPPED_GAINS else Path("steady")), find_profile(name)
+    c, path = designed_for(name), find_profile(name)
     found = c.limits_in_use(load_profile(path), path)
     assert not found.stale, f"{found.source}: {CURE}"
     assert found.source.endswith(f"{name}{ENDING}")

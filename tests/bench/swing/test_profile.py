@@ -16,12 +16,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet as pq
 
+from bench.control.planned_air import planned_air
 from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.swing.correction import digest_of
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, profile_text, save_profile
 from bench.swing.profile_table import decode_table, encode_table
+from sim.plant import PlantParameters
 
 TABLES = ("angle", "velocity", "valve", "blind_brake")
 
@@ -203,9 +205,14 @@ def test_planned_pressures_come_back(
     assert digest_of(found) == digest_of(as_written(planned)) != digest_of(as_written(short))
 
 
-@pytest.mark.parametrize("name", profile_names())
-def test_a_profile_without_planned_pressures_has_none(name: str) -> None:
-    assert load_profile(find_profile(name)).air == ()
+def test_a_designed_swing_plans_its_air_for_the_shipped_plant() -> None:
+    profile, plant = load_profile(find_profile("repeatable")), PlantParameters()
+    assert profile.air == pytest.approx(planned_air(plant, profile.angle[0]), rel=1e-6)
+    assert profile.air_supply == plant.supply.pressure
+
+
+def test_a_profile_without_planned_pressures_has_none() -> None:
+    assert load_profile(find_profile("steady")).air == ()
 
 
 GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR)}"}

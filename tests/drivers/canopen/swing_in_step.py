@@ -42,9 +42,11 @@ class SwingBench:
         self.driver, self.state = driver, state
         self.plant, self.period = c.plant, c.plant.tick
         self.kept = CycleArray(4 * LONGEST)
+        parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
+        self.air_planned = bool(parameters.profile["air_planned"][0])
         self.cycle = Cycle(
             driver,
-            build_controller(c.plant, profile, c.control, c.envelope, c.estimator),
+            parameters,
             self.kept,
             name="in step",
             note_truth=partial(note_truth, state),
@@ -80,9 +82,14 @@ class SwingBench:
         self.ask(Request.ARM)
         self.run(self.lasting(lambda: self.cycle.phase is Phase.HOLD, _AT_ADDRESS))
         self.state["ball_present"], self.state["struck"] = True, False
+        self.run(self.has_air)
         if phase is not Phase.HOLD:
             self.ask(Request.SWING)
             self.run(lambda: self.cycle.phase is phase)
+
+    def has_air(self) -> bool:
+        """Whether the chambers are as planned, or no pressures are."""
+        return not self.air_planned or bool(self.cycle.state.control["air_ready"][0])
 
     def rests(self) -> bool:
         """Whether the robot stands, as plant and controller see it."""

@@ -1,0 +1,37 @@
+"""Demands that follow a motion: a golfer's, or that of another swing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from bench.cli import app
+from bench.design.designer import SwingDemand, top_pose
+from bench.design.follow import demand_near
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.plant import PlantParameters
+
+
+def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
+    plant, profile = PlantParameters(), load_profile(find_profile("steady"))
+    demand = demand_near(plant, profile, SwingDemand(head_speed=43.2))
+    begin, ball = profile.begins[3], round(profile.impact_time / profile.period)
+    assert demand.follow is not None
+    assert demand.ranges is not None
+    assert demand.follow[0] == pytest.approx(profile.angle[begin])
+    assert demand.follow[-1] == pytest.approx(profile.angle[ball], abs=0.02)
+    assert top_pose(plant, demand) == pytest.approx(profile.angle[begin], abs=1e-3)
+    assert demand.downswing_time[0] < profile.downswing_time < demand.downswing_time[1]
+    assert np.all(demand.ranges < np.ptp(profile.angle[begin:ball], axis=0))
+    assert demand.head_speed == 43.2
+
+
+def test_a_swing_follows_a_golfer_or_another_swing(tmp_path: Path) -> None:
+    arguments = ["swing", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "steady"]
+    result = CliRunner().invoke(app, arguments)
+    assert "--golfer and --near" in str(result.exception or result.output)
+    assert not list(tmp_path.iterdir())
