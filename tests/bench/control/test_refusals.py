@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.control.air_watch import SENSORS
@@ -60,6 +61,12 @@ def test_a_joint_that_moved_a_moment_ago_bars_the_reset() -> None:
     puppet = reach(State.FAULT)
     press(puppet)
     assert refused(puppet, Request.RESET, moved_at=puppet.time) is Refusal.MOVING
+
+
+def test_a_tee_waits_for_the_head_that_comes_back() -> None:
+    puppet = reach(State.ARMED)
+    assert refused(puppet, Request.TEE, moved_at=puppet.time) is Refusal.MOVING
+    assert refused(puppet, Request.TEE, moved_at=-np.inf) is Refusal.NONE
 
 
 @pytest.mark.parametrize("ready", [False, True])
