@@ -247,7 +247,8 @@ def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
     assert "order from seed 20261121" in shown.stdout
     result = runner.invoke(app, ["--config", "shipped", "campaign", "check", "ten-balls", "--json"])
     record = json.loads(result.stdout)
-    beside = {name: record.pop(name) for name in ("title", "needs", "needs_words", "free_bytes", "warnings")}
+    names = ("title", "needs", "needs_words", "free_bytes", "warnings", "series_warning")
+    beside = {name: record.pop(name) for name in names}
     assert beside["free_bytes"] > 0
     assert record["shots"] == len(record["sequence"]) == 3 * 20 * 13
     previewed = preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped"))), {})
