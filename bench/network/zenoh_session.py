@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
+from threading import Thread
 from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
@@ -28,6 +30,9 @@ LONGEST_MESSAGE = 2**20
 
 LONGEST_WAIT = 0.1
 """Max time a send waits for a blocked peer before the link to it is closed, s."""
+
+LONGEST_CLOSE = 1.0
+"""Max time for which the end of a session waits for peers that do not read, s; zenoh's own is ten."""
 
 TLS = "tls/"
 """Prefix of an endpoint for other machines."""
@@ -87,6 +92,18 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
             "a free endpoint of this machine",
             "Another bench may be running: golfbench status. Or choose another port.",
         ) from None
+
+
+def close_daemon(session: zenoh.Session) -> None:
+    """Close the daemon's session; a peer that reads nothing does not hold it up for longer than a second."""
+    closing = Thread(target=_close, args=(session,), name="zenoh closing", daemon=True)
+    closing.start()
+    closing.join(LONGEST_CLOSE)
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):  # it gave such a peer up
+        session.close()
 
 
 def open_client(network: NetworkSettings, bench: str) -> zenoh.Session:
