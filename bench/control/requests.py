@@ -173,9 +173,9 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         settling = _settling(p, s, request, time)
         if settling != 0:
             return settling
-    # A robot that comes back from a swing passes over the ball's place, and is slow well before it rests.
-    if request == Request.TEE and time - s.moved_at < p.still_time:
-        return Refusal.MOVING
+    if request == Request.TEE:
+        # A robot that comes back from a swing passes over the ball's place, and is slow well before it rests.
+        return _settling(p, s, request, time)
     if request in (Request.ARM, Request.SWING):
         if not s.support_ready:
             return Refusal.SUPPORT

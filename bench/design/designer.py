@@ -272,16 +272,18 @@ def _first_guess(parameters: PlantParameters, state: Array, demand: SwingDemand)
     return time, guess
 
 
+def downswing_rows(profile: Profile, table: Array, count: int) -> Array:
+    """Return rows (count, 3) of a `table` (n, 3) of `profile`, evenly spaced from its top to the ball."""
+    at = np.linspace(profile.begins[3], profile.impact_time / profile.period, count)
+    return np.column_stack([np.interp(at, np.arange(len(table)), column) for column in table.T])
+
+
 def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tuple[float, Array]:
     """Return time and states of the downswing of another profile."""
-    begin, end = start.begins[3], start.impact_time / start.period
-    at, samples = np.linspace(begin, end, intervals + 1), np.arange(len(start.angle))
     guess = np.tile(state, (intervals + 1, 1))
-    for i in range(3):
-        guess[:, i] = np.interp(at, samples, start.angle[:, i])
-        guess[:, 3 + i] = np.interp(at, samples, start.velocity[:, i])
-        guess[:, 13 + i] = np.interp(at, samples, start.valve[:, i])
-    return (end - begin) * start.period, guess
+    for first, table in ((0, start.angle), (3, start.velocity), (13, start.valve)):
+        guess[:, first : first + 3] = downswing_rows(start, table, intervals + 1)
+    return start.downswing_time, guess
 
 
 def _problem(

@@ -19,7 +19,7 @@ from math import degrees, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.designer import SwingDemand
+from bench.design.designer import SwingDemand, downswing_rows
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -28,7 +28,7 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 _TIME = 0.9, 1.2
-"""Shortest and longest downswing, as shares of the human's."""
+"""Shortest and longest downswing, as shares of the one that is followed."""
 _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
@@ -60,9 +60,7 @@ def demand_like(
 
 def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:
     """Return `demand` with a downswing near that of `profile`, from its top and in about its time."""
-    begin, end = profile.begins[3], profile.impact_time / profile.period
-    at, samples = np.linspace(begin, end, _ROWS), np.arange(len(profile.angle))
-    angle = np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
+    angle = downswing_rows(profile, profile.angle, _ROWS)
     return _following(plant, demand, angle, profile.downswing_time, _NEAR * np.ptp(angle, axis=0))
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from bench.config import Configuration
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.page.browser_tab import PATIENCE
 from tests.bench.page.chromium import launched
+from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import RunningPage, running_page
 
 
@@ -47,6 +51,21 @@ def page(running: RunningPlane) -> Iterator[RunningPage]:
         with page.stream() as following:
             following("state")  # it is connected
         yield page
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[NotingProgram]:
+    """Return a program in place of `golfbench` that notes its arguments; it ends with the test."""
+    found = NotingProgram(tmp_path)
+    yield found
+    found.note("end")
+
+
+@pytest.fixture
+def configuration(tmp_path: Path) -> Configuration:
+    """Return a bench's configuration whose data are the test's own."""
+    given = loopback_configuration()
+    return replace(given, bench=replace(given.bench, data_dir=tmp_path / "data"))
 
 
 @pytest.fixture

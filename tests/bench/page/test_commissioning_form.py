@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,6 @@ from bench.errors import Refused
 from bench.network.free_port import free_port
 from bench.page.commissioning_shelf import CommissioningShelf
 from bench.page.page_address import PageAddress
-from tests.bench.fake_bench_service import loopback_configuration
 from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
 
@@ -39,19 +37,6 @@ with folder_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
 """
-
-
-@pytest.fixture
-def program(tmp_path: Path) -> Iterator[NotingProgram]:
-    found = NotingProgram(tmp_path)
-    yield found
-    found.note("end")
-
-
-@pytest.fixture
-def configuration(tmp_path: Path) -> Configuration:
-    given = loopback_configuration()
-    return replace(given, bench=replace(given.bench, data_dir=tmp_path / "data"))
 
 
 @pytest.fixture

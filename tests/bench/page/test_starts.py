@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
-from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.page.conftest import publishing
 from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
@@ -42,19 +41,6 @@ def wait_until(holds: Callable[[], bool], words: Callable[[], object]) -> None:
     while not holds():
         assert time.monotonic() < deadline, words()
         time.sleep(0.02)
-
-
-@pytest.fixture
-def program(tmp_path: Path) -> Iterator[NotingProgram]:
-    found = NotingProgram(tmp_path)
-    yield found
-    found.note("end")
-
-
-@pytest.fixture
-def configuration(tmp_path: Path) -> Configuration:
-    given = loopback_configuration()
-    return replace(given, bench=replace(given.bench, data_dir=tmp_path / "data"))
 
 
 @pytest.fixture
