@@ -7,6 +7,7 @@ a longer shot is higher up), both in metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import ceil, floor
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ class ShotSeries:
 
     def __init__(self) -> None:
         self.records: list[ShotRecord] = []
+        """Their figures, without cycles and paths: a live view runs for days."""
         self._balls: dict[str, Colour] = {}
 
     def colour(self, ball: str) -> Colour:
@@ -51,7 +53,7 @@ class ShotSeries:
 
         Nothing is logged after `latest`: a live view computes the whole flight before the ball lands.
         """
-        self.records.append(record)
+        self.records.append(_figures_only(record))
         shown = end = start
         if struck is not None and record.flight is not None:
             end = struck + float(record.flight.path[-1, 0])
@@ -140,6 +142,14 @@ class ShotSeries:
             [*times(np.array(at)), rr.TimeColumn("shot", sequence=[shot.shot] * len(at))],
             rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(at)),
         )
+
+
+def _figures_only(record: ShotRecord) -> ShotRecord:
+    """Return `record` without cycles and path; copies, because a view keeps the whole array."""
+    flight = record.flight
+    if flight is not None:
+        flight = replace(flight, path=flight.path[:0].copy())
+    return replace(record, cycles=record.cycles[:0].copy(), flight=flight)
 
 
 class MovingBall(NamedTuple):

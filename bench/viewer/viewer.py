@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -247,7 +246,7 @@ class LiveView:
             number=number,
             time_utc=datetime.fromtimestamp(self._clock(), UTC),
         )
-        self._show_shot(replace(record, cycles=cycles[:0]), self._struck(cycles))
+        self._show_shot(record, self._struck(cycles))
 
     def _struck(self, cycles: Cycles) -> float | None:
         """Return the time of the impact on the time axis, s."""

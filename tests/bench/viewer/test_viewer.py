@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +16,7 @@ import pytest
 import rerun as rr
 
 from bench.lifecycle import Cause, Phase, State
-from bench.shot.recorded_shot import FlightConditions, shot_to_json
+from bench.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed
@@ -133,7 +135,7 @@ def test_the_swing_is_followed_by_its_figures_and_its_flight(
 
 
 def test_the_ball_is_shown_on_its_way_as_time_goes(
-    watched: Watched, make_swing: Callable[[int], Cycles]
+    watched: Watched, make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
     cycles = make_swing(1)
     watched.send(cycles)
@@ -145,11 +147,36 @@ def test_the_ball_is_shown_on_its_way_as_time_goes(
     recording = watched.recording()
     flown, places = recording.read("/range/ball", "Points3D:positions")
     (record,) = watched.view.shots.records
-    assert record.flight is not None
-    assert np.allclose(np.array(places)[:, 0], record.flight.path[:, 1:], atol=1e-4)
+    flight = flight_of(record.shot, plant, FlightConditions())
+    assert flight is not None
+    assert np.allclose(np.array(places)[:, 0], flight.path[:, 1:], atol=1e-4)
     assert np.all(np.diff(flown) > 0)
     _, speeds = recording.read("/signals/ball_speed_mps", "Scalars:scalars")
     assert np.isnan(speeds[-1][0])
+
+
+def test_the_memory_of_shots_does_not_grow_with_their_cycles(
+    watched: Watched, make_swing: Callable[[int], Cycles]
+) -> None:
+    swing = make_swing(1)
+
+    def send(shots: int) -> None:
+        for _ in range(shots):
+            watched.send(swing)
+            swing["tick"] += len(swing)
+            swing["time"] += len(swing) * 1e-3
+
+    send(2)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        send(8)
+        gc.collect()
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(watched.view.shots.records) == 10
+    assert (after - before) / 8 < swing.nbytes / 10  # 25 kB; with the cycles all of them
 
 
 def test_age_is_measured_to_the_subscriber_and_to_rerun(
