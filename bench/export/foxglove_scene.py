@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.viewer.scene import ball_at_rest, body_poses, plane_to_golf
+from bench.drawing.placement import ball_at_rest, body_poses, plane_to_golf
 from sim.plant import PlantParameters
-from sim.robot import RobotParameters
 
 Message = dict[str, Any]
 
@@ -44,9 +43,9 @@ def fixed_frames(plant: PlantParameters, at: int) -> Message:
     }
 
 
-def moving_frames(robot: RobotParameters, angle: np.ndarray, times: Iterable[int]) -> Iterable[Message]:
+def moving_frames(plant: PlantParameters, angle: np.ndarray, times: Iterable[int]) -> Iterable[Message]:
     """Yield the bodies' frames for joint angles (n, 3) rad at `times` (ns)."""
-    poses = body_poses(robot, angle)
+    poses = body_poses(plant, angle)
     for row, at in enumerate(times):
         yield {
             "transforms": [

@@ -115,7 +115,7 @@ def _messages(record: ExportRecord) -> Iterator[tuple[str, int, int, dict[str, A
         yield TOPIC, at, max(0, row["tick"]) & 0xFFFFFFFF, row
     shown = np.flatnonzero(poses_to_draw(cycles, _EVERY) & np.isfinite(cycles["angle"]).all(axis=1))
     at_shown = [times[row] for row in shown]
-    frames = moving_frames(plant.robot, cycles["angle"][shown], at_shown)
+    frames = moving_frames(plant, cycles["angle"][shown], at_shown)
     for number, (at, frame) in enumerate(zip(at_shown, frames, strict=True), 1):
         yield "/tf", at, number, frame
     for number, change in enumerate(changes(cycles)):

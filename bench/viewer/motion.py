@@ -7,8 +7,8 @@ import rerun as rr
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from bench.drawing.placement import body_poses, plane_to_golf
 from bench.lifecycle import Phase
-from bench.viewer.scene import body_poses, plane_to_golf
 from bench.viewer.signals import Array, Cycles, Times, head_motion
 from sim.plant import PlantParameters
 
@@ -43,7 +43,7 @@ def log_motion(
         return before
     time, cycles = time[shown], cycles[shown]
     columns = times(time)
-    for name, (translation, quaternion) in body_poses(plant.robot, cycles["angle"]).items():
+    for name, (translation, quaternion) in body_poses(plant, cycles["angle"]).items():
         poses = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
         recording.send_columns(f"scene/robot/{name}", columns, poses)
     head, speed = head_motion(plant.robot, cycles)

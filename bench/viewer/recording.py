@@ -17,12 +17,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from bench.drawing.placement import ball_at_rest
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path
 from bench.viewer.blueprint import campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.motion import log_ball, log_motion, poses_to_draw
-from bench.viewer.scene import ball_at_rest, log_static_scene
+from bench.viewer.scene import log_static_scene
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import bench_time, log_codes, log_limits, log_signals, log_styles
 from sim.plant import PlantParameters

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from sim.kinematics import joint_positions
+from bench.drawing.placement import ball_at_rest, plane_to_golf
 from sim.plant import Site
 from sim.robot import RobotParameters
 from sim.vectors import Vector
@@ -41,20 +41,6 @@ PLANE = (88, 110, 140)
 _SOLID = rr.components.FillMode.Solid
 _ALONG_X = rr.Quaternion(xyzw=(0.0, sin(pi / 4), 0.0, cos(pi / 4)))
 """Rotation of a cylinder's axis from z to x."""
-
-
-def plane_to_golf(robot: RobotParameters, site: Site) -> tuple[np.ndarray, np.ndarray]:
-    """Return (axes, origin): golf = axes @ (x, y, z of the swing plane) + origin; (3, 3) and (3,) m."""
-    c, s = cos(robot.lie), sin(robot.lie)
-    axes = np.array([[1.0, 0.0, 0.0], [0.0, s, c], [0.0, -c, s]])
-    contact = np.array([0.0, (site.ball_y - site.ground) * s, 0.0])
-    return axes, contact - axes @ np.array([site.ball_x, site.ball_y, 0.0])
-
-
-def ball_at_rest(robot: RobotParameters, site: Site, radius: float) -> np.ndarray:
-    """Return the centre of the ball on its tee in the golf frame (m): ahead of the face that meets it."""
-    height = (site.ball_y - site.ground) * sin(robot.lie)
-    return np.array([radius * cos(robot.club.loft), height + radius * sin(robot.club.loft), 0.0])
 
 
 def log_static_scene(
@@ -187,31 +173,6 @@ def _log_range(recording: rr.RecordingStream) -> None:
         colors=[LINE],
     )
     log("distances", labels)
-
-
-def body_poses(robot: RobotParameters, q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return each moving body's (translations (n, 3) m, quaternions xyzw (n, 4)) in the swing plane."""
-    r1, r2, r3, r6, _ = np.moveaxis(joint_positions(robot, q), -2, 0)
-    theta1, theta12, theta_t = np.cumsum(q, axis=1).T
-    right_arm = np.arctan2(*(r6 - r3).T[::-1])
-    placed = {
-        "shoulder_link": (r1, theta1),
-        "left_arm": (r2, theta12),
-        "wrist_cylinder": (r2, theta12),
-        "club": (r3, theta_t),
-        "right_arm_rod": (r3, right_arm),
-        "right_arm_cylinder": (r6, right_arm + pi),
-    }
-    return {name: (_in_space(point), _about_z(angle)) for name, (point, angle) in placed.items()}
-
-
-def _in_space(points: np.ndarray) -> np.ndarray:
-    return np.column_stack([points, np.zeros(len(points))])
-
-
-def _about_z(angle: np.ndarray) -> np.ndarray:
-    half, nothing = angle / 2, np.zeros_like(angle)
-    return np.column_stack([nothing, nothing, np.sin(half), np.cos(half)])
 
 
 def _box(size: Vector, centre: Vector, colour: tuple[int, int, int]) -> rr.Boxes3D:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from bench.drawing.placement import ball_at_rest
 from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.shot.recorded_shot import (
@@ -29,7 +30,7 @@ from bench.telemetry.cycle_record import CYCLE
 from bench.viewer.clock import ViewClock
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.motion import log_ball, log_motion, poses_to_draw
-from bench.viewer.scene import ball_at_rest, log_static_scene
+from bench.viewer.scene import log_static_scene
 from bench.viewer.shots import (
     MovingBall,
     ShotSeries,

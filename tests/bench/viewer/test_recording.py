@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.drawing.placement import ball_at_rest, body_poses, plane_to_golf
 from bench.lifecycle import Phase
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.whole_file import NotStored
 from bench.viewer.recording import write_recording
-from bench.viewer.scene import ball_at_rest, body_poses, plane_to_golf
 from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site
@@ -140,10 +140,10 @@ def test_the_golf_frame_is_that_of_the_bench(robot: RobotParameters) -> None:
     assert ball_at_rest(robot, SITE, RADIUS)[0] > 0  # ahead of the face
 
 
-def test_the_right_arm_points_from_wrist_to_shoulder(robot: RobotParameters) -> None:
+def test_the_right_arm_points_from_wrist_to_shoulder(plant: PlantParameters) -> None:
     q = np.random.default_rng(2).uniform([-1, 3.3, 4.8], [2, 4.6, 6.3], (50, 3))
-    poses = body_poses(robot, q)
-    points = joint_positions(robot, q)
+    poses = body_poses(plant, q)
+    points = joint_positions(plant.robot, q)
     _, quaternion = poses["right_arm_rod"]
     angle = 2 * np.arctan2(quaternion[:, 2], quaternion[:, 3])
     length = np.linalg.norm(points[:, 3] - points[:, 2], axis=1)

@@ -1,0 +1,1 @@
+"""The robot as drawn bodies: from one configuration to meshes, URDF, glTF and STEP."""

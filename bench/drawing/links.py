@@ -1,0 +1,186 @@
+"""Shoulder link and left arm with the wrist's actuator, sized so that they weigh what the dynamics assume."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.layers import (
+    GAP,
+    LEVER_HEIGHT,
+    PIN,
+    PLATE_HEIGHT,
+    WALL,
+    YOKE_HEIGHT,
+    Layers,
+    bore_radius,
+    layers,
+    rod_radius,
+    wrist_ways,
+)
+from bench.drawing.materials import ALUMINIUM, CHROME, CYLINDER, STEEL, envelope
+from bench.drawing.solids import Bar, Bore, Tube
+from sim.plant import PlantParameters
+from sim.robot import Body
+
+_INCH = 0.0254
+LINK_WIDTH = 2 * _INCH
+"""Width of the shoulder link, as in the thesis (m)."""
+ARM_WIDTH = 1.5 * _INCH
+"""Width of the left arm, as in the thesis (m)."""
+PLATE = (0.21, 0.075, PLATE_HEIGHT)
+"""Plate of the wrist's actuator, as in the thesis (m)."""
+_PLATE_SHARE = ALUMINIUM.density * 0.006 * 0.075 * 0.21
+_ACTUATOR_SHARE = 0.524
+_ARM_SHARE = ALUMINIUM.density * 0.625 * 1.5 * 24.5 * _INCH**3
+_SHARES = _PLATE_SHARE + _ACTUATOR_SHARE + _ARM_SHARE
+"""The thesis' left arm (kg); another one's mass is shared in the same ratio."""
+_EDGE = 0.015
+
+
+def _bar_length(body: Body, width: float, reach: float) -> float:
+    """Return the length (m) of a bar with the body's inertia, at least `reach` with its edges."""
+    squared = 12 * body.inertia / body.mass - width**2
+    return max(sqrt(max(squared, 0.0)), reach + 2 * _EDGE)
+
+
+def _link_size(plant: PlantParameters) -> tuple[float, float, float]:
+    """Return the shoulder link's bar: length from its inertia, thickness from its mass."""
+    body, robot = plant.robot.shoulder_link, plant.robot
+    reach = 2 * max(robot.l12 - body.centre_of_mass, robot.l16 + body.centre_of_mass)
+    length = _bar_length(body, LINK_WIDTH, reach)
+    return length, LINK_WIDTH, body.mass / (STEEL.density * length * LINK_WIDTH)
+
+
+def _arm_size(plant: PlantParameters) -> tuple[float, float, float]:
+    """Return the left arm's bar in the same way, of its share of the mass."""
+    body = plant.robot.left_arm
+    reach = 2 * max(plant.robot.l23 - body.centre_of_mass, body.centre_of_mass)
+    length = _bar_length(body, ARM_WIDTH, reach)
+    mass = body.mass * _ARM_SHARE / _SHARES
+    return length, ARM_WIDTH, mass / (ALUMINIUM.density * length * ARM_WIDTH)
+
+
+def layers_of(plant: PlantParameters) -> Layers:
+    """Return the heights of all bodies over the swing plane."""
+    return layers(plant, _link_size(plant)[2], _arm_size(plant)[2])
+
+
+def shoulder_link(plant: PlantParameters) -> DrawnBody:
+    """Return the shoulder link with the pins of R2 and R6; the axle of R1 belongs to the drive."""
+    robot, at, size = plant.robot, layers_of(plant), _link_size(plant)
+    middle = robot.shoulder_link.centre_of_mass
+    bores = tuple(Bore(x - middle, 0.0, r) for x, r in ((0.0, 0.015), (robot.l12, PIN), (-robot.l16, PIN)))
+    back = at.right_arm - bore_radius(plant.right_arm) - WALL
+    return DrawnBody(
+        "shoulder_link",
+        (
+            Part("link", Bar(size, (middle, 0.0, 0.0), bores=bores), STEEL),
+            Part("pin R2", _pin(robot.l12, -size[2] / 2 - GAP, at.arm_front + GAP), STEEL, joint=True),
+            Part("pin R6", _pin(-robot.l16, back, size[2] / 2 + GAP), STEEL, joint=True),
+        ),
+        robot.shoulder_link,
+    )
+
+
+def _pin(x: float, low: float, high: float) -> Tube:
+    return Tube((x, 0.0, low), (x, 0.0, high), PIN)
+
+
+def actuator_places(plant: PlantParameters) -> tuple[float, float]:
+    """Return the middles of plate and cylinder along the left arm (m).
+
+    No configuration gives them. They are where the whole has the centre of mass and the inertia of the
+    dynamics, as far as both stay between R2 and R3: the plate towards the wrist, the cylinder towards R2.
+    """
+    body, arm = plant.robot.left_arm, _arm_size(plant)
+    share = body.mass / _SHARES
+    plate, cylinder = share * _PLATE_SHARE, share * _ACTUATOR_SHARE
+    length, outer = _cylinder_length(plant), bore_radius(plant.wrist) + WALL
+    own = share * _ARM_SHARE * (arm[0] ** 2 + arm[1] ** 2) / 12 + plate * (PLATE[0] ** 2 + PLATE[1] ** 2) / 12
+    own += cylinder * (length**2 / 12 + (outer**2 + rod_radius(plant.wrist) ** 2) / 4)
+    way = sqrt(max(body.inertia - own, 0.0) / (plate * (1 + plate / cylinder)))
+    wrist_side = plant.robot.l23 - body.centre_of_mass
+    way = min(way, wrist_side, (body.centre_of_mass - length / 2) * cylinder / plate)
+    return body.centre_of_mass + way, body.centre_of_mass - way * plate / cylinder
+
+
+def _cylinder_length(plant: PlantParameters) -> float:
+    low, high = wrist_ways(plant)
+    return high - low + 0.07
+
+
+def left_arm(plant: PlantParameters) -> DrawnBody:
+    """Return the left arm with plate and cylinder of the wrist, a part of it in the dynamics."""
+    body, at, size = plant.robot.left_arm, layers_of(plant), _arm_size(plant)
+    middle, share = body.centre_of_mass, body.mass / _SHARES
+    bores = (Bore(-middle, 0.0, PIN), Bore(plant.robot.l23 - middle, 0.0, PIN))
+    plate_at, cylinder_at = actuator_places(plant)
+    half = _cylinder_length(plant) / 2
+    cylinder = Tube(
+        (cylinder_at - half, 0.0, at.yoke),
+        (cylinder_at + half, 0.0, at.yoke),
+        bore_radius(plant.wrist) + WALL,
+        rod_radius(plant.wrist),
+    )
+    plate = Bar(PLATE, (plate_at, 0.0, at.arm_front + PLATE_HEIGHT / 2))
+    return DrawnBody(
+        "left_arm",
+        (
+            Part("arm", Bar(size, (middle, 0.0, at.arm), bores=bores), ALUMINIUM),
+            Part("plate", plate, envelope(ALUMINIUM, share * _PLATE_SHARE, plate.volume.volume)),
+            Part(
+                "wrist cylinder",
+                cylinder,
+                envelope(CYLINDER, share * _ACTUATOR_SHARE, cylinder.volume.volume),
+            ),
+        ),
+        body,
+    )
+
+
+def wrist_rod(plant: PlantParameters) -> DrawnBody:
+    """Return the wrist's piston rod and yoke in the left arm's frame, as if the yoke stood at R3.
+
+    Its mass is the cylinder's: in the dynamics it does not slide.
+    """
+    at, wrist, lever = layers_of(plant), plant.robot.l23, plant.wrist_lever
+    _, cylinder_at = actuator_places(plant)
+    rear = cylinder_at - _cylinder_length(plant) / 2 + 0.025 - wrist_ways(plant)[0]
+    weightless = CHROME._replace(density=0.0)
+    inner, outer = PIN + 0.001, PIN + 0.009
+    rod = Tube((rear, 0.0, at.yoke), (wrist - outer, 0.0, at.yoke), rod_radius(plant.wrist))
+    sides = tuple(
+        Part(
+            f"yoke {name}",
+            Bar(
+                (outer - inner, 2 * (lever + outer), YOKE_HEIGHT),
+                (wrist + side * (inner + outer) / 2, 0.0, at.yoke),
+            ),
+            weightless,
+        )
+        for name, side in (("rear", -1.0), ("front", 1.0))
+    )
+    ends = tuple(
+        Part(
+            f"yoke {name}",
+            Bar(
+                (2 * inner, outer - inner, YOKE_HEIGHT),
+                (wrist, side * (lever + (inner + outer) / 2), at.yoke),
+            ),
+            weightless,
+        )
+        for name, side in (("lower end", -1.0), ("upper end", 1.0))
+    )
+    return DrawnBody("wrist_rod", (Part("wrist rod", rod, weightless), *sides, *ends))
+
+
+def lever_parts(plant: PlantParameters) -> tuple[Part, ...]:
+    """Return the wrist's lever with its pin, which turn with the club: along -y3."""
+    at, lever = layers_of(plant), plant.wrist_lever
+    size = (0.024, lever + 0.024, LEVER_HEIGHT)
+    bar = Bar(
+        size, (0.0, -lever / 2, at.lever), bores=(Bore(0.0, lever / 2, PIN), Bore(0.0, -lever / 2, PIN))
+    )
+    pin = Tube((0.0, -lever, at.lever - LEVER_HEIGHT / 2), (0.0, -lever, at.yoke + YOKE_HEIGHT), PIN)
+    return Part("lever", bar, ALUMINIUM), Part("lever pin", pin, STEEL)

@@ -1,0 +1,32 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from bench.config import VARIANTS, load_configuration
+from sim.plant import PlantParameters
+
+
+def _plants() -> Iterator[tuple[str, PlantParameters]]:
+    shipped = load_configuration(None)
+    yield "shipped", shipped.plant
+    yield "small_plant", load_configuration(VARIANTS / "small_plant.toml").plant
+    yield "swing_through_wrist", load_configuration(VARIANTS / "swing_through_wrist.toml").plant
+    bag = load_configuration(VARIANTS / "bag.toml")
+    for name in bag.clubs:
+        yield name, bag.plant_with(club=name)
+
+
+PLANTS = dict(_plants())
+
+
+@pytest.fixture(params=PLANTS, scope="session")
+def plant(request: pytest.FixtureRequest) -> PlantParameters:
+    """Every shipped robot, and the default one with every club."""
+    return PLANTS[request.param]
+
+
+@pytest.fixture(scope="session")
+def shipped() -> PlantParameters:
+    return PLANTS["shipped"]
