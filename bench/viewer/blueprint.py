@@ -5,50 +5,75 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
 
 from bench.viewer.signals import TIMELINE
 
 _SKY = (203, 217, 230)
 
 
+class Span(NamedTuple):
+    """A part of the recording, s of its time axis."""
+
+    start: float
+    end: float
+
+
 class Window(NamedTuple):
-    """Visible time range of signals, s before and after the cursor."""
+    """Time range of the signals."""
 
-    before: float
-    after: float
-
-    @property
-    def range(self) -> rrb.TimeRange:
-        """Range in Rerun's type."""
-        start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-self.before, self.after))
-        return rrb.TimeRange(start=start, end=end)
+    axis: rrb.TimeRange
+    """Range of the axis when it is opened."""
+    data: rrb.TimeRange
+    """Range of the data that are drawn."""
 
 
-_SWING = Window(1.6, 1.2)
-"""The swing around the cursor."""
-_LIVE = Window(10.0, 0.0)
+def _around_cursor(before: float, after: float) -> Window:
+    """Return the window from `before` (s) the cursor to `after` (s) it."""
+    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=s) for s in (-before, after))
+    return Window(*[rrb.TimeRange(start=start, end=end)] * 2)
+
+
+def _whole(span: Span) -> Window:
+    """Return the window on `span`, from which the whole recording can be reached."""
+    start, end = (rrb.TimeRangeBoundary.absolute(seconds=s) for s in span)
+    all_data = rrb.TimeRange(start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.infinite())
+    return Window(rrb.TimeRange(start=start, end=end), all_data)
+
+
+_SERIES = _around_cursor(8.0, 1.2)
+"""The swing and the flight that follows it."""
+_LIVE = _around_cursor(10.0, 0.0)
 """The last ten seconds."""
 
 
-def shot_blueprint() -> rrb.Blueprint:
-    """Return the layout for one shot: the robot, its figures, and signals around the cursor."""
+def shot_blueprint(swing: Span, end: float) -> rrb.Blueprint:
+    """Return the layout for one shot: the robot, its figures, and the signals of `swing`.
+
+    It is played from the swing's start to `end` (s): a record begins seconds before, with the way to the
+    address.
+    """
+    window = _whole(swing)
     return _of_records(
+        window,
         rrb.Vertical(
             _robot(),
             rrb.Horizontal(_flight(), _figures(), column_shares=[1.75, 1]),
             row_shares=[1.8, 1],
         ),
         rrb.Vertical(
-            *_joint_signals(_SWING),
-            _series(_SWING, "Speed of club head and ball, m/s", True, "head_speed_mps", "ball_speed_mps"),
+            *_joint_signals(window),
+            _series(window, "Speed of club head and ball, m/s", True, "head_speed_mps", "ball_speed_mps"),
         ),
         share=1.55,
+        played=Span(swing.start, end),
     )
 
 
 def campaign_blueprint() -> rrb.Blueprint:
     """Return the layout for several shots: all so far as dispersion and table, and the one at the cursor."""
     return _of_records(
+        _SERIES,
         rrb.Vertical(
             rrb.Horizontal(_robot(), _dispersion(), column_shares=[1.1, 1]),
             rrb.Horizontal(_table(), _flight(), column_shares=[1.4, 1]),
@@ -56,10 +81,10 @@ def campaign_blueprint() -> rrb.Blueprint:
         ),
         rrb.Vertical(
             _figures(),
-            _series(_SWING, "Angle error (reference − actual), °", False, "angle_error_deg"),
-            _valves(_SWING),
-            _pressures(_SWING),
-            _series(_SWING, "Speed of club head and ball, m/s", False, "head_speed_mps", "ball_speed_mps"),
+            _series(_SERIES, "Angle error (reference − actual), °", False, "angle_error_deg"),
+            _valves(_SERIES),
+            _pressures(_SERIES),
+            _series(_SERIES, "Speed of club head and ball, m/s", False, "head_speed_mps", "ball_speed_mps"),
             row_shares=[1.5, 1, 1, 1, 1],
         ),
         share=2.1,
@@ -115,17 +140,31 @@ def live_blueprint() -> rrb.Blueprint:
 
 
 def _of_records(
-    left: rrb.Container, right: rrb.Container, share: float, speed: float = 0.25
+    window: Window,
+    left: rrb.Container,
+    right: rrb.Container,
+    share: float,
+    speed: float = 0.25,
+    played: Span | None = None,
 ) -> rrb.Blueprint:
-    """Return a layout for playback; `share` is the ratio of the left to the right width."""
+    """Return a layout for playback of `played`, or of everything.
+
+    `share` is the ratio of the left to the right width.
+    """
+    selection = None if played is None else AbsoluteTimeRange(*(round(1e9 * s) for s in played))
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(left, right, column_shares=[share, 1]),
-            _states(_SWING, "Phase and reaction", "phase", "reaction"),
+            _states(window, "Phase and reaction", "phase", "reaction"),
             row_shares=[5, 1],
         ),
         rrb.TimePanel(
-            state="collapsed", timeline=TIMELINE, playback_speed=speed, play_state="playing", loop_mode="all"
+            state="collapsed",
+            timeline=TIMELINE,
+            playback_speed=speed,
+            play_state="playing",
+            loop_mode="all" if selection is None else "selection",
+            time_selection=selection,
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -213,8 +252,8 @@ def _states(window: Window, name: str, *codes: str) -> rrb.StateTimelineView:
         name=name,
         origin="/signals",
         contents=[f"/signals/{code}" for code in codes],
-        time_view=rrb.TimeAxis(view_range=window.range),
-        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.range),
+        time_view=rrb.TimeAxis(view_range=window.axis),
+        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.data),
     )
 
 
@@ -223,8 +262,8 @@ def _series(window: Window, name: str, legend: bool, *signals: str) -> rrb.TimeS
         name=name,
         origin="/signals",
         contents=[f"/signals/{signal}" for signal in signals],
-        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.range),
-        axis_x=rrb.TimeAxis(view_range=window.range),
+        time_ranges=rrb.VisibleTimeRange(TIMELINE, window.data),
+        axis_x=rrb.TimeAxis(view_range=window.axis),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
 

@@ -21,17 +21,19 @@ from bench.drawing.placement import ball_at_rest
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path
-from bench.viewer.blueprint import campaign_blueprint, live_blueprint, shot_blueprint
+from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.motion import log_ball, log_motion, poses_to_draw
 from bench.viewer.scene import log_static_scene
 from bench.viewer.shots import ShotSeries
-from bench.viewer.signals import bench_time, log_codes, log_limits, log_signals, log_styles
+from bench.viewer.signals import SWINGING, bench_time, log_codes, log_limits, log_signals, log_styles
 from sim.plant import PlantParameters
 
 PAUSE = 0.6
 """Time between the end of a flight or swing and the next swing, s."""
 _EVERY = 5
 """Cycles between two poses while the robot is slow."""
+_LEAD = 0.3
+"""Time shown before and after the swing, s."""
 
 
 class Layout(NamedTuple):
@@ -44,8 +46,22 @@ class Layout(NamedTuple):
 def layout_for(records: Sequence[ShotRecord]) -> Layout:
     """Return the layout for one shot or for several."""
     if len(records) == 1:
-        return Layout("golfbench_shot", shot_blueprint())
+        swing = swing_span(records[0])
+        flight = records[0].flight
+        landed = swing.end if flight is None else swing.end + float(flight.path[-1, 0])
+        return Layout("golfbench_shot", shot_blueprint(swing, landed))
     return Layout("golfbench_campaign", campaign_blueprint())
+
+
+def swing_span(record: ShotRecord) -> Span:
+    """Return where the swing is in the recording of one shot, with `_LEAD` around it, or all of it."""
+    cycles = record.cycles
+    if not len(cycles):
+        return Span(0.0, 1.0)
+    time = cycles["time"] - cycles["time"][0]
+    swinging = np.flatnonzero(np.isin(cycles["phase"], SWINGING))
+    first, last = (swinging[0], swinging[-1]) if len(swinging) else (0, -1)
+    return Span(max(0.0, float(time[first]) - _LEAD), float(time[last]) + _LEAD)
 
 
 def live_layout() -> Layout:

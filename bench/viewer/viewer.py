@@ -40,6 +40,7 @@ from bench.viewer.shots import (
     moving_ball,
 )
 from bench.viewer.signals import (
+    SWINGING,
     TIMELINE,
     Array,
     Cycles,
@@ -73,7 +74,6 @@ _BINS, _BIN = 50, 5.0
 """Number and width (us) of the bars of the latency histogram."""
 _MAX_SWING_CYCLES = 30_000
 """Max cycles of a swing kept for its figures."""
-_SWINGING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
 
 
@@ -217,7 +217,7 @@ class LiveView:
 
     def _follow_swing(self, cycles: Cycles, at: Array) -> None:
         """Collect the cycles of a swing; show its figures at its end, unless the bench publishes shots."""
-        swinging = np.isin(cycles["phase"], _SWINGING)
+        swinging = np.isin(cycles["phase"], SWINGING)
         if swinging.any():
             if not self._swing:
                 self._swing_start = float(at[int(np.argmax(swinging))])

@@ -15,7 +15,8 @@ from bench.lifecycle import Phase
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.whole_file import NotStored
-from bench.viewer.recording import write_recording
+from bench.viewer.recording import layout_for, swing_span, write_recording
+from bench.viewer.signals import SWINGING
 from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site
@@ -52,6 +53,26 @@ def test_signals_are_the_cycles_at_full_rate(three: Recording, make_records: Rec
     assert np.array_equal(valves, cycles["applied_valve"])
     _, pressures = three.read("/signals/pressure_bar", "Scalars:scalars")
     assert np.array_equal(np.array(pressures)[:, :6], cycles["chamber_pressure"] / 1e5)
+
+
+def test_the_signals_of_one_shot_are_shown_where_it_swings(make_records: Records) -> None:
+    record = make_records(1)[0]
+    lead = np.tile(record.cycles[:1], 9000)  # on its way to the address
+    lead["phase"] = Phase.RETURN
+    lead["time"] = record.cycles["time"][0] - 1e-3 * np.arange(9000, 0, -1)
+    late = replace(record, cycles=np.concatenate([lead, record.cycles]))
+    swinging = np.isin(record.cycles["phase"], SWINGING)
+    at = 9.0 + record.cycles["time"][swinging] - record.cycles["time"][0]
+    span = swing_span(late)
+    assert span == pytest.approx((at[0] - 0.3, at[-1] + 0.3))
+    panel = layout_for([late]).blueprint.time_panel
+    assert panel is not None
+    assert panel.time_selection is not None
+    assert int(panel.time_selection.min.value) == round(1e9 * span.start)
+    assert int(panel.time_selection.max.value) > round(1e9 * span.end)  # with the flight
+    standing = replace(record, cycles=lead, flight=None)
+    assert swing_span(standing) == pytest.approx((0.0, 9.3), abs=2e-3)
+    assert swing_span(replace(record, cycles=lead[:0])) == (0.0, 1.0)
 
 
 def test_swings_follow_one_another_in_time(three: Recording, make_records: Records) -> None:
