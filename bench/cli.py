@@ -36,7 +36,7 @@ from bench.commands.swing import app as swing_app
 from bench.commands.tune import tune
 from bench.commands.view import view
 from bench.errors import BenchError, ExitCode
-from bench.interrupt import Terminated
+from bench.interrupt import Terminated, leave
 
 if TYPE_CHECKING:
     from typer.core import TyperGroup
@@ -240,19 +240,21 @@ def command_line() -> TyperGroup:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     session = Session()
+    code: int | str | None = ExitCode.OK
     try:
         command_line().main(args=arguments, prog_name="golfbench", obj=session)
+    except SystemExit as ended:
+        code = ended.code
     except KeyboardInterrupt:
-        sys.exit(ExitCode.INTERRUPTED)
+        code = ExitCode.INTERRUPTED
     except Terminated:
-        sys.exit(ExitCode.TERMINATED)
+        code = ExitCode.TERMINATED
     except Exception as error:
         if session.debug:
             traceback.print_exception(error)
         texts, code = explain(error)
         print(*texts, sep="\n", file=sys.stderr)
-        sys.exit(code)
-    sys.exit(ExitCode.OK)
+    leave(int(code or 0))
 
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:

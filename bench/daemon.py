@@ -27,7 +27,7 @@ from bench.interrupt import StopFlag, stop_on_signals
 from bench.lifecycle import Cause, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply
 from bench.network.command_plane import CommandPlane
-from bench.network.zenoh_session import close_daemon, open_daemon
+from bench.network.zenoh_session import close_session, open_daemon
 from bench.processes.child import Child
 from bench.processes.correction import CORRECTED_FILE
 from bench.processes.launch_monitor_plan import LaunchMonitorPlan
@@ -286,7 +286,7 @@ class Daemon:
         self._reopening_until = -np.inf
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
         session = open_daemon(c.network)
-        stack.callback(close_daemon, session)
+        stack.callback(close_session, session)
         self._plane = stack.enter_context(CommandPlane(session, c.bench.id, self))
         self._support = [
             ManagedProcess("recorder", folder / "recorder-heart", self._start_recorder, self._note_record),

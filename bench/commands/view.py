@@ -154,7 +154,7 @@ def _view_bench(
 
     import rerun as rr
 
-    from bench.network.zenoh_session import open_client
+    from bench.network.zenoh_session import close_session, open_client
     from bench.shot.recorded_shot import FlightConditions
     from bench.viewer.feed import Feed
     from bench.viewer.recording import live_layout
@@ -162,7 +162,7 @@ def _view_bench(
 
     c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
-    stack.callback(session.close)
+    stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id, time.time))

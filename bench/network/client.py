@@ -33,7 +33,7 @@ from bench.network.command import (
     parse_error,
 )
 from bench.network.lease import DEFAULT
-from bench.network.zenoh_session import NoAnswer, open_client
+from bench.network.zenoh_session import NoAnswer, close_session, open_client
 from bench.shot.shot_message import ShotMessage, read_shot_message
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class BenchClient:
 
     def close(self) -> None:
         """End the connection; a lease stays until it expires."""
-        self._session.close()
+        close_session(self._session)
 
     # Looking -------------------------------------------------------------------------------------
 

@@ -20,6 +20,7 @@ import zenoh
 
 from bench.config.identity_files import identity_files
 from bench.errors import BenchError, ExitCode
+from bench.interrupt import CLOSING_THREAD
 from bench.network.access_control import access_control
 
 if TYPE_CHECKING:
@@ -94,9 +95,13 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
         ) from None
 
 
-def close_daemon(session: zenoh.Session) -> None:
-    """Close the daemon's session; a peer that reads nothing does not hold it up for longer than a second."""
-    closing = Thread(target=_close, args=(session,), name="zenoh closing", daemon=True)
+def close_session(session: zenoh.Session) -> None:
+    """Close `session`; a peer that reads nothing does not hold it up for longer than a second.
+
+    A thread does the rest: Python's exit waits for it, `golfbench` does not (`bench.interrupt.leave`). As a
+    daemon thread it would abort the process at its end, out of zenoh.
+    """
+    closing = Thread(target=_close, args=(session,), name=CLOSING_THREAD)
     closing.start()
     closing.join(LONGEST_CLOSE)
 

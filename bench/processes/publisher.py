@@ -29,7 +29,7 @@ import zenoh
 from bench.config import NetworkSettings
 from bench.errors import BenchError, ExitCode
 from bench.network.messages import LOOP_VERSION
-from bench.network.zenoh_session import open_client
+from bench.network.zenoh_session import close_session, open_client
 from bench.processes.child_process import (
     Condition,
     HeartbeatSender,
@@ -127,7 +127,7 @@ class Publisher:
         """Undeclare everything, close the session and unmap the shared files."""
         for entity in (self._telemetry, self._loop):
             entity.undeclare()
-        self._session.close()
+        close_session(self._session)
         for shared in (self._heartbeat, self._ring, self._timing):
             shared.close()
 

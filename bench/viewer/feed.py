@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Self
 import zenoh
 
 from bench.errors import BenchError
-from bench.network.zenoh_session import open_client
+from bench.network.zenoh_session import close_session, open_client
 from bench.telemetry.batches import Batch, decode_batch
 
 TOPICS = ("telemetry", "state", "event", "shot", "loop")
@@ -142,7 +142,7 @@ class Feed:
         """End the subscription and the session."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
-        self._session.close()
+        close_session(self._session)
 
     def count_invalid(self, what: str) -> None:
         """Count a message with invalid content."""

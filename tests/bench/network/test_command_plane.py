@@ -28,7 +28,7 @@ from bench.network.command import (
 )
 from bench.network.command_plane import LONGEST_WAIT, QUEUE, CommandPlane
 from bench.network.lease import new_key
-from bench.network.zenoh_session import close_daemon, open_client, open_daemon
+from bench.network.zenoh_session import close_session, open_client, open_daemon
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
@@ -355,7 +355,7 @@ def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
                 assert Asker(session).ask("stop").accepted
             began = time.monotonic()
             assert running.plane.close()
-            close_daemon(running.session)
+            close_session(running.session)
             assert time.monotonic() - began < 2.0
         finally:
             client.kill()

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import ipaddress
+import signal
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -149,3 +154,68 @@ def test_roles_are_of_names(name: str, tmp_path: Path) -> None:
     assert isinstance(fault, BenchError)
     assert fault.place.endswith("network.operators")
     assert fault.found == f'"{name}"'
+
+
+_DAEMON = """
+import sys, time
+from bench.config import NetworkSettings
+from bench.network.zenoh_session import open_daemon
+session = open_daemon(NetworkSettings(sys.argv[1]))
+subscriber = session.declare_subscriber("golfbench/**", id)
+print("listens", flush=True)
+time.sleep(600.0)
+"""
+_CLIENT = """
+import sys, time
+from bench.config import NetworkSettings
+from bench.interrupt import leave
+from bench.network.client import BenchClient
+from bench.network.zenoh_session import open_client
+from bench.viewer.feed import Feed
+network = NetworkSettings(sys.argv[1])
+session = open_client(network, "bench1")
+client = sys.argv[2] == "client"
+made = BenchClient(session, "bench1", network, 1.0) if client else Feed(session, "bench1", id)
+print("open", flush=True)
+sys.stdin.readline()  # now the bench stands still
+end = time.monotonic() + 0.5
+while time.monotonic() < end:
+    session.put("golfbench/bench1/telemetry", bytes(60_000))
+began = time.monotonic()
+made.close()
+print(time.monotonic() - began)
+leave(3) if sys.argv[3] == "golfbench" else sys.exit(3)
+"""
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("kind", ["client", "feed"])
+@pytest.mark.parametrize("program", ["golfbench", "python"])
+def test_a_client_closes_in_time_and_exits_with_its_code_although_the_bench_stands_still(
+    kind: str, program: str
+) -> None:
+    endpoint = loopback_configuration().network.endpoint
+    with (
+        _started(_DAEMON, endpoint) as daemon,
+        _started(_CLIENT, endpoint, kind, program) as client,
+    ):
+        daemon.send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        said, _ = client.communicate("go\n", timeout=60.0)
+        took = time.monotonic() - began
+    assert client.returncode == 3  # not aborted out of zenoh
+    assert float(said) < 2.0
+    assert took < 5.0 or program == "python"
+
+
+@contextmanager
+def _started(text: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run `text` with Python for the block, from its first line on."""
+    command = [sys.executable, "-c", text, *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            yield process
+        finally:
+            process.kill()
