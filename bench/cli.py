@@ -20,6 +20,7 @@ from bench.commands.certificates import certificates
 from bench.commands.cluster import cluster
 from bench.commands.commission import commission
 from bench.commands.compare import compare
+from bench.commands.draw import draw
 from bench.commands.export import export
 from bench.commands.faults import app as faults_app
 from bench.commands.identify import identify
@@ -72,6 +73,7 @@ app.command()(tune)
 app.command()(view)
 app.command()(page)
 app.command()(export)
+app.command()(draw)
 app.command()(schema)
 app.command()(certificates)
 app.command()(cluster)

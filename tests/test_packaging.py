@@ -114,7 +114,7 @@ def test_every_imported_package_is_a_declared_dependency_and_extras_are_not_impo
 
     def undeclared(imported: set[str], lines: list[str]) -> set[str]:
         declared = {canonicalize_name(Requirement(line).name) for line in lines}
-        return {n for n in imported if declared.isdisjoint(canonicalize_name(owner) for owner in owners[n])}
+        return {n for n in imported if declared.isdisjoint(map(canonicalize_name, owners.get(n, [n])))}
 
     everywhere = set().union(*(_imports(ast.walk(tree)) for tree in trees))
     at_once = set().union(*(_imports(tree.body) for tree in trees))

@@ -1,0 +1,108 @@
+"""The robot at address as STEP, for a workshop: exact solids, one labelled assembly a body, millimetres.
+
+The only module that needs build123d (extra `cad`). Z up, X along the target line, as in the URDF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.drawing.drawing import PlacedBody
+from bench.drawing.mesh import Mesh
+from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
+from bench.drawing.urdf import Y_UP_TO_Z_UP
+from bench.errors import BenchError
+from bench.telemetry.whole_file import whole_path
+
+_MM = 1000.0
+
+
+def load_build123d() -> Any:
+    """Return the package.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    try:
+        import build123d
+    except ImportError as error:
+        raise BenchError(
+            "draw --format step",
+            f"no package build123d ({error})",
+            "the extra that makes exact solids",
+            'pip install "golfbench[cad]"; glTF and URDF need nothing more',
+        ) from error
+    return build123d
+
+
+def _location(b: Any, turn: Any, at: Any) -> Any:
+    """Return the place of a rotation matrix and a point (mm)."""
+    rotation = np.array(turn)
+    x, z = (tuple(map(float, rotation[:, axis])) for axis in (0, 2))
+    return b.Plane(origin=tuple(map(float, at)), x_dir=x, z_dir=z).location
+
+
+def solid_shape(b: Any, solid: Solid) -> Any:
+    """Return `solid` as a shape of build123d, `b`, in mm."""
+    match solid:
+        case Bar():
+            shape = b.Solid.make_box(*(_MM * size for size in solid.size))
+            shape = shape.moved(b.Location(tuple(-_MM * size / 2 for size in solid.size)))
+            height = _MM * solid.size[2]
+            for bore in solid.bores:
+                drill = b.Solid.make_cylinder(_MM * bore.radius, 2 * height)
+                shape = shape.cut(drill.moved(b.Location((_MM * bore.x, _MM * bore.y, -height))))
+            return shape.moved(_location(b, solid.turn, _MM * np.array(solid.centre)))
+        case Tube():
+            way = tuple(map(float, np.array(solid.end) - np.array(solid.start)))
+            shape = b.Solid.make_cylinder(_MM * solid.outer, _MM * solid.length)
+            if solid.inner > 0:
+                shape = shape.cut(b.Solid.make_cylinder(_MM * solid.inner, _MM * solid.length))
+            return shape.moved(b.Plane(origin=tuple(_MM * v for v in solid.start), z_dir=way).location)
+        case Ellipsoid(cut=None) if len(set(solid.half)) == 1:
+            ball = b.Solid.make_sphere(_MM * solid.half[0], angle1=-90, angle2=90, angle3=360)
+            return ball.moved(b.Location(tuple(_MM * value for value in solid.centre)))
+        case Ellipsoid():
+            return _faceted(b, solid.mesh)
+
+
+def _faceted(b: Any, mesh: Mesh) -> Any:
+    """Return a mesh as a solid of flat triangles: stretched balls give surfaces that readers misjudge."""
+    corners = _MM * mesh.vertices[mesh.triangles]
+    faces = [b.Face(b.Wire.make_polygon([tuple(map(float, c)) for c in triangle])) for triangle in corners]
+    return b.Solid(b.Shell(faces))
+
+
+def _one(shape: Any) -> Any:
+    """Return the only solid of what a cut left."""
+    solids = shape.solids()
+    if len(solids) != 1:
+        raise ValueError(f"{len(solids)} solids, expected one")
+    return solids[0]
+
+
+def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
+    """Return the bodies as a labelled, coloured assembly of build123d, `b`."""
+    assemblies = []
+    for one in bodies:
+        place = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
+        children = []
+        for part in one.body.parts:
+            shape = _one(solid_shape(b, part.solid)).moved(place)
+            shape.label = part.name
+            shape.color = b.Color(*(value / 255 for value in part.material.colour))
+            children.append(shape)
+        assemblies.append(b.Compound(label=one.body.name, children=children))
+    return b.Compound(label="golfbench", children=assemblies)
+
+
+def write_step(path: Path, bodies: Sequence[PlacedBody]) -> None:
+    """Write the bodies to `path`. Raises NotStored, BenchError without build123d."""
+    b = load_build123d()
+    assembly = step_assembly(b, bodies)
+    with whole_path(path) as partial:
+        b.export_step(assembly, str(partial))

@@ -1,0 +1,227 @@
+"""The robot as URDF: inertias of the dynamics, drawn meshes, outlines of the clearance checks.
+
+URDF is a tree, the robot has a loop: the right arm's cylinder hangs from its rod, and the two links
+`right_shoulder` (on the shoulder link) and `right_shoulder_of_cylinder` are to coincide. A simulator closes
+the loop with a point constraint between them; `closure.json` beside the file names it.
+
+Root: `ground`, Z up, X along the target line, the origin below the point of impact. Joint values are those of
+the bench: shoulder, arm, wrist; rod and cylinder follow from them.
+"""
+
+from __future__ import annotations
+
+import json
+from math import pi
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
+
+import numpy as np
+
+from bench.drawing.bodies import DrawnBody
+from bench.drawing.collision import CollisionOutline
+from bench.drawing.drawing import draw
+from bench.drawing.gltf import by_colour
+from bench.drawing.mesh import joined_meshes
+from bench.drawing.placement import Array, plane_to_golf
+from bench.drawing.stl import write_stl
+from bench.telemetry.whole_file import whole_file
+from sim.plant import PlantParameters
+from sim.pneumatics import Actuator
+
+MESHES = "meshes"
+"""Folder of the meshes beside the URDF."""
+CLOSURE = ("right_shoulder", "right_shoulder_of_cylinder")
+"""Links that the loop holds together."""
+EFFORT, SPEED = 2000.0, 100.0
+"""Limits that URDF demands: N m or N, rad/s or m/s; above all that the actuators can do."""
+_SLACK = 0.35
+"""Room beyond the working range (rad), for cushions and simulators that dislike a limit."""
+Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Rotation from the golf frame to that of URDF and STEP."""
+
+
+class Hinge(NamedTuple):
+    """A joint of the tree: kind, parent, child, its origin along the parent's x (m) and its limits."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    x: float
+    lower: float
+    upper: float
+
+
+def joints(plant: PlantParameters) -> list[Hinge]:
+    """Return the five joints; the first three are the bench's."""
+    robot, low = plant.robot, plant.robot.l56 + plant.right_arm.lower
+    high = plant.robot.l56 + plant.right_arm.upper
+
+    def turning(name: str, parent: str, child: str, x: float, actuator: Actuator) -> Hinge:
+        return Hinge(name, "revolute", parent, child, x, actuator.lower - _SLACK, actuator.upper + _SLACK)
+
+    return [
+        turning("shoulder", "swing_plane", "shoulder_link", 0.0, plant.shoulder),
+        Hinge("arm", "revolute", "shoulder_link", "left_arm", robot.l12, pi, 2 * pi),
+        turning("wrist", "left_arm", "club", robot.l23, plant.wrist),
+        Hinge("rod", "revolute", "left_arm", "right_arm_rod", robot.l23, 0.0, 2 * pi),
+        Hinge("cylinder", "prismatic", "right_arm_rod", "right_arm_cylinder", 0.0, low / 2, 2 * high),
+    ]
+
+
+def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) -> list[Path]:
+    """Write `golfbench.urdf`, its meshes and `closure.json` into `folder`; return the files.
+
+    Raises NotStored if one cannot be written.
+    """
+    (folder / MESHES).mkdir(parents=True, exist_ok=True)
+    drawing = draw(plant)
+    robot = Element("robot", name="golfbench")
+    _for_mujoco(robot, plant)
+    files: list[Path] = []
+    _link(robot, "ground")
+    for body in drawing.fixed:
+        files += _visuals(_link(robot, body.name), folder, body)
+        _fixed(robot, "ground", body.name, rotation=Y_UP_TO_Z_UP)
+    axes, origin = plane_to_golf(plant.robot, plant.site)
+    plane = _link(robot, "swing_plane")
+    _cylinder(SubElement(plane, "collision"), outline.frame_radius, outline.frame_length)
+    _fixed(robot, "ground", "swing_plane", Y_UP_TO_Z_UP @ origin, Y_UP_TO_Z_UP @ axes)
+    for body in drawing.fixed_in_plane:
+        files += _visuals(_link(robot, body.name), folder, body)
+        _fixed(robot, "swing_plane", body.name)
+    for body in drawing.moving:
+        if body.assumed is not None:  # the wrist's piston rod has no joint that URDF could express
+            link = _link(robot, body.name)
+            _inertial(link, body)
+            files += _visuals(link, folder, body)
+            if body.name == "club":
+                _club_outline(link, outline)
+    for hinge in joints(plant):
+        _joint(robot, hinge)
+    for frame, parent, x in (
+        (CLOSURE[0], "shoulder_link", -plant.robot.l16),
+        (CLOSURE[1], "right_arm_cylinder", 0.0),
+    ):
+        _link(robot, frame)
+        _fixed(robot, parent, frame, np.array([x, 0.0, 0.0]))
+    files += [_write_xml(folder, robot), _write_closure(folder, plant)]
+    return files
+
+
+def _for_mujoco(robot: Element, plant: PlantParameters) -> None:
+    """Say to MuJoCo what URDF has no words for: gravity, and that meshes are beside the file."""
+    extension = SubElement(robot, "mujoco")
+    SubElement(extension, "compiler", meshdir=MESHES, fusestatic="false", balanceinertia="false")
+    SubElement(extension, "option", gravity=f"0 0 {-plant.robot.gravity!r}")
+
+
+def _link(robot: Element, name: str) -> Element:
+    return SubElement(robot, "link", name=name)
+
+
+def _inertial(link: Element, body: DrawnBody) -> None:
+    """Add mass, centre of mass and inertia of the dynamics.
+
+    They have one moment of inertia, about z. The other two do not matter in a plane: they are the drawn
+    body's, scaled alike, so that the tensor is a possible one.
+    """
+    assumed = body.assumed
+    if assumed is None:
+        return
+    drawn = np.diag(body.weighed.inertia)
+    xx, yy, zz = (float(value) * assumed.inertia / float(drawn[2]) for value in drawn)
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", xyz=f"{assumed.centre_of_mass!r} 0 0", rpy="0 0 0")
+    SubElement(inertial, "mass", value=repr(float(assumed.mass)))
+    tensor = {"ixx": xx, "iyy": max(yy, zz - xx), "izz": float(assumed.inertia)}
+    tensor |= dict.fromkeys(("ixy", "ixz", "iyz"), 0.0)
+    SubElement(inertial, "inertia", {key: repr(value) for key, value in tensor.items()})
+
+
+def _visuals(link: Element, folder: Path, body: DrawnBody) -> list[Path]:
+    """Add one mesh for each material of a body; write it."""
+    files = []
+    for colour, parts in by_colour(body).items():
+        name = parts[0].material.name.replace(" ", "_")
+        path = folder / MESHES / f"{body.name}_{name}.stl"
+        write_stl(path, joined_meshes([part.solid.mesh for part in parts]))
+        files.append(path)
+        visual = SubElement(link, "visual")
+        SubElement(SubElement(visual, "geometry"), "mesh", filename=f"{MESHES}/{path.name}")
+        rgba = " ".join(f"{value / 255:.4f}" for value in colour)
+        SubElement(SubElement(visual, "material", name=f"{body.name}_{name}"), "color", rgba=f"{rgba} 1")
+    return files
+
+
+def _cylinder(
+    collision: Element, radius: float, length: float, xyz: str = "0 0 0", rpy: str = "0 0 0"
+) -> None:
+    SubElement(collision, "origin", xyz=xyz, rpy=rpy)
+    SubElement(SubElement(collision, "geometry"), "cylinder", radius=repr(radius), length=repr(length))
+
+
+def _club_outline(link: Element, outline: CollisionOutline) -> None:
+    """Add the club of the clearance checks: its line, and the ball whose lowest point is the sole."""
+    length = outline.club_length
+    collision = SubElement(link, "collision")
+    _cylinder(collision, outline.club_radius, length, f"{length / 2!r} 0 0", f"0 {pi / 2!r} 0")
+    sole = SubElement(link, "collision")
+    SubElement(sole, "origin", xyz=f"{length!r} 0 0", rpy="0 0 0")
+    SubElement(SubElement(sole, "geometry"), "sphere", radius=repr(outline.sole_radius))
+
+
+def _angles(rotation: Array) -> str:
+    """Return roll, pitch, yaw (rad) of a rotation matrix."""
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    return " ".join(repr(float(angle)) for angle in (roll, pitch, yaw))
+
+
+def _fixed(
+    robot: Element, parent: str, child: str, at: Array | None = None, rotation: Array | None = None
+) -> None:
+    """Add a joint that does not move."""
+    joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
+    xyz = " ".join(repr(float(value)) for value in (np.zeros(3) if at is None else at))
+    SubElement(joint, "origin", xyz=xyz, rpy=_angles(np.eye(3) if rotation is None else rotation))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+
+
+def _joint(robot: Element, hinge: Hinge) -> None:
+    joint = SubElement(robot, "joint", name=hinge.name, type=hinge.kind)
+    # The cylinder looks from R6 back to R3, against its way.
+    back = hinge.kind == "prismatic"
+    SubElement(joint, "origin", xyz=f"{hinge.x!r} 0 0", rpy=f"0 0 {pi!r}" if back else "0 0 0")
+    SubElement(joint, "parent", link=hinge.parent)
+    SubElement(joint, "child", link=hinge.child)
+    SubElement(joint, "axis", xyz="-1 0 0" if back else "0 0 1")
+    limits = {"lower": hinge.lower, "upper": hinge.upper, "effort": EFFORT, "velocity": SPEED}
+    SubElement(joint, "limit", {key: repr(float(value)) for key, value in limits.items()})
+
+
+def _write_xml(folder: Path, robot: Element) -> Path:
+    path = folder / "golfbench.urdf"
+    indent(robot)
+    with whole_file(path) as stream:
+        ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
+    return path
+
+
+def _write_closure(folder: Path, plant: PlantParameters) -> Path:
+    """Write down the loop, which URDF cannot hold, and what the joints' efforts mean."""
+    path = folder / "closure.json"
+    text = {
+        "kind": "point",
+        "links": CLOSURE,
+        "bodies": ["shoulder_link", "right_arm_cylinder"],
+        "points_m": [[-plant.robot.l16, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        "gravity_m_per_s2": [0.0, 0.0, -plant.robot.gravity],
+        "efforts": {"shoulder": "N m", "wrist": "N m", "cylinder": "N, positive lengthens the right arm"},
+    }
+    with whole_file(path) as stream:
+        stream.write(json.dumps(text, indent=2).encode() + b"\n")
+    return path

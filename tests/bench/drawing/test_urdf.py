@@ -1,0 +1,188 @@
+"""The URDF is the bench's robot: independent simulators read it and accelerate as `sim.kane` says."""
+
+from __future__ import annotations
+
+import json
+from math import pi, sin
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from bench.drawing.collision import clearances, collision_outline
+from bench.drawing.placement import address, plane_to_golf
+from bench.drawing.urdf import CLOSURE, joints, write_urdf
+from sim.kane import forward_dynamics
+from sim.kinematics import forward_kinematics, joint_positions
+from sim.plant import PlantParameters
+from sim.robot import Body, Club
+from tests.benchmarks.right_arm import with_right_arm
+
+FRAME_RADIUS = 0.1
+STATES = 100
+NAMES = ("shoulder", "arm", "wrist", "rod", "cylinder")
+Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(scope="module")
+def folder(plant: PlantParameters, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("urdf")
+    files = write_urdf(path, plant, collision_outline(plant, FRAME_RADIUS))
+    assert all(file.is_file() for file in files)
+    return path
+
+
+def states(plant: PlantParameters) -> list[tuple[Array, Array, Array]]:
+    """Random states of the robot and efforts, far beyond those of a swing."""
+    random = np.random.default_rng(11)
+    low = (plant.shoulder.lower, pi + 0.2, plant.wrist.lower)
+    high = (plant.shoulder.upper, 1.6 * pi, plant.wrist.upper)
+    return [
+        (
+            random.uniform(low, high),
+            random.uniform(-15.0, 15.0, 3),
+            random.uniform(-1.0, 1.0, 3) * (300.0, 1000.0, 100.0),
+        )
+        for _ in range(STATES)
+    ]
+
+
+def generalised(effort: Array) -> Array:
+    """Effort of the five joints: the right arm's force moves the cylinder along the rod."""
+    return np.array([effort[0], 0.0, effort[2], 0.0, effort[1]])
+
+
+def relative(found: Array, expected: Array) -> float:
+    return float(np.abs(found - expected).max() / np.abs(expected).max())
+
+
+# The file --------------------------------------------------------------------------------------------
+
+
+def test_links_are_the_bodies_of_the_dynamics(plant: PlantParameters, folder: Path) -> None:
+    robot, root = plant.robot, ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
+    bodies: dict[str | None, Body | Club] = {
+        "shoulder_link": robot.shoulder_link,
+        "left_arm": robot.left_arm,
+        "club": robot.club,
+        "right_arm_rod": robot.rod,
+        "right_arm_cylinder": robot.cylinder,
+    }
+    heavy = {link.get("name"): link for link in root.iter("link") if link.find("inertial") is not None}
+    assert heavy.keys() == bodies.keys()
+    for name, body in bodies.items():
+        inertial = heavy[name].find("inertial")
+        assert inertial is not None
+        mass, inertia, origin = (inertial.find(key) for key in ("mass", "inertia", "origin"))
+        assert mass is not None
+        assert inertia is not None
+        assert origin is not None
+        assert float(mass.get("value", "")) == body.mass
+        assert float(inertia.get("izz", "")) == body.inertia
+        assert float(origin.get("xyz", "").split()[0]) == body.centre_of_mass
+        moments = sorted(float(inertia.get(key, "")) for key in ("ixx", "iyy", "izz"))
+        assert moments[0] > 0
+        assert moments[0] + moments[1] >= moments[2] * (1 - 1e-12)
+
+
+def test_the_whole_working_range_lies_within_the_joints_limits(plant: PlantParameters) -> None:
+    limits = {hinge.name: (hinge.lower, hinge.upper) for hinge in joints(plant)}
+    for name, actuator in (("shoulder", plant.shoulder), ("wrist", plant.wrist)):
+        assert limits[name][0] < actuator.lower < actuator.upper < limits[name][1]
+    for q, _, _ in states(plant):
+        values, _ = with_right_arm(plant.robot, q, np.zeros(3))
+        values[3] %= 2 * pi
+        for name, value in zip(NAMES, values, strict=True):
+            assert limits[name][0] <= value <= limits[name][1], name
+
+
+def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantParameters) -> None:
+    outline = collision_outline(plant, FRAME_RADIUS)
+    q = np.array([state[0] for state in states(plant)])
+    height, distance = clearances(plant, outline, q)
+    # As bench/design/validate.py and bench/control/envelope.py compute them.
+    face = forward_kinematics(plant.robot, q)
+    assert height == pytest.approx(face[:, 1] - plant.site.sole_depth - plant.site.ground, abs=1e-12)
+    points = joint_positions(plant.robot, q)
+    share = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    line = np.linalg.norm(points[:, 2] + share * (points[:, 4] - points[:, 2]), axis=2)
+    assert distance == pytest.approx(line.min(axis=0), abs=1e-6)
+
+
+# Readers ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the reader's own calls
+def test_another_reader_shows_the_drawn_robot(plant: PlantParameters, folder: Path) -> None:
+    yourdfpy = pytest.importorskip("yourdfpy", reason="needs yourdfpy (pip install '.[benchmark]')")
+    file, meshes = str(folder / "golfbench.urdf"), str(folder)
+    read = yourdfpy.URDF.load(file, mesh_dir=meshes, build_collision_scene_graph=True)
+    assert read.validate()
+    q = address(plant)
+    values, _ = with_right_arm(plant.robot, q, np.zeros(3))
+    read.update_cfg(dict(zip(NAMES, values, strict=True)))
+    first, second = (read.get_transform(name, "ground") for name in CLOSURE)
+    assert first[:3, 3] == pytest.approx(second[:3, 3], abs=1e-9)
+    # The face meets the ball: in the golf frame above the origin, here with Z up.
+    face = read.get_transform("club", "ground") @ [plant.robot.club.length_to_face, 0.0, 0.0, 1.0]
+    height = (plant.site.ball_y - plant.site.ground) * sin(plant.robot.lie)
+    assert face[:3] == pytest.approx((0.0, 0.0, height), abs=1e-9)
+    axes, _ = plane_to_golf(plant.robot, plant.site)
+    normal = read.get_transform("club", "ground")[:3, 2]
+    assert normal == pytest.approx((axes[0, 2], -axes[2, 2], axes[1, 2]), abs=1e-9)
+    assert sum(mesh.volume > 0 for mesh in read.scene.geometry.values()) == len(read.scene.geometry)
+
+
+def test_pinocchio_has_our_accelerations(plant: PlantParameters, folder: Path) -> None:
+    pin = pytest.importorskip("pinocchio", reason="needs pin (pip install '.[benchmark]')")
+    model = pin.buildModelFromUrdf(str(folder / "golfbench.urdf"))
+    closure = json.loads((folder / "closure.json").read_text())
+    model.gravity.linear = np.array(closure["gravity_m_per_s2"])
+    one, other = (model.frames[model.getFrameId(name)] for name in closure["links"])
+    ends = (one.parentJoint, one.placement, other.parentJoint, other.placement)
+    loop = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *ends, pin.ReferenceFrame.LOCAL)
+    loops, memory = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    loops.append(loop)
+    memory.append(loops[0].createData())
+    data = model.createData()
+    pin.initConstraintDynamics(model, data, loops, memory)
+    solver = pin.ProximalSettings(1e-12, 1e-12, 10)
+    order = [model.joints[model.getJointId(name)].idx_v for name in NAMES]
+    worst = 0.0
+    for q, u, effort in states(plant):
+        position, velocity, force = np.zeros(5), np.zeros(5), np.zeros(5)
+        position[order], velocity[order] = with_right_arm(plant.robot, q, u)
+        force[order] = generalised(effort)
+        found = pin.constraintDynamics(model, data, position, velocity, force, loops, memory, solver)
+        worst = max(worst, relative(found[order][:3], forward_dynamics(plant.robot, q, u, effort)))
+    assert worst < 1e-9
+
+
+def test_mujoco_has_our_accelerations(plant: PlantParameters, folder: Path) -> None:
+    """MuJoCo's constraints are soft by 1e-4: here a millionth of that, by the weights it takes them with."""
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco (pip install '.[benchmark]')")
+    spec = mujoco.MjSpec.from_file(str(folder / "golfbench.urdf"))
+    for name in CLOSURE:
+        spec.body(name).add_site(name=name)
+    loop = spec.add_equality()
+    loop.type, loop.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_SITE
+    loop.name1, loop.name2 = CLOSURE
+    loop.solimp[:3] = 0.9999, 0.9999, 0.001
+    model = spec.compile()
+    assert model.opt.gravity == pytest.approx((0.0, 0.0, -plant.robot.gravity))
+    off = mujoco.mjtDisableBit
+    model.opt.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
+    model.opt.iterations, model.opt.tolerance = 200, 0.0
+    model.eq_solref[0] = 2 * model.opt.timestep, 1.0
+    model.body_invweight0[:] *= 1e-6
+    data = mujoco.MjData(model)
+    order = [model.joint(name).dofadr[0] for name in NAMES]
+    worst = 0.0
+    for q, u, effort in states(plant):
+        data.qpos[order], data.qvel[order] = with_right_arm(plant.robot, q, u)
+        data.qfrc_applied[order] = generalised(effort)
+        mujoco.mj_forward(model, data)
+        worst = max(worst, relative(data.qacc[order][:3], forward_dynamics(plant.robot, q, u, effort)))
+    assert worst < 1e-6
