@@ -107,7 +107,7 @@ def log_shots(
     progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Log the scene, then `records` one after another; `progress` is called after each."""
-    log_static_scene(recording, plant.robot, plant.site, plant.ball.radius)
+    log_static_scene(recording, plant)
     log_styles(recording)
     series, start = ShotSeries(), 0.0
     for record in records:

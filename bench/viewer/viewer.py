@@ -139,7 +139,7 @@ class LiveView:
         self._flying: MovingBall | None = None
         self._heard = -np.inf
         self._shown = self._counted = self._limited = -np.inf
-        log_static_scene(recording, plant.robot, plant.site, plant.ball.radius)
+        log_static_scene(recording, plant)
         log_styles(recording)
 
     def turn(self, timeout: float) -> int:

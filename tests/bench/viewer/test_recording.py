@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.drawing.drawing import draw
 from bench.drawing.placement import ball_at_rest, body_poses, plane_to_golf
 from bench.lifecycle import Phase
 from bench.shot.shot_record import ShotRecord
@@ -201,3 +202,22 @@ def test_only_the_record_counts_not_when_it_began(
     write_recording(tmp_path / "x.rrd", [replace(record, cycles=later)], plant)
     time, _ = Recording(tmp_path / "x.rrd").read("/range/ball", "Points3D:positions")
     assert time[0] == pytest.approx(1.186, abs=2e-3)
+
+
+def test_the_robot_is_drawn_once_and_then_only_moved(three: Recording, plant: PlantParameters) -> None:
+    drawing = draw(plant)
+    moving = {f"/scene/robot/{body.name}/drawn" for body in (*drawing.moving, *drawing.fixed_in_plane)}
+    fixed = {f"/scene/{body.name}" for body in drawing.fixed}
+    assert moving | fixed <= three.static
+    for body in drawing.moving:
+        time, _ = three.read(f"/scene/robot/{body.name}", "Transform3D:translation")
+        assert len(time) > 100
+
+
+def test_another_robot_is_another_mesh(plant: PlantParameters) -> None:
+    longer = replace(plant, robot=replace(plant.robot, l23=0.70))
+    length = [
+        next(body for body in draw(one).moving if body.name == "left_arm").parts[0].solid
+        for one in (plant, longer)
+    ]
+    assert length[0] != length[1]

@@ -74,7 +74,7 @@ def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path:
     with RerunWindow("web", "10MB") as window:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.GrpcSink(window.url), default_blueprint=live_blueprint())
-        log_static_scene(stream, plant.robot, plant.site, plant.ball.radius)
+        log_static_scene(stream, plant)
         log_styles(stream)
         random = np.random.default_rng(1)
         for part in range(60):
@@ -94,7 +94,7 @@ def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path:
             late.terminate()
             late.wait()
             stream.disconnect()
-    assert {"/scene/robot/club/head", "/scene/ball", "/range/grass", "/signals/phase"} <= recording.static
+    assert {"/scene/robot/club/drawn", "/scene/ball", "/range/grass", "/signals/phase"} <= recording.static
     at, _ = recording.read("/signals/valve/applied", "Scalars:scalars")
     assert len(at) < 60 * rows  # 10 MB do not hold them all
 
