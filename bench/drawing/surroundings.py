@@ -91,15 +91,12 @@ def guard(plant: PlantParameters) -> DrawnBody:
     back, front = float(origin[2]) - reach * cos(robot.lie), _FRONT
     top = float(origin[1]) + reach * sin(robot.lie)
     posts = [Bar((_POST, top, _POST), (x, top / 2, z)) for x in (left, right) for z in (back, front)]
-    rails = [
-        rail
-        for height in (_POST / 2, top / 2, top - _POST / 2)
-        for rail in (
-            Bar((right - left, _POST, _POST), ((left + right) / 2, height, back)),
-            Bar((right - left, _POST, _POST), ((left + right) / 2, height, front)),
-            Bar((_POST, _POST, front - back), (left, height, (back + front) / 2)),
-        )
-    ]
+    low, middle, high = _POST / 2, top / 2, top - _POST / 2
+    wide, deep = (right - left, _POST, _POST), (_POST, _POST, front - back)
+    # The front is the door: no rail across.
+    rails = [Bar(wide, ((left + right) / 2, height, back)) for height in (low, middle, high)]
+    rails += [Bar(wide, ((left + right) / 2, height, front)) for height in (low, high)]
+    rails += [Bar(deep, (left, height, (back + front) / 2)) for height in (low, middle, high)]
     return DrawnBody(
         "guard",
         (
