@@ -95,8 +95,8 @@ class Shaft:
 class Site:
     """Positions of ground and ball in the swing plane (m)."""
 
-    ground: Annotated[float, Range(-3.0, 0.0, "m")] = -1.62
-    """Height y0 of the ground line, m."""
+    ground: Annotated[float, Range(-3.0, 0.0, "m")] = -1.634
+    """Height y0 of the ground line, m: the driver's ball on a tee of 38 mm (1.5 in), in a plane at 53 deg."""
     sole_depth: Annotated[float, Range(0.0, 0.2, "m")] = 0.03
     """Depth of the sole below the face centre, m."""
     ball_x: Annotated[float, Range(-1.5, 1.5, "m")] = 0.25

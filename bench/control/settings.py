@@ -79,7 +79,7 @@ class PidSettings:
 class ControlSettings:
     """What is added to the PIDs, the BRAKE law and the times of moves and stops."""
 
-    gains: GainSource = "hand"
+    gains: GainSource = "machine"
     """Gains of PIDs, damping and slow moves: "machine", by pose from the robot's linearised loops
     (`bench.control.machine_gains`); "hand", those of `pid`, `damping` and `move_gain`."""
     pid: PidSettings = field(default_factory=PidSettings)
@@ -90,13 +90,13 @@ class ControlSettings:
     """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error, set by hand; 0 switches it off."""
-    downswing_damping: Share = 1.0
+    downswing_damping: Share = 0.0
     """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
     the club's speed, a little differently in every swing."""
-    downswing_stiffness: Positive = 1.0
+    downswing_stiffness: Positive = 2.5
     """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
     grow with them has grown."""
-    dither: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)
+    dither: tuple[Share, Share, Share] = (0.2, 0.2, 0.2)
     """Opening to either side of what is wanted, in backswing and top. It carries spools through their dead
     band and joints through dry friction, so that every swing begins its downswing in the same pose with the
     same air."""
@@ -122,7 +122,7 @@ class ControlSettings:
     """Spools centred after a blind brake before the air is let out, s."""
     precharge_time: Positive = 2.0
     """Supply soft start and charging of the chambers before the first move, s."""
-    precharge_opening: Annotated[float, Gt(0), Le(1)] = 0.25
+    precharge_opening: Annotated[float, Gt(0), Le(1)] = 0.12
     """Opening to either side of the centre while charging."""
     precharge_period: Positive = 0.02
     """Time between two changes of side while charging, s."""

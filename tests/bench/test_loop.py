@@ -37,6 +37,7 @@ PERIOD = 1e-3
 PLANT = PlantParameters()
 UNMODELLED = EnvelopeSettings(model=ModelSettings(check="off"))
 WEIGHTLESS = ControlSettings(
+    gains="hand",
     pid=PidSettings((1.0,) * 3, (0.0,) * 3, (0.0,) * 3),
     damping=(0.0,) * 3,
     brake_gain=(0.02,) * 3,

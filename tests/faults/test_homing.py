@@ -20,4 +20,4 @@ def test_a_valve_stuck_open_in_the_search_loses_its_air(
     fault = Fault(f"{joint} valve stuck", f"{joint} valve", "stuck", value)
     outcome = workbench.run(Breakage(fault), Instant("homing", tick, f"{tick} ms"))
     assert (outcome.verdict, outcome.reaction) == ("safe", "PASSIVE")
-    assert outcome.reaction_ticks < 50
+    assert outcome.reaction_ticks < 60  # chambers are filled gently, so little air drives the joint

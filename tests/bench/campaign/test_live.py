@@ -36,7 +36,6 @@ from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import database_url, load_configuration
-from bench.control.planned_air import with_planned_air
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
 from bench.lifecycle import REFUSAL_TEXT, Phase, Refusal, State
@@ -55,7 +54,6 @@ from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
-from sim.plant import PlantParameters
 from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
@@ -257,9 +255,9 @@ def plan() -> CampaignPlan:
     return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
 
 
-def with_air(profiles: Profiles) -> Profiles:
-    """Return `profiles` with planned air at their addresses."""
-    return {arm: with_planned_air(profile, PlantParameters()) for arm, profile in profiles.items()}
+def with_free_air(profiles: Profiles) -> Profiles:
+    """Return `profiles` without planned air at their addresses."""
+    return {arm: replace(profile, air=(), air_supply=0.0) for arm, profile in profiles.items()}
 
 
 def shots_of(
@@ -270,13 +268,13 @@ def shots_of(
     interrupted: Any = never,
     monitored: bool = False,
     air: Air | None = None,
-    planned: bool = False,
+    planned: bool = True,
 ) -> LiveShots:
-    """Return shots of `bench`; if `planned`, its profiles plan the air at the address."""
+    """Return shots of `bench`; if not `planned`, its profiles leave the air at the address as it comes."""
     configuration = load_configuration(Path("shipped"))
     profiles = require_swings(plan, configuration)
-    if planned:
-        profiles = with_air(profiles)
+    if not planned:
+        profiles = with_free_air(profiles)
     return LiveShots(
         plan,
         AsDesigned(profiles),
@@ -343,15 +341,15 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
         require_live(plan, profiles, configuration.clubs, given | status)
 
     require()
+    require(series=False)
     with pytest.raises(Refused, match=r"profile thesis"):
         require(profile="thesis")
     with pytest.raises(Refused, match=r"club thesis"):
         require(club="thesis")
+    profiles = with_free_air(profiles)
     with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
         require(series=False)
     require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
-    profiles = with_air(profiles)
-    require(series=False)
     with pytest.raises(Refused, match=r"held by Ann"):
         require(lease={"holder": "Ann", "seconds_left": 12.0})
     require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died

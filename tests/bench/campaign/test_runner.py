@@ -88,7 +88,7 @@ class Scripted:
         arm, trial = step.trial.arm, step.trial
         values: dict[str, Any] = {
             "club_speed_mps": 42.9,
-            "attack_angle_deg": 0.5,
+            "attack_angle_deg": 2.0,
             "dynamic_loft_deg": 11.1,
             "strike_x_mm": 0.0,
             "strike_y_mm": 0.0,

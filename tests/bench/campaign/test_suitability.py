@@ -14,7 +14,6 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
 from bench.cli import app
 from bench.config import load_configuration
-from bench.control.planned_air import with_planned_air
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 
@@ -36,8 +35,8 @@ def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -
 
 def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None:
     plan = load_plan(Path("two-balls"), SHIPPED)
-    free = load_profile(find_profile("default"))
-    planned = with_planned_air(free, SHIPPED.plant)
+    planned = load_profile(find_profile("default"))
+    free = replace(planned, air=(), air_supply=0.0)
 
     def needed(gate: float, *profiles: Profile) -> bool:
         return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)), profiles)
@@ -48,7 +47,7 @@ def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None
 
 @pytest.mark.parametrize(
     ("series", "profile", "warned"),
-    [(False, "default", True), (True, "default", False), (False, "planned.toml", False)],
+    [(False, "free.toml", True), (True, "free.toml", False), (False, "default", False)],
 )
 def test_check_says_with_which_option_the_bench_is_to_be_started(
     tmp_path: Path, series: bool, profile: str, warned: bool
@@ -56,8 +55,8 @@ def test_check_says_with_which_option_the_bench_is_to_be_started(
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
     shipped = (resources.files("bench") / "campaigns" / "two-balls.toml").read_text()
-    planned = with_planned_air(load_profile(find_profile("default")), SHIPPED.plant)
-    save_profile(tmp_path / "planned.toml", replace(planned, name="planned"))
+    free = replace(load_profile(find_profile("default")), name="free", air=(), air_supply=0.0)
+    save_profile(tmp_path / "free.toml", free)
     swing = tmp_path / profile if profile.endswith(".toml") else profile
     plan = tmp_path / "plan.toml"
     plan.write_text(shipped.replace("[design]", f'[design]\nswings = ["{swing}"]'))

@@ -46,10 +46,10 @@ from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
 
 SHIPPED = (
-    ("repeatable", "repeatable", 43.2),
+    ("default", "shipped", 43.2),
     ("driver-85mph", "shipped", 38.0),
     ("driver-90mph", "shipped", 40.2),
-    ("driver-100mph", "steady", 45.0),
+    ("driver-100mph", "shipped", 45.0),
     ("average-male", "steady", 41.57),
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
@@ -58,7 +58,9 @@ SHIPPED = (
     ("tour-male", "steady", 48.09),
 )
 """Name, whose gains, and head speed (m/s) demanded."""
-RISING = {"repeatable": 2.0, "driver-100mph": 2.0, "two-handicap": 2.0, "tour-male": 2.0}
+RISING = dict.fromkeys(
+    ("default", "driver-85mph", "driver-90mph", "driver-100mph", "two-handicap", "tour-male"), 2.0
+)
 """Attack angle in degrees; the others are level."""
 
 

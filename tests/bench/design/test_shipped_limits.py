@@ -18,8 +18,8 @@ from bench.simulation.variation import healthy_plant
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 
-SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph"}
-"""Profiles designed for the shipped gains; `repeatable` is for its own, the others for those of `steady`."""
+SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph", "driver-100mph"}
+"""Profiles designed for the shipped gains; the others are for those of `steady`."""
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE --output FILE"
 
@@ -30,9 +30,7 @@ needs_speed = pytest.mark.skipif(
 
 def designed_for(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for."""
-    if name in SHIPPED_GAINS:
-        return load_configuration(None)
-    return load_configuration(Path("repeatable" if name == "repeatable" else "steady"))
+    return load_configuration(None if name in SHIPPED_GAINS else Path("steady"))
 
 
 def watched(name: str) -> Configuration:

@@ -206,7 +206,7 @@ def test_planned_pressures_come_back(
 
 
 def test_a_designed_swing_plans_its_air_for_the_shipped_plant() -> None:
-    profile, plant = load_profile(find_profile("repeatable")), PlantParameters()
+    profile, plant = load_profile(find_profile("default")), PlantParameters()
     assert profile.air == pytest.approx(planned_air(plant, profile.angle[0]), rel=1e-6)
     assert profile.air_supply == plant.supply.pressure
 
