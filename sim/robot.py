@@ -51,8 +51,8 @@ class Club:
     """R3 to the centre of the face (m), l3T of the thesis."""
     name: str = "driver"
     loft: Annotated[float, Range(0.0, radians(70.0), "rad")] = radians(15.0)
-    """Loft (rad) in the robot's mount: what a driver of 12 degrees has at the ball with a shaft that bends. Of the
-    LPGA Tour, whose 96 mph and rise are the shipped swing's, the dynamic loft is 15.5 degrees (TrackMan)."""
+    """Loft (rad) in the robot's mount: what a driver of 12 degrees has at the ball with a shaft that bends.
+    The dynamic loft of the LPGA Tour, whose 96 mph and rise are the shipped swing's, is 15.5 degrees."""
     lie: Annotated[float, Range(radians(35.0), radians(80.0), "rad")] = radians(53.0)
     """Shaft to the ground when the sole is flat (rad): equal to the plane, the toe is level."""
     face_angle: Annotated[float, Range(radians(-10.0), radians(10.0), "rad")] = 0.0
@@ -64,9 +64,9 @@ class Club:
     head_depth: Annotated[float, Range(0.0, 0.12, "m")] = 0.035
     """Depth of the centre of mass behind the face (m)."""
     restitution: Annotated[float, Range(0.1, 1.0, "")] = 0.882
-    """Coefficient at the centre, at an approach of 40 m/s; a thin titanium face by default. Like the three values
-    of the contact below it is fitted to tour averages (`python -m tests.benchmarks impact`): an effective value,
-    above the Rules' 0.83, which is of another ball and method."""
+    """Coefficient at the centre, at an approach of 40 m/s; a thin titanium face by default. Like the three
+    values of the contact below it is fitted to tour averages (`python -m tests.benchmarks impact`): an
+    effective value, above the Rules' 0.83, which is of another ball and method."""
     tangential_factor: Annotated[float, Range(0.0, 1.0, "")] = 0.75
     """Share of the rolling-contact spin that a modern face gives (golf.md 3.1, a start value)."""
     restitution_slope: Annotated[float, Range(-0.02, 0.02, "s/m")] = -0.0007
