@@ -30,6 +30,8 @@ INPUTS = ("emergency_stop_clear", "guard_closed")
 PERMITS = ("lease_held", "support_ready", "supervisor_alive")
 _PRESS = 40
 """Ticks for which a button is pressed."""
+_SWINGS_ASKED, _BETWEEN = 300, 10
+"""How often a swing is asked for while it waits for its air, and ticks between two of them."""
 _LONGEST_RECOVERY = 240_000
 _CHUNK = 500
 """Ticks between two looks."""
@@ -114,7 +116,7 @@ class Player:
             case "wait":
                 self._advance(int(what))
             case "ask":
-                self._ask(int(Request[what.upper()]) if isinstance(what, str) else int(what))
+                self._ask_as_clients_do(int(Request[what.upper()]) if isinstance(what, str) else int(what))
             case "input":
                 self.bench.plant_state[what] = bool(how)
                 self._advance(1)
@@ -165,6 +167,15 @@ class Player:
         self.broken.append(
             f"not READY after {_LONGEST_RECOVERY / 1000:g} s: {self.state.name}, cause {cause}"
         )
+
+    def _ask_as_clients_do(self, request: int) -> None:
+        """Ask; ask for a swing again while it waits for the air at the address."""
+        self._ask(request)
+        for _ in range(_SWINGS_ASKED):
+            if request != Request.SWING or self.control["refusal"][0] != Refusal.AIR:
+                return
+            self._advance(_BETWEEN)
+            self._ask(request)
 
     def _ask(self, request: int) -> None:
         self.asked += 1

@@ -254,7 +254,7 @@ def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     """Times count from the swing's request; before it the robot is still being armed."""
     counted = ControlC(lambda: False, NEVER)
     next(simulate_swings(robot, [Ball()], stop=counted))
-    swing_ticks = len(series[0].cycles) - 300
+    swing_ticks = len(series[0].cycles) - int(np.argmax(series[0].cycles["phase"] == Phase.BACKSWING))
     begin = counted.asked - swing_ticks // 20
     results: list[SwingResult] = []
 
