@@ -234,7 +234,10 @@ class SwingEngine(Generic[AnyStepper]):
                 return False
             if self.request(Request.SWING):
                 return True
-            attempts -= self.control["refusal"][0] != Refusal.AIR
+            if self.control["refusal"][0] == Refusal.AIR:
+                self.await_air()
+                continue
+            attempts -= 1
             if attempts > 0:
                 self.advance(wait)
         return False
