@@ -251,7 +251,7 @@ CAUSE_TEXT = {
     Cause.SHOULDER_SPEED: "shoulder faster than its limit",
     Cause.ARM_SPEED: "arm faster than its limit",
     Cause.WRIST_SPEED: "wrist faster than its limit",
-    Cause.GROUND: "club head nearer to the ground than allowed outside the ball's window",
+    Cause.GROUND: "club head too near to the ground: look at the club, reset, then home, which lifts it",
     Cause.FRAME: "club nearer to the frame than allowed",
     Cause.SHOULDER_FOLLOWING: "shoulder too far from its reference",
     Cause.ARM_FOLLOWING: "arm too far from its reference",
