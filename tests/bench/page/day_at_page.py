@@ -38,7 +38,7 @@ difference = 3.0
 drift = "none"
 [clubs.driver-9]
 like = "driver"
-loft_deg = 9.0
+loft_deg = 13.5
 """
 
 
