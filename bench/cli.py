@@ -33,6 +33,7 @@ from bench.commands.plain_help import show_plainly
 from bench.commands.run import run
 from bench.commands.schema import schema
 from bench.commands.session import Session
+from bench.commands.size import size
 from bench.commands.swing import app as swing_app
 from bench.commands.tune import tune
 from bench.commands.view import view
@@ -74,6 +75,7 @@ app.command()(view)
 app.command()(page)
 app.command()(export)
 app.command()(draw)
+app.command()(size)
 app.command()(schema)
 app.command()(certificates)
 app.command()(cluster)

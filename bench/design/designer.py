@@ -492,6 +492,29 @@ def plan_at_speed(
     return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None)[0].plan
 
 
+def fastest_plan(
+    parameters: PlantParameters,
+    demand: SwingDemand,
+    control: ControlSettings,
+    envelope: EnvelopeSettings,
+    estimator: EstimatorSettings,
+) -> DownswingPlan:
+    """Return the fastest downswing of the model within `demand`, by collocation alone, solved or not.
+
+    The plant is not asked whether it can follow, nor what its cushions take: seconds instead of minutes.
+
+    Raises:
+        BenchError: the package casadi is not installed.
+        DesignFailed: the plant does not reach the top.
+    """
+    load_casadi()
+    bench = _bench(parameters, control, envelope, estimator)
+    begun = _swing_up(bench, replace(demand, head_speed=None))
+    problem = _problem(parameters, replace(demand, head_speed=None), envelope, _model_state(begun))
+    time, guess = _first_guess(parameters, problem.start, demand)
+    return solve_downswing(parameters, problem, time, guess, _INTERVALS)
+
+
 def _model_state(begun: _Start) -> Array:
     """Return the model's state (16,) at the top."""
     before, state = begun.plant_state[0], np.zeros(STATES)

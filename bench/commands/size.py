@@ -1,0 +1,243 @@
+"""`golfbench size`: from a demand to hardware, as a front of candidates with their configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bench.commands.session import Session
+from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+    from rich.table import Table
+
+    from bench.sizing.catalogue import Catalogue
+    from bench.sizing.point import SizedPoint
+    from bench.sizing.search import SizingRun, SizingSearch
+    from bench.sizing.study import SizingDemand
+
+_PIPED_WIDTH = 190
+"""Columns of the table in a file or pipe."""
+
+Output = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/sizing")
+]
+Speed = Annotated[float, typer.Option(metavar="M_PER_S", min=5.0, max=80.0, help="Head speed at the ball.")]
+Attack = Annotated[float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")]
+ClubName = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Club to swing.", show_default="the configuration's"),
+]
+PartsFile = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Catalogue of parts, TOML.", show_default="golfbench's own"),
+]
+Names = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Part of the grid; repeatable.")]
+Absorbers = Annotated[
+    list[str] | None,
+    typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable."),
+]
+Pressures = Annotated[
+    list[float] | None,
+    typer.Option(metavar="BAR", help="Regulated pressure, bar absolute; repeatable."),
+]
+Levers = Annotated[list[float] | None, typer.Option(metavar="MM", help="Wrist's lever; repeatable.")]
+Rounds = Annotated[int, typer.Option(min=0, help="Rounds of cheaper parts around the cheapest that will do.")]
+Swings = Annotated[
+    int, typer.Option(min=0, help="Candidates whose whole swing is designed at the demanded speed.")
+]
+FaultSpacing = Annotated[
+    int, typer.Option("--faults", metavar="TICKS", min=0, help="Ticks between tried faults; 0: none.")
+]
+
+
+def size(
+    context: typer.Context,
+    output: Output = None,
+    speed: Speed = 58.1,
+    attack: Attack = 0.0,
+    club: ClubName = None,
+    catalogue: PartsFile = None,
+    vane: Names = None,
+    cylinder: Names = None,
+    valve: Names = None,
+    absorbers: Absorbers = None,
+    pressure_bar: Pressures = None,
+    lever_mm: Levers = None,
+    rounds: Rounds = 2,
+    swings: Swings = 1,
+    faults: FaultSpacing = 0,
+    processes: Processes = 0,
+    cluster: ClusterAddress = "",
+) -> None:
+    """Size the robot's hardware for a head speed: a front of speed over price, and its configurations.
+
+    Candidates are combined from a catalogue of parts. The fastest downswing of each is found by collocation;
+    around the cheapest that exceeds the speed by 5 % single parts are made cheaper; for the cheapest of the
+    front the whole swing is designed on the plant. Results are reused when the command is run again.
+    """
+    from bench.interrupt import deferred_interrupt
+    from bench.sizing.catalogue import load_catalogue, shipped_catalogue
+    from bench.sizing.search import SizingRun
+
+    configuration = context.ensure_object(Session).configuration()
+    known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
+    search = _search(
+        known, (vane, cylinder, valve, absorbers), (pressure_bar, lever_mm), (rounds, swings, faults)
+    )
+    demand = _demand(speed, attack, club or configuration.swing.club)
+    folder = output or configuration.bench.data_dir / "sizing"
+    with (
+        sweep_engine(configuration, processes, cluster, len(search.grid.candidates(known))) as engine,
+        deferred_interrupt() as asked,
+        _shown() as show,
+    ):
+        run = SizingRun(known, demand, folder, engine, show, asked.is_made)
+        points = run.points(search)
+    _report(run, points, folder)
+
+
+def _demand(speed: float, attack: float, club: str) -> SizingDemand:
+    from math import radians
+
+    from bench.sizing.study import SizingDemand
+
+    return SizingDemand(speed, radians(attack), club)
+
+
+def _search(
+    catalogue: Catalogue,
+    parts: tuple[list[str] | None, list[str] | None, list[str] | None, list[str] | None],
+    numbers: tuple[list[float] | None, list[float] | None],
+    depth: tuple[int, int, int],
+) -> SizingSearch:
+    """Return the search within what the options give; the grid's own values for what they leave out.
+
+    Raises:
+        BenchError: a part is not in the catalogue, or absorbers are no pair.
+    """
+    from bench.sizing.candidates import SizingGrid
+    from bench.sizing.search import SizingSearch
+
+    vanes, cylinders, valves, absorbers = parts
+    pressures, levers = numbers
+    own = SizingGrid()
+    grid = SizingGrid(
+        tuple(vanes or own.vanes),
+        tuple(cylinders or own.cylinders),
+        tuple(valves or own.valves),
+        tuple(_pair(text) for text in absorbers) if absorbers else own.absorbers,
+        tuple(1e5 * bar for bar in pressures) if pressures else own.pressures,
+        tuple(1e-3 * lever for lever in levers) if levers else own.levers,
+    )
+    grid.candidates(catalogue)  # refuses unknown parts before the long part
+    return SizingSearch(grid, *depth)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    from bench.errors import BenchError
+
+    arm, separator, wrist = text.partition(",")
+    if not separator or not arm or not wrist:
+        raise BenchError("--absorbers", repr(text), "ARM,WRIST, two absorbers", "Write --absorbers A40,A90.")
+    return arm, wrist
+
+
+@contextmanager
+def _shown() -> Iterator[Callable[[str, int, int], None]]:
+    """Yield a function that shows how many cases of a step are done."""
+    from bench.commands.progress import progress_bar
+
+    with progress_bar() as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(step: str, done: int, total: int) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task(step, total=total)
+            bar.update(tasks[step], completed=done)
+
+        yield show
+
+
+def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
+    """Print the table, and write the picture, the figures and a configuration for each point of the front."""
+    import json
+    from dataclasses import asdict
+
+    from rich.console import Console
+
+    from bench.config import load_configuration
+    from bench.sizing.picture import draw_front
+    from bench.sizing.point import non_dominated
+    from bench.sizing.study import candidate_text
+
+    front = non_dominated(points)
+    shipped = load_configuration(Path("shipped"))
+    for point in front:
+        file = folder / f"{point.hardware.name}.toml"
+        file.write_text(candidate_text(run.catalogue, point.hardware, shipped, run.demand), encoding="utf-8")
+    (folder / "points.json").write_text(json.dumps([asdict(point) for point in points], indent=2) + "\n")
+    draw_front(points, run.demand.speed, folder / "front.png")
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_PIPED_WIDTH)
+    console.print(front_table(points, front))
+    console.print(
+        f"{len(points)} candidates, {len(front)} on the front; the plans took {run.seconds / 60:.1f} min. "
+        f"Picture, figures and a configuration for each point of the front: {folder}",
+        highlight=False,
+    )
+    failed = [point for point in points if point.plan.failure]
+    for point in failed:
+        console.print(f"no plan: {point.hardware.name}: {point.plan.failure}", highlight=False)
+
+
+def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Table:
+    """Return a table of the front and of the points with a swing: the plan, then the swing."""
+    from rich.table import Table
+
+    table = Table(title="Front: no other candidate is both faster and cheaper", title_justify="left")
+    for name in ("vane", "arm", "wrist", "valves", "absorbers", "bar", "EUR"):
+        table.add_column(name)
+    for name in ("plan m/s", "cushions J", "peak bar", "swing m/s", "air g", "peak bar"):
+        table.add_column(name, justify="right")
+    table.add_column("cushion %: struck, missed, silent")
+    table.add_column("unsafe")
+    for point in points:
+        if point in front or point.swing is not None:
+            table.add_row(*_plan_cells(point), *_swing_cells(point))
+    return table
+
+
+def _plan_cells(point: SizedPoint) -> tuple[str, ...]:
+    hardware, plan = point.hardware, point.plan
+    return (
+        hardware.vane,
+        hardware.arm,
+        f"{hardware.wrist}, {1e3 * hardware.lever:g} mm",
+        f"{hardware.shoulder_valve} {hardware.arm_valve} {hardware.wrist_valve}",
+        f"{hardware.arm_absorber} {hardware.wrist_absorber}",
+        f"{hardware.pressure / 1e5:g}",
+        str(point.price),
+        f"{plan.speed:.1f}",
+        f"{plan.carried[0]:.0f}, {plan.carried[1]:.0f}",
+        f"{plan.peak_pressure / 1e5:.1f}",
+    )
+
+
+def _swing_cells(point: SizedPoint) -> tuple[str, ...]:
+    swing = point.swing
+    if swing is None:
+        return ("", "", "", "", "")
+    if swing.failure:
+        return ("none", "", "", swing.failure, "")
+    shares = ", ".join(f"{100 * share:.0f}" for share in (swing.struck, swing.missed, swing.silent))
+    tried = (
+        f"{swing.unsafe}, stuck valves {swing.stuck_unsafe}, of {swing.cases}" if swing.cases else "not tried"
+    )
+    return (f"{swing.speed:.2f}", f"{1e3 * swing.air:.0f}", f"{swing.peak_pressure / 1e5:.1f}", shares, tried)

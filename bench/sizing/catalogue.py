@@ -1,0 +1,160 @@
+"""The parts that a robot may be built of, with source and price class, read from `catalogue.toml`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import pi, sqrt
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Le
+
+from bench.errors import BenchError
+from bench.from_toml import Builder, as_tree, read_toml
+from drivers.base.ranges import Range
+
+FILE = Path(__file__).with_name("catalogue.toml")
+
+PriceClass = Annotated[int, Ge(1), Le(4)]
+PRICES = {1: 100, 2: 300, 3: 1000, 4: 3000}
+"""Upper ends of the price classes, EUR a piece; the last is open and counted with this."""
+
+_UPSTREAM, _DOWNSTREAM = 7.013e5, 6.013e5
+"""Pressures at which a nominal flow is stated: 6 to 5 bar gauge, Pa absolute."""
+_CRITICAL_RATIO = 0.3
+
+
+@dataclass(frozen=True)
+class VanePart:
+    """A rotary vane."""
+
+    name: str
+    displacement: Annotated[float, Range(1e-6, 0.05, "m3/rad")]
+    """Volume of a chamber a radian, m3/rad."""
+    price: PriceClass
+    source: str
+
+
+@dataclass(frozen=True)
+class CylinderPart:
+    """A double-acting cylinder with one rod."""
+
+    name: str
+    bore: Annotated[float, Range(0.005, 0.3, "m")]
+    """m"""
+    rod: Annotated[float, Range(0.002, 0.2, "m")]
+    """Diameter of the rod, m."""
+    price: PriceClass
+    source: str
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the rod fits into the bore."""
+        if self.rod >= self.bore:
+            raise ValueError(f"a rod thinner than the bore of {self.bore:g} m")
+
+    @property
+    def area_a(self) -> float:
+        """Area of the bore's side, m2."""
+        return pi / 4 * self.bore**2
+
+    @property
+    def area_b(self) -> float:
+        """Area of the rod's side, m2."""
+        return pi / 4 * (self.bore**2 - self.rod**2)
+
+
+@dataclass(frozen=True)
+class ValvePart:
+    """A proportional valve."""
+
+    name: str
+    nominal_flow: Annotated[float, Range(1.0, 20000.0, "l/min")]
+    """l/min of free air from 6 to 5 bar gauge."""
+    price: PriceClass
+    source: str
+
+    @property
+    def conductance(self) -> float:
+        """Sonic conductance, m3/(s Pa), for a critical ratio of 0.3."""
+        return conductance_of(self.nominal_flow)
+
+
+@dataclass(frozen=True)
+class AbsorberPart:
+    """A shock absorber."""
+
+    name: str
+    energy: Annotated[float, Range(0.1, 1000.0, "J")]
+    """Energy a stroke, J."""
+    stroke: Annotated[float, Range(0.001, 0.2, "m")]
+    """m"""
+    price: PriceClass
+    source: str
+
+
+@dataclass(frozen=True)
+class FeedPart:
+    """The line from the reservoir, with regulator and soft-start valve."""
+
+    name: str
+    conductance: Annotated[float, Range(1e-12, 1e-5, "m3/(s Pa)")]
+    """m3/(s Pa)"""
+    price: PriceClass
+    source: str
+
+
+@dataclass(frozen=True)
+class ManifoldPart:
+    """The manifold between soft-start valve and spools."""
+
+    name: str
+    volume: Annotated[float, Range(1e-5, 1.0, "m3")]
+    """m3"""
+    price: PriceClass
+    source: str
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All parts, by kind and name."""
+
+    vanes: dict[str, VanePart]
+    cylinders: dict[str, CylinderPart]
+    valves: dict[str, ValvePart]
+    absorbers: dict[str, AbsorberPart]
+    feeds: dict[str, FeedPart]
+    manifolds: dict[str, ManifoldPart]
+
+
+def conductance_of(nominal_flow: float) -> float:
+    """Return the sonic conductance, m3/(s Pa), of a valve with `nominal_flow` (l/min, 6 to 5 bar gauge).
+
+    ISO 6358 below the critical ratio's flow (golf.md 8.2): Q = C p1 sqrt(1 - ((p2/p1 - b) / (1 - b))^2), in
+    the reference atmosphere.
+    """
+    ratio = _DOWNSTREAM / _UPSTREAM
+    driving = sqrt(1.0 - ((ratio - _CRITICAL_RATIO) / (1.0 - _CRITICAL_RATIO)) ** 2)
+    return nominal_flow / 60e3 / (_UPSTREAM * driving)
+
+
+def load_catalogue(path: Path = FILE) -> Catalogue:
+    """Return the catalogue in the file `path`.
+
+    Raises:
+        BenchError: the file is missing, unreadable or not TOML.
+        ExceptionGroup: of BenchErrors, one for each mistake in it.
+    """
+    faults: list[BenchError] = []
+    tree = as_tree(read_toml(path, "a catalogue of parts", "Correct the path."), path, faults)
+    builder = Builder(tree, path, "Correct the part.", "Add it to the part.", faults=faults)
+    catalogue = builder.build(Catalogue)
+    if faults:
+        raise ExceptionGroup(f"{path} is not a valid catalogue", faults)
+    return catalogue  # type: ignore[no-any-return]
+
+
+@cache
+def shipped_catalogue() -> Catalogue:
+    """Return the catalogue that comes with golfbench."""
+    return load_catalogue()

@@ -1,0 +1,221 @@
+"""One choice of parts, and the configuration that it makes of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from math import sqrt
+from typing import Any, NamedTuple
+
+from bench.errors import BenchError
+from bench.sizing.catalogue import PRICES, AbsorberPart, Catalogue, CylinderPart, ValvePart, VanePart
+from sim.plant import PlantParameters
+from sim.pneumatics import Actuator
+
+STOP_RADIUS = 0.08
+"""Radius at which the wrist's absorber stands, m; assumption: the shipped one's 0.174 rad are 13.9 mm."""
+DESIGN_SPEED = 45.0
+"""Head speed to which the limits of the joint speeds of the shipped envelope belong, m/s."""
+RELIEF = 0.5e5, 11.5e5
+"""Opening of the relief valves above the highest planned pressure, and at most, Pa; ratings are 12 bar."""
+_MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1
+"""Shares of the regulated pressure between which a swing may begin, as in the shipped envelope."""
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """Names of parts in the catalogue, with a pressure and a lever that are set freely."""
+
+    vane: str = "V400"
+    arm: str = "C50"
+    """Cylinder of the right arm."""
+    wrist: str = "C50"
+    """Cylinder of the wrist."""
+    shoulder_valve: str = "F2000"
+    arm_valve: str = "F2000"
+    wrist_valve: str = "F2000"
+    arm_absorber: str = "A40"
+    wrist_absorber: str = "A90"
+    feed: str = "L34"
+    manifold: str = "M2"
+    pressure: float = 8.0e5
+    """Regulated pressure, Pa absolute."""
+    lever: float = 0.06
+    """Wrist's lever, m."""
+
+    @property
+    def name(self) -> str:
+        """Name that holds all choices: part by part, pressure in bar, lever in mm."""
+        parts = [str(getattr(self, field.name)) for field in fields(self)[:10]]
+        return "-".join([*parts, f"{self.pressure / 1e5:g}bar", f"{1e3 * self.lever:g}mm"])
+
+
+class Parts(NamedTuple):
+    """The parts that a hardware names, looked up."""
+
+    vane: VanePart
+    arm: CylinderPart
+    wrist: CylinderPart
+    valves: tuple[ValvePart, ValvePart, ValvePart]
+    absorbers: tuple[AbsorberPart, AbsorberPart]
+    feed: float
+    """m3/(s Pa)"""
+    manifold: float
+    """m3"""
+    price: int
+    """Upper ends of the parts' price classes, EUR in all."""
+
+
+_KINDS = {
+    "vane": "vanes",
+    "arm": "cylinders",
+    "wrist": "cylinders",
+    "shoulder_valve": "valves",
+    "arm_valve": "valves",
+    "wrist_valve": "valves",
+    "arm_absorber": "absorbers",
+    "wrist_absorber": "absorbers",
+    "feed": "feeds",
+    "manifold": "manifolds",
+}
+"""Kind of part of each field."""
+
+
+def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
+    """Return the parts of `hardware`.
+
+    Raises:
+        BenchError: the catalogue has no part of a name.
+    """
+    found: dict[str, Any] = {}
+    for field, kind in _KINDS.items():
+        name, known = getattr(hardware, field), getattr(catalogue, kind)
+        if name not in known:
+            raise BenchError(
+                f"hardware: {field}", name, f"of {kind}: {', '.join(known)}", "Correct it, or add the part."
+            )
+        found[field] = known[name]
+    return Parts(
+        found["vane"],
+        found["arm"],
+        found["wrist"],
+        (found["shoulder_valve"], found["arm_valve"], found["wrist_valve"]),
+        (found["arm_absorber"], found["wrist_absorber"]),
+        found["feed"].conductance,
+        found["manifold"].volume,
+        sum(PRICES[part.price] for part in found.values()),
+    )
+
+
+def overrides(
+    catalogue: Catalogue, hardware: Hardware, shipped: PlantParameters, speed: float
+) -> dict[str, Any]:
+    """Return the configuration's tables that make `hardware` of the `shipped` plant, for `speed` (m/s).
+
+    What no part states is scaled from the shipped plant: dry friction, dead volume and the vents' throttles
+    with area or displacement, viscous friction with its root, limits of joint speeds with the head speed,
+    speeds that a cushion takes with the root of its energy. Masses of the bodies stay.
+    """
+    parts = parts_of(catalogue, hardware)
+    vane, arm, wrist = parts.vane, parts.arm, parts.wrist
+    plant: dict[str, Any] = {
+        "wrist_lever": hardware.lever,
+        "shoulder": _actuator(shipped.shoulder, vane.displacement, vane.displacement, parts.valves[0]),
+        "right_arm": _actuator(shipped.right_arm, arm.area_a, arm.area_b, parts.valves[1])
+        | _arm_stop(parts.absorbers[0], shipped.right_arm, arm),
+        "wrist": _actuator(shipped.wrist, wrist.area_a, wrist.area_b, parts.valves[2])
+        | _wrist_stop(parts.absorbers[1]),
+        "supply": _supply(parts, hardware, shipped),
+    }
+    held = (shipped.right_arm.stop.energy, shipped.wrist.stop.energy)
+    ratings = [part.energy / energy for part, energy in zip(parts.absorbers, held, strict=True)]
+    return {"plant": plant, "envelope": _envelope(hardware, [1.0, *ratings], speed)}
+
+
+def _actuator(shipped: Actuator, area_a: float, area_b: float, valve: ValvePart) -> dict[str, Any]:
+    """Return the keys of an actuator with these areas (m2, vane m3/rad)."""
+    scale, friction = area_a / shipped.area_a, shipped.friction
+    return {
+        "area_a": area_a,
+        "area_b": area_b,
+        "dead_volume": scale * shipped.dead_volume,
+        "friction": {
+            "viscous": sqrt(scale) * friction.viscous,
+            "coulomb": scale * friction.coulomb,
+            "static": scale * friction.static,
+        },
+        "valve": {"conductance": valve.conductance},
+    }
+
+
+def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart) -> dict[str, Any]:
+    """Return the right arm's stop: its clearance grows with the absorber's stroke beyond the shipped one."""
+    longer = max(absorber.stroke - shipped.stop.travel, 0.0)
+    return {
+        "clearance": shipped.clearance + longer,
+        "stop": {"energy": absorber.energy, "travel": absorber.stroke},
+    }
+
+
+def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
+    """Return the wrist's stop, whose absorber stands at STOP_RADIUS."""
+    travel = absorber.stroke / STOP_RADIUS
+    return {"clearance": max(0.12, travel - 0.054), "stop": {"energy": absorber.energy, "travel": travel}}
+
+
+def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[str, Any]:
+    supply = shipped.supply
+    swept = max(
+        parts.arm.area_a / shipped.right_arm.area_a, parts.vane.displacement / shipped.shoulder.area_a
+    )
+    return {
+        "pressure": hardware.pressure,
+        "feed_conductance": parts.feed,
+        "volume": parts.manifold,
+        "dump_conductance": supply.dump_conductance * parts.manifold / supply.volume,
+        "vent_conductance": swept * supply.vent_conductance,
+        "relief_pressure": relief_pressure(hardware.pressure),
+        "relief_conductance": swept * supply.relief_conductance,
+    }
+
+
+def highest_pressure(regulated: float) -> float:
+    """Return the chamber pressure (Pa absolute) that a plan may reach with this regulated pressure."""
+    return max(10.0e5, regulated + 1.0e5)
+
+
+def relief_pressure(regulated: float) -> float:
+    """Return the opening pressure of the relief valves (Pa absolute)."""
+    return min(highest_pressure(regulated) + RELIEF[0], RELIEF[1])
+
+
+def _envelope(hardware: Hardware, ratings: list[float], speed: float) -> dict[str, Any]:
+    faster = max(speed / DESIGN_SPEED, 1.0)
+    stops = zip((9.0, 5.2, 34.0), ratings, strict=True)
+    return {
+        "max_speed": [faster * limit for limit in (26.0, 6.0, 48.0)],
+        "stop_speed": [limit * sqrt(rating) for limit, rating in stops],
+        "min_supply_pressure": _MIN_SUPPLY * hardware.pressure,
+        "max_supply_pressure": _MAX_SUPPLY * hardware.pressure,
+    }
+
+
+def configuration_text(tables: Mapping[str, Any], heading: str) -> str:
+    """Return a configuration file over the shipped one that gives `tables`; `heading` becomes a comment."""
+    lines = [*(f"# {line}" for line in heading.splitlines()), 'base = "shipped"', *_toml(tables, "")]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(tables: Mapping[str, Any], path: str) -> list[str]:
+    values = [f"{key} = {_value(value)}" for key, value in tables.items() if not isinstance(value, Mapping)]
+    lines = ["", f"[{path}]", *values] if values and path else values
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            lines += _toml(value, f"{path}.{key}" if path else key)
+    return lines
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(_value(entry) for entry in value) + "]"
+    return f"{value:.6g}" if isinstance(value, float) else repr(value)

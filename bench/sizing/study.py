@@ -1,0 +1,179 @@
+"""The work on one candidate, for sweeps: its fastest plan, then its swing at the demanded speed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import nan, radians
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from bench.config import Configuration, load_configuration
+from bench.control.settings import EnvelopeSettings
+from bench.design.casadi_package import load_casadi
+from bench.design.check import SwingCheck
+from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
+from bench.design.optimal_control import BAR, DownswingPlan
+from bench.errors import Refused
+from bench.simulation.series import Bench, Series
+from bench.sizing.catalogue import Catalogue
+from bench.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
+from bench.sizing.point import SizedPlan, SizedSwing
+from bench.swing.profile import Profile, save_profile
+
+
+@dataclass(frozen=True)
+class SizingDemand:
+    """What the hardware is sized for."""
+
+    speed: float = 58.1
+    """Head speed at the ball, m/s: 130 mph."""
+    attack: float = 0.0
+    """Attack angle, rad, up positive."""
+    club: str = "driver"
+    """Club of the shipped configuration."""
+    reserve: float = 0.05
+    """Share by which the fastest plan must exceed the speed before a swing is designed."""
+
+    def of(self, hardware: Hardware, speed: float | None) -> SwingDemand:
+        """Return the demand on the designer at `speed` (m/s; None: as fast as possible)."""
+        return SwingDemand(head_speed=speed, attack=self.attack, pressure=highest_pressure(hardware.pressure))
+
+
+def candidate_text(
+    catalogue: Catalogue, hardware: Hardware, shipped: Configuration, demand: SizingDemand
+) -> str:
+    """Return the configuration file of `hardware`."""
+    tables = overrides(catalogue, hardware, shipped.plant, demand.speed)
+    heading = (
+        f"Sized for {demand.speed:g} m/s at the ball. Parts of bench/sizing/catalogue.toml:\n{hardware.name}"
+    )
+    return configuration_text({"swing": {"club": demand.club}} | tables, heading)
+
+
+def candidate_configuration(text: str) -> Configuration:
+    """Return the configuration that a file with `text` makes, read as any other.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, if the hardware makes no valid configuration.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "candidate.toml"
+        file.write_text(text, encoding="utf-8")
+        return load_configuration(file)
+
+
+def _unwatched(configuration: Configuration) -> EnvelopeSettings:
+    """Return the envelope without the model-based check: a new plant has no limits for it yet."""
+    return configuration.envelope.with_model_check("off")
+
+
+def _reasons(group: ExceptionGroup[Exception]) -> str:
+    return "; ".join(str(fault).partition(": ")[2] for fault in group.exceptions)
+
+
+@dataclass(frozen=True)
+class PlanStudy:
+    """The fastest plan of each hardware, by collocation alone."""
+
+    catalogue: Catalogue
+    demand: SizingDemand
+
+    def prepared(self) -> Callable[[Hardware], SizedPlan]:
+        """Return the search for a plan.
+
+        Raises:
+            BenchError: the package casadi is not installed.
+        """
+        load_casadi()
+        shipped = load_configuration(Path("shipped"))
+        return lambda hardware: self._planned(hardware, shipped)
+
+    def _planned(self, hardware: Hardware, shipped: Configuration) -> SizedPlan:
+        text = candidate_text(self.catalogue, hardware, shipped, self.demand)
+        try:
+            c = candidate_configuration(text)
+            wanted = self.demand.of(hardware, None)
+            plan = fastest_plan(c.plant, wanted, c.control, _unwatched(c), c.estimator)
+        except ExceptionGroup as group:
+            return SizedPlan(nan, f"no valid configuration: {_reasons(group)}")
+        except DesignFailed as failure:
+            return SizedPlan(nan, str(failure))
+        return _as_sized(plan)
+
+
+def _as_sized(plan: DownswingPlan) -> SizedPlan:
+    if not plan.solved:
+        return SizedPlan(nan, f"no plan ({plan.status.lower().replace('_', ' ')})")
+    return SizedPlan(
+        plan.speed,
+        "",
+        (float(plan.carried[0]), float(plan.carried[1])),
+        BAR * float(plan.state[:, 6:12].max()),
+        tuple((name, float(gain)) for name, gain in list(plan.binding.items())[:4]),
+    )
+
+
+@dataclass(frozen=True)
+class SwingStudy:
+    """The whole swing of each hardware at the demanded speed, and its faults if asked for."""
+
+    catalogue: Catalogue
+    demand: SizingDemand
+    spacing: int
+    """Ticks between the instants at which faults are tried; 0: no faults."""
+    folder: Path
+    """Folder for configurations and profiles of the candidates that swing."""
+
+    def prepared(self) -> Callable[[Hardware], SizedSwing]:
+        """Return the design of a swing.
+
+        Raises:
+            BenchError: the package casadi is not installed.
+        """
+        load_casadi()
+        shipped = load_configuration(Path("shipped"))
+        return lambda hardware: self._swung(hardware, shipped)
+
+    def _swung(self, hardware: Hardware, shipped: Configuration) -> SizedSwing:
+        text = candidate_text(self.catalogue, hardware, shipped, self.demand)
+        c = candidate_configuration(text)
+        c = replace(c, envelope=_unwatched(c))
+        try:
+            wanted = self.demand.of(hardware, self.demand.speed)
+            made = design_swing(
+                c.plant, wanted, "sized", control=c.control, envelope=c.envelope, estimator=c.estimator
+            )
+            found = _judged(c, made.profile, self.spacing)
+        except (DesignFailed, Refused) as failure:
+            return SizedSwing(nan, str(failure))
+        save_profile(self.folder / f"{hardware.name}.profile.toml", made.profile)
+        return found
+
+
+def _judged(c: Configuration, profile: Profile, spacing: int) -> SizedSwing:
+    """Return the figures of a swing; with `spacing` also how stops and faults end.
+
+    Raises:
+        Refused: the swing does not run.
+    """
+    series = Series(Bench(c.plant, profile, c.control, c.envelope, c.estimator), c.plant)
+    swing = series.swing(profile)
+    limits, delivery = profile.limits, profile.delivery
+    found = SizedSwing(
+        delivery["head_speed_mps"],
+        "",
+        radians(delivery["attack_angle_deg"]),
+        swing.air_used,
+        limits["peak_pressure_pa"],
+        limits["stop_share"],
+        limits["stop_share_missed"],
+        limits["stop_share_silent"],
+    )
+    if not spacing:
+        return found
+    check = SwingCheck(c.plant, profile, c.control, c.envelope, c.estimator)
+    outcomes = check.outcomes(spacing=spacing)
+    unsafe = [outcome.fault for outcome in outcomes if outcome.unsafe]
+    stuck = sum("stuck" in fault for fault in unsafe)
+    return replace(found, cases=len(outcomes), unsafe=len(unsafe) - stuck, stuck_unsafe=stuck)

@@ -1,0 +1,82 @@
+"""The catalogue of parts: every part has a source, a mistake names its place, flows become conductances."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from bench.errors import BenchError
+from bench.sizing.catalogue import FILE, conductance_of, load_catalogue, shipped_catalogue
+from sim.pneumatics import FLOW_TO_PRESSURE, GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE, flow
+
+NORMAL = 7.013e5, 6.013e5
+"""Pressures of a nominal flow, Pa absolute."""
+
+
+def test_every_part_names_a_source_or_an_assumption() -> None:
+    catalogue = shipped_catalogue()
+    parts = [part for kind in fields(catalogue) for part in getattr(catalogue, kind.name).values()]
+    assert len(parts) > 15
+    assert all(len(part.source) > 10 for part in parts)
+
+
+def test_sizes_rise_within_each_kind_as_smaller_parts_are_looked_for_by_order() -> None:
+    catalogue = shipped_catalogue()
+    for kind, size in (
+        ("vanes", "displacement"),
+        ("cylinders", "bore"),
+        ("valves", "nominal_flow"),
+        ("absorbers", "energy"),
+        ("feeds", "conductance"),
+        ("manifolds", "volume"),
+    ):
+        sizes = [getattr(part, size) for part in getattr(catalogue, kind).values()]
+        assert sizes == sorted(sizes)
+
+
+@pytest.mark.parametrize("nominal", [700.0, 2000.0])
+def test_a_valve_of_the_plant_passes_its_nominal_flow(nominal: float) -> None:
+    power = flow(conductance_of(nominal), *NORMAL, 0.3)
+    mass_flow = power / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
+    assert 60e3 * mass_flow / REFERENCE_DENSITY == pytest.approx(nominal, rel=1e-9)
+    assert FLOW_TO_PRESSURE > 0
+
+
+def test_the_collected_facts_on_700_litres_are_met() -> None:
+    # golf.md 8.2: 2.75e-8 m3/(s Pa) at a critical ratio of 0.3.
+    assert conductance_of(700.0) == pytest.approx(2.75e-8, rel=2e-3)
+
+
+def broken(tmp_path: Path, old: str, new: str) -> Path:
+    """Return a catalogue with `old` replaced."""
+    text = FILE.read_text()
+    assert old in text
+    file = tmp_path / "catalogue.toml"
+    file.write_text(text.replace(old, new, 1))
+    return file
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("rod = 0.016", "rod = 0.05", "thinner than the bore"),
+        ("price = 3", "price = 7", "price"),
+        ("displacement = 3.0e-4", "displacement = -1.0", "displacement"),
+        ("stroke = 0.01386", "strok = 0.01386", "strok"),
+    ],
+)
+def test_a_mistake_in_a_catalogue_is_refused_with_its_place(
+    tmp_path: Path, old: str, new: str, words: str
+) -> None:
+    with pytest.raises(ExceptionGroup) as caught:
+        load_catalogue(broken(tmp_path, old, new))
+    text = " ".join(str(fault) for fault in caught.value.exceptions)
+    assert words in text
+    assert "catalogue.toml" in text
+
+
+def test_a_missing_catalogue_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BenchError, match="no such file"):
+        load_catalogue(tmp_path / "none.toml")

@@ -1,0 +1,85 @@
+"""A choice of parts becomes a configuration that is read as any other."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from bench.config import load_configuration
+from bench.errors import BenchError
+from bench.sizing.candidates import SizingGrid, cheaper, without_repeats
+from bench.sizing.catalogue import shipped_catalogue
+from bench.sizing.hardware import Hardware, highest_pressure, parts_of, relief_pressure
+from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text
+
+SHIPPED = load_configuration(Path("shipped"))
+PARTS = shipped_catalogue()
+
+
+def configured(hardware: Hardware, speed: float = 45.0):  # type: ignore[no-untyped-def]
+    """Return the configuration of `hardware`."""
+    text = candidate_text(PARTS, hardware, SHIPPED, SizingDemand(speed))
+    return candidate_configuration(text)
+
+
+def flat(values: dict, path: str = "") -> dict:  # type: ignore[type-arg]
+    """Return nested `values` by dotted path."""
+    found: dict[str, object] = {}
+    for key, value in values.items():
+        found |= flat(value, f"{path}{key}.") if isinstance(value, dict) else {f"{path}{key}": value}
+    return found
+
+
+def test_the_shipped_sizes_make_the_shipped_plant_within_their_rounding() -> None:
+    made, wanted = flat(asdict(configured(Hardware()).plant)), flat(asdict(SHIPPED.plant))
+    assert made.keys() == wanted.keys()
+    for key, value in wanted.items():
+        expected = pytest.approx(value, rel=0.006) if isinstance(value, float) else value
+        assert made[key] == expected, key
+    assert configured(Hardware()).envelope == SHIPPED.envelope
+
+
+def test_every_candidate_of_the_default_grid_is_a_valid_configuration() -> None:
+    for hardware in SizingGrid().candidates(PARTS):
+        configured(hardware, 58.1)
+
+
+def test_larger_parts_rub_hold_and_vent_more() -> None:
+    small, large = configured(Hardware()).plant, configured(Hardware(vane="V800", arm="C63")).plant
+    assert large.shoulder.friction.coulomb == pytest.approx(2 * small.shoulder.friction.coulomb)
+    assert large.shoulder.dead_volume == pytest.approx(2 * small.shoulder.dead_volume)
+    assert large.supply.vent_conductance == pytest.approx(2 * small.supply.vent_conductance, rel=1e-3)
+    assert large.right_arm.friction.static > small.right_arm.friction.static
+
+
+@pytest.mark.parametrize("regulated", [7e5, 8e5, 10e5, 11e5])
+def test_relief_valves_open_above_every_planned_pressure_and_below_the_rating(regulated: float) -> None:
+    assert regulated < relief_pressure(regulated) < 12e5
+    assert highest_pressure(regulated) > regulated
+
+
+def test_an_unknown_part_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(BenchError, match="V400"):
+        parts_of(PARTS, Hardware(vane="V9"))
+
+
+def test_a_name_tells_every_choice_apart() -> None:
+    grid = SizingGrid().candidates(PARTS)
+    assert len({hardware.name for hardware in grid}) == len(grid) == 32
+
+
+def test_each_cheaper_neighbour_differs_in_one_part_and_costs_less() -> None:
+    own = Hardware("V600", "C63", "C63", "F3500", "F3500", "F3500", "A120", "A170", "L100", "M5")
+    found = cheaper(PARTS, own)
+    assert len(found) == 10
+    for hardware in found:
+        assert sum(a != b for a, b in zip(asdict(hardware).values(), asdict(own).values(), strict=True)) == 1
+        assert parts_of(PARTS, hardware).price < parts_of(PARTS, own).price
+    assert cheaper(PARTS, replace(own, vane="V300"))[0].arm == "C40"
+
+
+def test_what_was_tried_is_not_tried_again() -> None:
+    first, second = Hardware(), Hardware(vane="V600")
+    assert without_repeats([first, second, second], [first]) == [second]
