@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -204,13 +204,48 @@ def table(
     ] = None,
 ) -> None:
     """Write the hazard table of a fault matrix, as in sim/FAULTS.md."""
+    from bench.faults.hazards import hazard_table
+
+    text = _from_matrix(matrix, hazard_table)
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        output.write_text(text)
+
+
+@app.command("file")
+def hazard_file_of(
+    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="Result of faults run, matrix.json.")],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
+    ] = None,
+    judgement: Annotated[
+        Path | None,
+        typer.Option(metavar="TOML", help="The judgement.", show_default="golfbench's own"),
+    ] = None,
+) -> None:
+    """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
+    from bench.faults.hazard_file import FILE, hazard_file, load_judgement
+
+    text = _from_matrix(matrix, lambda summary: hazard_file(summary, load_judgement(judgement or FILE)))
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        output.write_text(text)
+
+
+def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:
+    """Return the `document` of the summary in the file `matrix`.
+
+    Raises:
+        BenchError: the file is no matrix.
+    """
     import json
 
     from bench.errors import BenchError
-    from bench.faults.hazards import hazard_table
 
     try:
-        text = hazard_table(json.loads(matrix.read_text()))
+        return document(json.loads(matrix.read_text()))
     except (ValueError, KeyError, TypeError):
         raise BenchError(
             str(matrix),
@@ -218,7 +253,3 @@ def table(
             "a matrix.json of `golfbench faults run`",
             "Run `golfbench faults run` and name its matrix.json.",
         ) from None
-    if output is None:
-        typer.echo(text, nl=False)
-    else:
-        output.write_text(text)

@@ -1,0 +1,348 @@
+"""The hazard file for a safety engineer: figures of the fault matrix beside people's judgement.
+
+The judgement is data, `hazard_file.toml`; figures come from the matrix. The form follows that of a failure
+modes and effects analysis, the required performance levels the risk graph of ISO 13849-1's Annex A.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from bench.errors import BenchError
+from bench.from_toml import as_tree, format_value, read_toml
+
+FILE = Path(__file__).with_name("hazard_file.toml")
+
+RISK_GRAPH: Mapping[tuple[str, str, str], str] = {
+    ("S1", "F1", "P1"): "a",
+    ("S1", "F1", "P2"): "b",
+    ("S1", "F2", "P1"): "b",
+    ("S1", "F2", "P2"): "c",
+    ("S2", "F1", "P1"): "c",
+    ("S2", "F1", "P2"): "d",
+    ("S2", "F2", "P1"): "d",
+    ("S2", "F2", "P2"): "e",
+}
+"""Required performance level by severity, exposure and avoidance: the graph of ISO 13849-1, as printed in the
+manuals that the hazard file names."""
+
+SEVERITIES = (
+    "none, or repaired in minutes",
+    "damage to the machine",
+    "injury that heals",
+    "lasting injury or death",
+)
+"""Meanings of the severities 1 to 4; IEC 60812 sets no scale."""
+
+_KEYS: Mapping[str, tuple[str, ...]] = {
+    "sources": ("standard", "read", "used"),
+    "failures": (
+        *("item", "function", "mode", "signals", "effect", "severity", "safe_state", "remains"),
+        *("proof_test", "interval", "owner"),
+    ),
+    "untried": ("item", "mode", "effect", "severity", "measure", "proof_test", "interval", "owner"),
+    "functions": (
+        *("name", "standard", "demand", "reaction", "safe_state", "s", "f", "p", "why", "category", "means"),
+        *("proof_test", "interval", "open"),
+    ),
+    "hazards": ("hazard", "where", "consequence", "measures", "open"),
+}
+"""Keys of each entry of a list; failures may also have `kinds`."""
+_TABLES = ("intervals", "owners", "open")
+_WIDTH = 119
+"""Columns of a paragraph."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The judgement as written in a file, checked."""
+
+    scope: str
+    lists: Mapping[str, Sequence[Mapping[str, Any]]]
+    """Entries by list: sources, failures, untried, functions, hazards."""
+    tables: Mapping[str, Mapping[str, str]]
+    """intervals, owners, open."""
+
+
+def load_judgement(path: Path = FILE) -> Judgement:
+    """Return the judgement in the file `path`.
+
+    Raises:
+        BenchError: the file is missing, unreadable or not TOML.
+        ExceptionGroup: of BenchErrors, one for each mistake in it.
+    """
+    read = read_toml(path, "the judgement of a hazard file", "Correct the path.")
+    faults: list[BenchError] = []
+    as_tree({key: value for key, value in read.items() if isinstance(value, dict)}, path, faults)
+    for name in (*_KEYS, *_TABLES, "scope"):
+        if name not in read:
+            faults.append(BenchError(f"{path}: {name}", "nothing", "an entry", "Add it."))
+    for name in set(read) - {*_KEYS, *_TABLES, "scope"}:
+        faults.append(BenchError(f"{path}: {name}", "unknown", f"of {', '.join(_KEYS)}", "Correct it."))
+    if not faults:
+        for name in _KEYS:
+            for count, entry in enumerate(read[name]):
+                faults += _entry_faults(f"{path}: {name}[{count}]", name, entry, read)
+    if faults:
+        raise ExceptionGroup(f"{path} is not a valid judgement", faults)
+    return Judgement(
+        read["scope"].strip(), {name: read[name] for name in _KEYS}, {name: read[name] for name in _TABLES}
+    )
+
+
+def _entry_faults(
+    place: str, name: str, entry: Mapping[str, Any], read: Mapping[str, Any]
+) -> list[BenchError]:
+    """Return the mistakes in one entry of the list `name`."""
+    faults = []
+    allowed = {*_KEYS[name], *(("kinds",) if name == "failures" else ())}
+    for key in _KEYS[name]:
+        if not entry.get(key):
+            faults.append(BenchError(f"{place}.{key}", "nothing", "a text", "Add it."))
+    for key in set(entry) - allowed:
+        faults.append(
+            BenchError(f"{place}.{key}", "unknown", f"of {', '.join(sorted(allowed))}", "Correct it.")
+        )
+    for key, table in (("interval", "intervals"), ("owner", "owners")):
+        if key in entry and entry[key] not in read[table]:
+            known = f"of {', '.join(read[table])}"
+            faults.append(BenchError(f"{place}.{key}", format_value(entry[key]), known, "Correct it."))
+    if "severity" in entry and entry["severity"] not in (1, 2, 3, 4):
+        faults.append(
+            BenchError(f"{place}.severity", format_value(entry["severity"]), "1 to 4", "Correct it.")
+        )
+    if name == "functions" and _risk(entry) not in RISK_GRAPH:
+        found = " ".join(_risk(entry))
+        faults.append(BenchError(f"{place}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct it."))
+    return faults
+
+
+def _risk(function: Mapping[str, Any]) -> tuple[str, str, str]:
+    return str(function.get("s")), str(function.get("f")), str(function.get("p"))
+
+
+def hazard_file(summary: Mapping[str, Any], judgement: Judgement) -> str:
+    """Return the hazard file as Markdown from the matrix's `summary`.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each row of the matrix that no failure or several claim.
+    """
+    claimed = _claims(summary["rows"], judgement.lists["failures"])
+    sections = (
+        _head(summary, judgement),
+        _sources(judgement),
+        _failures(claimed, judgement),
+        _untried(judgement),
+        _functions(judgement),
+        _hazards(judgement),
+        _open(judgement),
+    )
+    return "\n".join(line for section in sections for line in (*section, "")).rstrip("\n") + "\n"
+
+
+def _claims(
+    rows: Sequence[Mapping[str, Any]], failures: Sequence[Mapping[str, Any]]
+) -> list[list[Mapping[str, Any]]]:
+    """Return the matrix's rows of each failure."""
+    claimed: list[list[Mapping[str, Any]]] = [[] for _ in failures]
+    faults = []
+    for row in rows:
+        owners = [
+            i
+            for i, failure in enumerate(failures)
+            if row["signal"] in failure["signals"] and row["kind"] in failure.get("kinds", [row["kind"]])
+        ]
+        if len(owners) == 1:
+            claimed[owners[0]].append(row)
+        else:
+            found = f"{len(owners)} failures of the hazard file"
+            cure = "Correct signals and kinds in bench/faults/hazard_file.toml."
+            faults.append(BenchError(f"matrix: {row['breakage']}", found, "one", cure))
+    if faults:
+        raise ExceptionGroup("the hazard file does not cover the matrix", faults)
+    return claimed
+
+
+def _paragraph(*parts: str) -> list[str]:
+    """Return the lines of a paragraph."""
+    return wrap(" ".join(parts), _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return a Markdown table."""
+    lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
+    return lines + [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in rows]
+
+
+def _head(summary: Mapping[str, Any], judgement: Judgement) -> list[str]:
+    v, origin = summary["verdicts"], summary["origin"]
+    return [
+        "# Hazard file",
+        "",
+        *_paragraph(
+            "Made by `golfbench faults file sim/FAULTS.json --output sim/HAZARDS.md`; do not edit.",
+            "Judgement is written in [`hazard_file.toml`](../bench/faults/hazard_file.toml), figures come",
+            "from the fault matrix of the shipped configuration ([`FAULTS.md`](FAULTS.md)).",
+        ),
+        "",
+        *_paragraph(
+            "It is a draft for the safety engineer of an installation, not a certificate: no machine exists",
+            "yet, and no person with that competence has signed it. **No software of golfbench is credited",
+            "with a performance level**; its reactions are listed because they come first, and because their",
+            "limits show what the hardware must take.",
+        ),
+        "",
+        *_paragraph(*judgement.scope.splitlines()),
+        "",
+        *_paragraph(
+            f"Matrix: swing `{summary['profile']}`, {summary['cases']} cases, {v['unsafe']} unsafe,",
+            f"{v['undetected']} undetected with another shot or pose; configuration",
+            f"{origin['configuration']}, {origin['time_utc'][:10]}.",
+        ),
+    ]
+
+
+def _sources(judgement: Judgement) -> list[str]:
+    rows = [(entry["standard"], entry["read"], entry["used"]) for entry in judgement.lists["sources"]]
+    return [
+        "## Standards, and what was read of them",
+        "",
+        *_paragraph(
+            "**None of the standards themselves was at hand.** Read were the openings of public pages that",
+            "quote or summarise them; a clause is named only where such a page quotes it. Editions may be",
+            "superseded.",
+        ),
+        "",
+        *_table(("standard", "read", "used here"), rows),
+    ]
+
+
+def _failures(claimed: Sequence[Sequence[Mapping[str, Any]]], judgement: Judgement) -> list[str]:
+    scale = "; ".join(f"{i + 1} {text}" for i, text in enumerate(SEVERITIES))
+    rows = [
+        _failure_cells(number + 1, failure, own, judgement)
+        for number, (failure, own) in enumerate(zip(judgement.lists["failures"], claimed, strict=True))
+    ]
+    return [
+        "## Failure modes",
+        "",
+        *_paragraph(
+            "In the form of a failure modes and effects analysis. The severity is that of the effect without",
+            f"any reaction: {scale}. There is no risk priority number: no failure rates of these parts are",
+            "known. Detection, reaction, cases and the highest share of an absorber's rated energy are the",
+            "matrix's, with the model-based check on. The median time runs from the fault to its detection:",
+            "one that comes at rest is found when the part is next used.",
+        ),
+        "",
+        *_table(
+            (
+                *("no.", "item: function", "failure mode", "effect", "severity", "detection", "reaction"),
+                *("cases: unsafe, undetected", "absorber", "safe state", "remains"),
+                *("proof test, interval, owner",),
+            ),
+            rows,
+        ),
+    ]
+
+
+def _failure_cells(
+    number: int, failure: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], judgement: Judgement
+) -> tuple[str, ...]:
+    verdicts: Counter[str] = Counter()
+    for row in rows:
+        verdicts.update(row["verdicts"])
+    ticks = sorted(tick for row in rows for tick in row["detection_ticks"])
+    median = f", median {ticks[len(ticks) // 2]} ms" if ticks else ""
+    return (
+        f"F{number}",
+        f"{failure['item']}: {failure['function']}",
+        failure["mode"],
+        failure["effect"],
+        str(failure["severity"]),
+        ", ".join(_most(rows, "detected_by")) or "-",
+        (", ".join(_most(rows, "reactions")) or "-") + median,
+        f"{sum(verdicts.values())}: {verdicts['unsafe']}, {verdicts['undetected']}",
+        f"{100 * max((row['worst_stop'] for row in rows), default=0.0):.0f} %",
+        failure["safe_state"],
+        failure["remains"],
+        _proof(failure, judgement),
+    )
+
+
+def _most(rows: Sequence[Mapping[str, Any]], key: str) -> list[str]:
+    """Return the three entries of the lists `key` that come in most of `rows`, ties in their order."""
+    return [text for text, _ in Counter(text for row in rows for text in row[key]).most_common(3)]
+
+
+def _proof(entry: Mapping[str, Any], judgement: Judgement) -> str:
+    tables = judgement.tables
+    owner = f"; {tables['owners'][entry['owner']]}" if "owner" in entry else ""
+    return f"{entry['proof_test']}; {tables['intervals'][entry['interval']]}{owner}"
+
+
+def _untried(judgement: Judgement) -> list[str]:
+    rows = [
+        (e["item"], e["mode"], e["effect"], str(e["severity"]), e["measure"], _proof(e, judgement))
+        for e in judgement.lists["untried"]
+    ]
+    names = ("item", "failure mode", "effect", "severity", "measure", "proof test, interval, owner")
+    return ["## Failures that no simulation here tries", "", *_table(names, rows)]
+
+
+def _functions(judgement: Judgement) -> list[str]:
+    rows = [
+        (
+            f"**{e['name']}** ({e['standard']})",
+            e["demand"],
+            e["reaction"],
+            e["safe_state"],
+            f"{' '.join(_risk(e))}: **PL {RISK_GRAPH[_risk(e)]}**",
+            e["why"],
+            f"{e['category']}: {e['means']}",
+            _proof(e, judgement),
+            e["open"],
+        )
+        for e in judgement.lists["functions"]
+    ]
+    names = (
+        *(
+            "function",
+            "demand",
+            "reaction",
+            "safe state",
+            "required level",
+            "why",
+            "category proposed, means",
+        ),
+        *("proof test, interval", "open"),
+    )
+    return [
+        "## Safety functions and the level they need",
+        "",
+        *_paragraph(
+            "Required performance level by the risk graph: severity S, exposure F, avoidance P. Fence and",
+            "absorbers are counted as there, as they do not depend on control. The category is a proposal to",
+            "the integrator, who owns these functions; the level that a built circuit reaches is to be",
+            "calculated there.",
+        ),
+        "",
+        *_table(names, rows),
+    ]
+
+
+def _hazards(judgement: Judgement) -> list[str]:
+    rows = [
+        (e["hazard"], e["where"], e["consequence"], e["measures"], e["open"])
+        for e in judgement.lists["hazards"]
+    ]
+    return ["## Hazards to people", "", *_table(("hazard", "where", "consequence", "measures", "open"), rows)]
+
+
+def _open(judgement: Judgement) -> list[str]:
+    lines = [f"- **{name}**: {text}." for name, text in judgement.tables["open"].items()]
+    return ["## What only the installation can decide", "", *lines]
