@@ -19,7 +19,9 @@ def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:
     with mpl.rc_context(STYLE):
         figure = styled(3.6)
         axes = figure.subplots()
-        axes.scatter([p.price for p in planned], [p.plan.speed for p in planned], s=14, color=GREY)
+        axes.scatter(
+            [p.price for p in planned], [p.plan.speed for p in planned], s=14, color=GREY, label="candidates"
+        )
         axes.step(
             [p.price for p in front],
             [p.plan.speed for p in front],

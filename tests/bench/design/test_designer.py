@@ -50,6 +50,8 @@ SHIPPED = (
     ("driver-85mph", "shipped", 38.0),
     ("driver-90mph", "shipped", 40.2),
     ("driver-100mph", "shipped", 45.0),
+    ("driver-130mph", "high_speed", 58.4),
+    ("driver-130mph-level", "high_speed", 58.4),
     ("average-male", "steady", 41.57),
     ("senior", "steady", 36.66),
     ("average-female", "steady", 33.53),
@@ -57,9 +59,13 @@ SHIPPED = (
     ("two-handicap", "steady", 46.94),
     ("tour-male", "steady", 48.09),
 )
-"""Name, whose gains, and head speed (m/s) demanded."""
+"""Name, for which configuration, and head speed (m/s) demanded."""
 RISING = dict.fromkeys(
-    ("default", "driver-85mph", "driver-90mph", "driver-100mph", "two-handicap", "tour-male"), 2.0
+    (
+        *("default", "driver-85mph", "driver-90mph", "driver-100mph", "driver-130mph"),
+        *("two-handicap", "tour-male"),
+    ),
+    2.0,
 )
 """Attack angle in degrees; the others are level."""
 

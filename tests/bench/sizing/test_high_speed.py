@@ -1,0 +1,51 @@
+"""The variant `high_speed` is the hardware that its text names, and its swings stop safely."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from bench.config import VARIANTS, load_configuration
+from bench.design.check import TRIALS, SwingCheck
+from bench.sizing.catalogue import shipped_catalogue
+from bench.sizing.hardware import Hardware
+from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+def named_hardware() -> Hardware:
+    """Return the hardware that the comment of the variant names."""
+    found = re.search(r"^# (V\d+-\S+?)-8bar-60mm", (VARIANTS / "high_speed.toml").read_text(), re.MULTILINE)
+    assert found is not None
+    names = [field.name for field in fields(Hardware)][:10]
+    parts: dict[str, Any] = dict(zip(names, found[1].split("-"), strict=True))
+    return Hardware(**parts, pressure=8.0e5, lever=0.06)
+
+
+def test_the_variant_is_the_hardware_that_it_names() -> None:
+    hardware, shipped = named_hardware(), load_configuration(Path("shipped"))
+    text = candidate_text(shipped_catalogue(), hardware, shipped, SizingDemand(58.1))
+    made, variant = candidate_configuration(text), load_configuration(Path("high_speed"))
+    assert made.plant == variant.plant
+    assert made.envelope == variant.envelope
+
+
+@needs_speed
+@pytest.mark.parametrize("name", ["driver-130mph", "driver-130mph-level"])
+def test_stops_silence_and_a_missing_ball_end_safely_every_fifth_of_a_second(name: str) -> None:
+    c, profile = load_configuration(Path("high_speed")), load_profile(find_profile(name))
+    trials = tuple(trial for trial in TRIALS if "stuck" not in trial.name)
+    check = SwingCheck(c.plant, profile, c.control, c.envelope.with_model_check("off"), c.estimator)
+    outcomes = check.outcomes(trials, spacing=205)
+    assert len(outcomes) > 90
+    assert [outcome for outcome in outcomes if outcome.unsafe] == []
