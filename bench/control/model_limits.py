@@ -31,6 +31,7 @@ from bench.from_toml import format_value, read_toml
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
+from sim.robot import ADDED_TO_CLUBS
 
 SCHEMA = "golfbench-limits/1"
 ENDING = ".limits.toml"
@@ -44,14 +45,6 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 
 NOT_FELT = frozenset({"ball", "seed", "vent_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
-
-ADDED_TO_CLUBS = {
-    "restitution_slope": 0.0,
-    "tangential_stiffness": 0.0,
-    "tangential_loss": 0.0,
-    "friction_factor": 1.0,
-}
-"""Fields of clubs that are younger than limits in use, with the values at which they change nothing."""
 
 LimitTables = Mapping[str, Mapping[str, Triple]]
 """Limits by comparison and row, joints in order: Pa, Pa, rad/s, rad, N m."""

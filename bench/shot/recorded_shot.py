@@ -31,6 +31,7 @@ from sim.flight import Flight, Wind, fly
 from sim.impact import Delivery, delivery_from_plane, strike
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
+from sim.robot import ADDED_TO_CLUBS
 from sim.turf import Turf
 
 Cycles = np.ndarray[Any, Any]
@@ -93,6 +94,8 @@ def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
 def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
     """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
 
+    A club of before its contact had further fields is struck as then.
+
     Raises:
         ExceptionGroup: of BenchErrors, one for each value that this program does not take.
     """
@@ -106,7 +109,10 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
     for name, kind in (("plant", PlantParameters), ("air", Air), ("wind", Wind), ("turf", Turf)):
         table = configuration.get(name)
         recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
-        today = as_tree({name: json.loads(json.dumps(asdict(kind())))}, file, faults)
+        defaults = json.loads(json.dumps(asdict(kind())))
+        if kind is PlantParameters:
+            defaults["robot"]["club"] |= ADDED_TO_CLUBS  # what a record of before is without
+        today = as_tree({name: defaults}, file, faults)
         cure = "Read it with the version of golfbench that wrote it."
         tree = laid_over(today, recorded)[name]
         built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]

@@ -18,12 +18,12 @@ import pytest
 from bench.cli import main
 from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.model import KINDS
-from bench.control.model_limits import ADDED_TO_CLUBS
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
+from bench.shot.recorded_shot import plant_of
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.telemetry.cycle_record import FIELDS
@@ -34,7 +34,7 @@ from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
 from sim.plant import PlantParameters
-from sim.robot import Club
+from sim.robot import ADDED_TO_CLUBS
 from tests.replay.renew import STOP, SWING, reference_bench
 
 Change = Callable[[ControlParameters], None]
@@ -82,8 +82,10 @@ def test_clearances_of_the_references_are_their_cushions(name: str, swing: Recor
         assert metadata["configuration"]["plant"][name]["stop"]["travel"] == clearance
 
 
-def test_faces_of_the_references_are_todays_default() -> None:
-    assert {name: getattr(Club.driver(), name) for name in ADDED_TO_CLUBS} == ADDED_TO_CLUBS
+def test_faces_of_the_references_are_those_of_their_time(swing: Record, stop: Record) -> None:
+    for _, metadata in (swing, stop):
+        club = plant_of(metadata, "the reference")[0].robot.club
+        assert {name: getattr(club, name) for name in ADDED_TO_CLUBS} == ADDED_TO_CLUBS
 
 
 @pytest.mark.parametrize("path", [SWING, STOP])

@@ -41,7 +41,14 @@ RPM = pi / 30
 LIE = radians(53.0)
 DOWN = 1.5 * pi
 BALL = Ball()
-DRIVER = Club.driver()
+DRIVER = replace(
+    Club.driver(),
+    restitution=0.83,
+    restitution_slope=0.0,
+    tangential_stiffness=0.0,
+    tangential_loss=0.0,
+)
+"""A driver whose contact is one restitution and one share of rolling; the shipped one: `test_contact`."""
 POINT_HEAD = replace(DRIVER, head_depth=0.0, tangential_factor=1.0)
 """Penner's head: a point mass, and a ball that rolls at exit."""
 

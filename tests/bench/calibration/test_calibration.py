@@ -174,7 +174,7 @@ def test_what_cannot_be_true_of_this_bench_is_refused(
 
 def test_a_ball_below_the_ground_contradicts_the_configuration(shipped: Configuration) -> None:
     with pytest.raises(ExceptionGroup) as group:
-        require_plausible(BallPosition(0.25, -1.61, 1e-3), shipped)
+        require_plausible(BallPosition(0.25, -1.62, 1e-3), shipped)
     assert "ball_y" in str(group.value.exceptions[0])
 
 

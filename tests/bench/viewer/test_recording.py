@@ -119,7 +119,7 @@ def test_the_ball_rests_on_its_tee_and_flies_its_flight(three: Recording, make_r
     assert record.shot.ball_speed_mps is not None
     assert speed[0][0] == pytest.approx(record.shot.ball_speed_mps, rel=0.01)
     _, near = three.read("/scene/ball", "Points3D:positions")
-    assert near[0][0][1] == pytest.approx((1.57 - 1.514) * sin(radians(53)) + RADIUS * sin(radians(10.5)))
+    assert near[0][0][1] == pytest.approx((1.57 - 1.514) * sin(radians(53)) + RADIUS * sin(radians(15.0)))
 
 
 def test_every_shot_says_its_figures(three: Recording) -> None:
