@@ -177,6 +177,11 @@ class PlantParameters:
         """Actuators in the order of drivers.base.ACTUATORS."""
         return self.shoulder, self.right_arm, self.wrist
 
+    @property
+    def valve_centres(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Commands (3,) at which the spools are centred."""
+        return np.array([actuator.valve.centre for actuator in self.actuators])
+
 
 OPEN, SHUT = 1, 2
 """Where a vent is stuck, in `vent_stuck` of PLANT_PARAMETERS; 0: it obeys."""

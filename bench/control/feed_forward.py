@@ -68,7 +68,7 @@ def opening_for(p: Any, i: int, rates: tuple[float, float, float], wanted: float
     share = min(max(missing / full, -1.0), 1.0)
     band = p.dead_band[i] * min(abs(share) / _EASED, 1.0)
     opening = band + (1.0 - p.dead_band[i]) * abs(share)
-    return float(p.centre[i] + (opening if share > 0.0 else -opening))
+    return float(opening if share > 0.0 else -opening)
 
 
 @compiled

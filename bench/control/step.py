@@ -164,6 +164,7 @@ def limit_tick(
 ) -> None:
     """Bound the desired openings, and write COMMAND and the tick's CYCLE record."""
     s, p, c = state.control[0], parameters.control[0], command[0]
+    centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
         s.air, s.vented = True, False
     powered = s.air and s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
@@ -174,6 +175,7 @@ def limit_tick(
         else:
             if s.phase == Phase.HOMING:
                 s.desired[i] = bounded(p, s.desired[i])
+            s.desired[i] += centre[i]  # openings above are from the spool's known centre, a command is not
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
     c.supply_enable = c.exhaust_closed = powered

@@ -149,7 +149,8 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     following = np.vstack([velocity[top + 1 : top + len(opening)], velocity[top + len(opening) - 1]])
     damping = damped * ((following - velocity[rows]) / profile.period - acceleration)
     damping[window:] = 0.0
-    valve[rows] = np.clip(opening - integral - derivative - damping, -1.0, 1.0)
+    from_centre = opening - bench.plant.valve_centres
+    valve[rows] = np.clip(from_centre - integral - derivative - damping, -1.0, 1.0)
     return replace(profile, angle=angle, velocity=velocity, valve=valve)
 
 
@@ -188,7 +189,7 @@ def with_follow_through(bench: SimulatedBench) -> tuple[Profile, NDArray[Any]]:
     angle, velocity, valve = profile.angle.copy(), profile.velocity.copy(), profile.valve.copy()
     follow = profile.begins[-1]
     angle[follow:], velocity[follow:] = cycles["plant_angle"][follow:], cycles["plant_velocity"][follow:]
-    valve[follow:] = cycles["applied_valve"][follow:]
+    valve[follow:] = np.clip(cycles["applied_valve"][follow:] - bench.plant.valve_centres, -1.0, 1.0)
     state = rehearsal.bench.plant_state
     if not state["struck"][0]:
         raise LoopFailed("under closed loop the head misses the ball")

@@ -343,7 +343,8 @@ def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest:
 
     # Past the ball the plan ends, the motion does not.
     angle = rows(0) + np.maximum(at - plan.time[-1], 0.0)[:, None] * plan.state[-1, 3:6]
-    return shooter.follow(rows(13, lag), angle, rows(3), gains_along(pid, angle), highest)
+    valve_command = rows(13, lag) + shooter.plant.parameters.valve_centres
+    return shooter.follow(valve_command, angle, rows(3), gains_along(pid, angle), highest)
 
 
 def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:

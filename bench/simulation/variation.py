@@ -157,7 +157,7 @@ def healthy_plant(plant: PlantParameters, seed: int, spread: float = 1.0) -> Pla
             natural_frequency=a.valve.natural_frequency * about_1("spool frequency"),
             dead_band=a.valve.dead_band * about_1("dead band"),
             leakage=a.valve.leakage * leaking(),
-            centre=spread * CENTRE * float(random.uniform(-1.0, 1.0)),
+            centre=a.valve.centre + spread * CENTRE * float(random.uniform(-1.0, 1.0)),
         )
         return replace(
             a,
