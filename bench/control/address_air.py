@@ -12,7 +12,8 @@ difference  an offset of the swing fills one chamber and empties the other.
 
 A joint is first brought into its band around the address by its PID, the spool swung, so that neither dead
 band nor friction keeps it away. From then on its valve serves the air: friction holds the joint as long as
-the planned force is near its load. Once both chambers are as planned the spool rests at its centre.
+the planned force is near its load. Once both chambers are as planned the spool rests at its centre. On a
+robot whose air leaks away faster than all three come to rest together, the spools go on swinging instead.
 
 The pressures are those of `bench.control.air`: sensors, or the observer where none are fitted. Planned
 pressures are in proportion to the supply.
@@ -30,8 +31,6 @@ from bench.control.references import square_wave
 from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
-_PERIOD = 0.012
-"""s between two changes of side that lead the same way."""
 _BAND = 2.0
 """Times the band around the address that a joint may leave it while its valve serves the air."""
 _NEARER = 0.5
@@ -46,6 +45,12 @@ _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
 _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
+_PATIENCE = 6.0
+"""s without all pressures as planned at rest, after which the chambers count as leaking."""
+_LEAKS = 2
+"""In `air_held`, beside 1: the joint is held, and its chambers count as leaking."""
+_LEAKING = 1.5
+"""Times the tolerance within which the pressures of leaking chambers are as planned: spools hold them."""
 _OFFSET = 0.8
 """Share of the swing to either side that an offset may take: the rest goes on moving the sum."""
 
@@ -112,19 +117,22 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
-    side, settled = square_wave((time - s.air_since) / _PERIOD), True
+    side, settled = square_wave((time - s.air_since) / profile.air_period), True
     for i in range(3):
         away = abs(parameters.angle[0, i] - e.angle[i])
         if s.air_held[i] == 0 and away <= p.rest_band[i] and abs(e.velocity[i]) <= p.still_speed[i]:
             s.air_held[i] = 1
         elif not away <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             s.air_held[i] = 0
+        if s.air_held[i] != 0 and time - s.air_since >= _PATIENCE:
+            s.air_held[i] = _LEAKS
         missing = _missing(profile, air, i)
         if not missing <= p.air_tolerance or s.air_held[i] == 0:
             s.air_swung[i] = 1
         elif missing <= _NEARER * p.air_tolerance:
             s.air_swung[i] = 0
-        settled = settled and s.air_held[i] != 0 and s.air_swung[i] == 0
+        enough = _LEAKING * p.air_tolerance if s.air_held[i] == _LEAKS else 0.0
+        settled = settled and s.air_held[i] != 0 and (s.air_swung[i] == 0 or missing <= enough)
         if s.air_held[i] == 0:
             s.desired[i] += side * profile.air_width[i]
             continue
@@ -153,7 +161,7 @@ def charge(state: Any, parameters: Any, time: float) -> None:
     other has as much. And a vented robot rests by friction alone: near the ground it would slide onto it.
     """
     s, air, plant, profile = state.control[0], state.air[0], parameters.plant[0], parameters.profile[0]
-    side = square_wave((time - s.move_start) / _PERIOD)
+    side = square_wave((time - s.move_start) / profile.air_period)
     for i in range(3):
         s.air_trim[i] = 0.0
         if time >= s.air_from:
@@ -170,7 +178,7 @@ def loosen(s: Any, profile: Any, time: float) -> None:
 
     Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
     """
-    side = square_wave((time - s.move_start) / _PERIOD)
+    side = square_wave((time - s.move_start) / profile.air_period)
     for i in range(3):
         s.desired[i] += side * profile.air_width[i]
 

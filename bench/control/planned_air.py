@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 
 SETTLING = 0.5
 """s in which the sum of two pressures comes two thirds of the way to its balance."""
+_PERIOD, _QUICK = 0.012, 2.0 * pi * 100.0
+"""s between two changes of side that lead the same way, for spools of at least this frequency, rad/s."""
 _WIDEST = 0.4
 """Max opening of a swung spool to either side."""
 _LEAST, _MOST = 0.02, 0.98
@@ -84,6 +87,12 @@ def swing_widths(plant: PlantParameters, machine: Array, angle: Array) -> Array:
         open_ = volume / (plant.supply.polytropic_exponent * slope * SETTLING)
         widths[i] = min(valve.dead_band + (1.0 - valve.dead_band) * open_, _WIDEST)
     return widths
+
+
+def swing_period(plant: PlantParameters) -> float:
+    """Return the period (s) in which spools are swung: longer where a slow one would not follow."""
+    slowest = min(actuator.valve.natural_frequency for actuator in plant.actuators)
+    return _PERIOD * max(_QUICK / slowest, 1.0)
 
 
 def _force(plant: PlantParameters, i: int, share: float) -> float:

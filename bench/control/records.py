@@ -232,11 +232,13 @@ PROFILE = np.dtype(
         ("air", "f8", (6,)),
         ("air_supply", "f8"),
         ("air_width", "f8", (3,)),
+        ("air_period", "f8"),
     ],
     align=True,
 )
 """`air_planned`: whether the chambers have planned pressures at the address: `air` (Pa) where the supply has
-`air_supply` (Pa). `air_width` are the openings to either side with which the spools are swung there."""
+`air_supply` (Pa). `air_width` are the openings to either side with which the spools are swung there, in
+`air_period` (s)."""
 
 
 class ControlState(NamedTuple):

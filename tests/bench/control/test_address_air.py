@@ -12,11 +12,12 @@ import pytest
 
 from bench.control.air import load_force
 from bench.control.demand import actuator_forces
-from bench.control.planned_air import planned_air, swing_widths, with_planned_air
+from bench.control.planned_air import planned_air, swing_period, swing_widths, with_planned_air
 from bench.control.settings import SIMULATED, build_controller
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.series import Bench, Series, quiet
 from bench.simulation.variation import WORN
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
@@ -28,6 +29,8 @@ from tests.bench.control.puppet import STILL, Puppet
 Array = np.ndarray[Any, Any]
 
 PLANT = PlantParameters()
+NEAR_GROUND = replace(PLANT, site=replace(PLANT.site, ground=-1.62))
+"""The robot on ground to which its club hangs down."""
 TOLERANCE = SIMULATED.air_tolerance
 LOOKED_AT = 1.02 * TOLERANCE
 """Pa, where the engine looks every ten ticks only: chambers leak."""
@@ -41,10 +44,15 @@ def profile() -> Profile:
     return with_planned_air(load_profile(find_profile("default")), PLANT)
 
 
-def bench_on(profile: Profile, plant: PlantParameters = PLANT, angle: Array | None = None) -> LockstepEngine:
-    """Return a bench that believes in PLANT and stands vented at `angle`, by default hanging."""
+def bench_on(
+    profile: Profile,
+    plant: PlantParameters = PLANT,
+    angle: Array | None = None,
+    model: PlantParameters = PLANT,
+) -> LockstepEngine:
+    """Return a bench that believes in `model` and stands vented at `angle`, by default hanging."""
     start = hanging_pose(plant) if angle is None else angle
-    bench = LockstepEngine(Lockstep(build_plant(plant), build_controller(PLANT, profile), start))
+    bench = LockstepEngine(Lockstep(build_plant(plant), build_controller(model, profile), start))
     bench.advance(200)
     return bench
 
@@ -169,7 +177,7 @@ def test_a_swing_begins_after_waiting_without_being_asked_more_often(profile: Pr
 @compiled_only
 def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) -> None:
     low = np.array([-0.012, 4.404, 6.271])
-    bench = bench_on(profile, angle=low)
+    bench = bench_on(profile, NEAR_GROUND, low, NEAR_GROUND)
     height = float(bench.control["head"][0, 1])
     bench.request(Request.ARM)
     lowest = height
@@ -184,7 +192,7 @@ def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) 
 @pytest.mark.parametrize("shoulder", [0.107, 0.208])
 def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> None:
     low = np.array([shoulder, 4.404, 6.275])
-    bench = bench_on(profile, angle=low)
+    bench = bench_on(profile, NEAR_GROUND, low, NEAR_GROUND)
     bench.begin_tally()
     bench.advance(1)
     clearance = bench.loads().lowest_clearance
@@ -196,7 +204,7 @@ def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> No
 
 @compiled_only
 def test_a_head_that_lies_low_may_not_come_nearer_to_the_ground(profile: Profile) -> None:
-    bench = bench_on(profile, angle=np.array([0.107, 4.404, 6.275]))
+    bench = bench_on(profile, NEAR_GROUND, np.array([0.107, 4.404, 6.275]), NEAR_GROUND)
     bench.request(Request.ARM)
     bench.advance(1000)
     assert not bench.control["cause"][0]
@@ -267,3 +275,72 @@ def test_values_that_are_no_numbers_move_no_valve_beyond_its_swing(spoil: Spoil)
     assert np.all(np.isfinite(openings))
     assert np.abs(openings).max() < 0.5
     assert puppet.tick(Request.SWING) != 1 or spoil is spoil_supply
+
+
+# Other machines ---------------------------------------------------------------------------------------
+
+
+def machine(profile: Profile, **valve: float) -> tuple[PlantParameters, Profile]:
+    """Return PLANT with other valves and the profile with the air planned for it."""
+
+    def other(i: int) -> Any:
+        actuator = PLANT.actuators[i]
+        side = (1.0, -1.0, 1.0)[i]
+        changed = {key: side * value if key == "centre" else value for key, value in valve.items()}
+        return replace(actuator, valve=replace(actuator.valve, **changed))
+
+    plant = replace(PLANT, shoulder=other(0), right_arm=other(1), wrist=other(2))
+    return plant, with_planned_air(profile, plant)
+
+
+@compiled_only
+@pytest.mark.parametrize(
+    "valve",
+    [
+        {"centre": 0.03},
+        {"centre": -0.03, "dead_band": 0.01},
+        {"natural_frequency": 2.0 * np.pi * 60.0, "dead_band": 0.05},
+        {"leakage": 0.005, "natural_frequency": 2.0 * np.pi * 150.0},
+    ],
+    ids=["off centre", "off centre, hardly a dead band", "slow spools", "leaking"],
+)
+def test_known_valves_bring_the_air_in_time(valve: dict[str, float], profile: Profile) -> None:
+    plant, planned = machine(profile, **valve)
+    bench = LockstepEngine(
+        Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))
+    )
+    bench.advance(200)
+    bench.arm()
+    assert bench.await_air()
+    assert np.abs(deviation(bench, planned)).max() < 1.6 * TOLERANCE
+
+
+def test_slow_spools_are_swung_more_slowly() -> None:
+    slow = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 60.0))
+    quick = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 150.0))
+    assert swing_period(replace(PLANT, wrist=slow)) == pytest.approx(swing_period(PLANT) * 100.0 / 60.0)
+    assert swing_period(replace(PLANT, wrist=quick)) == swing_period(PLANT)
+
+
+@compiled_only
+def test_a_known_centre_does_not_change_the_swing(profile: Profile) -> None:
+    """Openings are counted from where the spool is centred: a profile holds for other valves, too."""
+    delivered = []
+    for centre in (0.0, 0.025):
+        plant, _ = machine(profile, centre=centre)
+        made = Series(Bench(quiet(plant), profile), quiet(plant)).swing(profile)
+        assert made.delivery is not None
+        delivered.append(made.delivery)
+    straight, beside = delivered
+    assert beside.speed == pytest.approx(straight.speed, rel=0.002)
+    assert beside.in_plane_error == pytest.approx(straight.in_plane_error, abs=0.001)
+
+
+@compiled_only
+def test_a_standing_robot_gets_the_passive_command_whatever_the_centre(profile: Profile) -> None:
+    plant, planned = machine(profile, centre=0.03)
+    bench = LockstepEngine(
+        Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))
+    )
+    bench.advance(200)
+    assert np.all(bench.stepper.command["valve"] == 0.0)
