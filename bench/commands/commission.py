@@ -1,4 +1,4 @@
-"""`golfbench commission`: from an unknown robot towards its first learned swing, step by step."""
+"""`golfbench commission`: from an unknown robot to its first learned swing, step by step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.steps import CommissioningStep
+    from bench.commissioning.steps import NamedStep
     from bench.config import Configuration
     from sim.plant import PlantParameters
 
@@ -43,16 +43,16 @@ def commission(
     check: Check = False,
     json_: Json = False,
 ) -> None:
-    """Measure an unknown robot's wiring, valves, air, friction and delays in five bounded steps.
+    """Measure an unknown robot in five bounded steps, design its swing, and learn it.
 
-    Writes robot.toml, with standard errors, and a report to sign. If the machine is wrong it says what to do.
-    Exit code 0 is for a robot with a learned swing. Swings, gains and learning are not part of it yet, so it
-    exits with 1 after these steps, too: go on with identify, tune and learn.
+    Writes robot.toml, with standard errors, its profile, also as learned, and a report to sign. If the
+    machine is wrong it says what to do. Exits with 0 once the swing is learned within the tolerances.
     """
     from bench.commissioning.commissioning import begin
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.config import load_configuration
-    from bench.errors import BenchError, ExitCode
+    from bench.design.casadi_package import load_casadi
+    from bench.errors import BenchError
 
     if not sim:
         cure = "Add --sim: commissioning of a running bench is not part of golfbench yet."
@@ -65,44 +65,56 @@ def commission(
         with SimulatedMachine(truth.plant, configuration.plant):
             _show_steps(state, json_=json_)
         return
-    _measure(state, configuration.plant, truth)
+    load_casadi()  # a missing package must fail before the long part
+    _commission(state, configuration, truth)
     _show(state)
-    raise typer.Exit(ExitCode.REFUSED)  # not yet a robot with a learned swing
 
 
-def _measure(state: Commissioning, nominal: PlantParameters, truth: Configuration) -> None:
-    """Do the steps that are left on the simulated `truth`; write state, report and robot.toml."""
+def _commission(state: Commissioning, configuration: Configuration, truth: Configuration) -> None:
+    """Do the steps that are left on the simulated `truth`; write state, report, robot.toml and profiles."""
     from datetime import UTC, datetime
 
     from bench.commands.progress import progress_bar
-    from bench.commissioning.commissioning import STEPS, commission
+    from bench.commissioning.commissioning import ALL_STEPS, commission, commission_swings
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.folder_lock import folder_lock
     from bench.commissioning.robot_file import robot_file
+    from bench.commissioning.swung_robot import SimulatedRobot
+    from bench.config import load_configuration
     from bench.telemetry.whole_file import whole_file
+
+    nominal, faults = configuration.plant, tuple(truth.faults.values())
 
     def now() -> datetime:
         return datetime.now(UTC)
 
-    def on_step(step: CommissioningStep) -> None:
+    def on_step(step: NamedStep) -> None:
         bar.update(task, description=step.title, completed=len(state.done))
         _write_report(state, nominal, now())
 
-    with folder_lock(state.folder):
+    file = state.folder / "robot.toml"
+    with folder_lock(state.folder), progress_bar() as bar:
         state.save()
+        task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
-            with (
-                progress_bar() as bar,
-                SimulatedMachine(truth.plant, nominal, tuple(truth.faults.values())) as machine,
-            ):
-                task = bar.add_task(STEPS[0].title, total=len(STEPS), completed=len(state.done))
+            with SimulatedMachine(truth.plant, nominal, faults) as machine:
                 known = commission(
                     state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
                 )
+            with whole_file(file) as stream:
+                text = robot_file(known, state.configuration, now().date(), configuration.envelope)
+                stream.write(text.encode())
+            commission_swings(
+                state,
+                load_configuration(file),
+                SimulatedRobot(truth.plant, faults),
+                now,
+                on_step=on_step,
+                progress=lambda what: bar.update(task, description=what),
+            )
+            bar.update(task, completed=len(state.done))
         finally:
             _write_report(state, nominal, now())
-        with whole_file(state.folder / "robot.toml") as stream:
-            stream.write(robot_file(known, state.configuration, now().date()).encode())
 
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:
@@ -111,13 +123,13 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
 
     from rich.console import Console
 
-    from bench.commissioning.commissioning import STEPS
+    from bench.commissioning.commissioning import ALL_STEPS
 
     done = {step.name for step in state.done}
     if json_:
         steps = [
             {"name": step.name, "title": step.title, "bounds": step.bounds_text, "done": step.name in done}
-            for step in STEPS
+            for step in ALL_STEPS
         ]
         found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
         typer.echo(json.dumps(found | {"steps": steps}, indent=2))
@@ -128,7 +140,7 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
         highlight=False,
         markup=False,
     )
-    for number, step in enumerate(STEPS, start=1):
+    for number, step in enumerate(ALL_STEPS, start=1):
         word = "done" if step.name in done else "left"
         console.print(
             f"{number}. {step.title} ({word})\n   {step.bounds_text}", highlight=False, markup=False
@@ -162,7 +174,8 @@ def _show(state: Commissioning) -> None:
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title="Commissioned robot")
     for column in ("step", "value", "found", "standard error", "unit"):
-        table.add_column(column, justify="right" if column in ("found", "standard error") else "left")
+        right = column in ("found", "standard error")
+        table.add_column(column, justify="right" if right else "left", overflow="fold")
     for value in {value.key: value for value in state.values}.values():
         table.add_row(value.step, value.key, f"{value.value:.6g}", f"{value.error:.2g}", value.unit)
     console = Console()
@@ -170,8 +183,10 @@ def _show(state: Commissioning) -> None:
     for step in state.done:
         for note in step.notes:
             console.print(f"{step.name}: {note}", highlight=False)
+    robot, learned = state.folder / "robot.toml", state.folder / "learned.toml"
     console.print(
-        f"Written: {state.folder / 'robot.toml'} and report.html. Swings, gains, limits and learning are not "
-        "part of commissioning yet: go on with golfbench identify, tune and learn.",
+        f"Written: {robot}, swing.toml, learned.toml and report.html.\n"
+        f"Swing it: golfbench --config {robot} swing simulate {learned}",
         highlight=False,
+        markup=False,
     )

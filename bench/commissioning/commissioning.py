@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from hashlib import sha256
@@ -12,12 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.leakage import Leakage
+from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.machine import CommissionedMachine
 from bench.commissioning.response_times import ResponseTimes
+from bench.commissioning.rising_swings import RisingSwings
 from bench.commissioning.slow_moves import SlowMoves
-from bench.commissioning.steps import CommissioningStep, Traces
+from bench.commissioning.steps import CommissioningStep, NamedStep, StepResult, SwingingStep, Traces
+from bench.commissioning.swung_robot import SwungRobot
 from bench.commissioning.valve_edges import ValveEdges
 from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
@@ -30,7 +35,10 @@ STATE_FILE = "commissioning.json"
 _VERSION = 1
 
 STEPS: tuple[CommissioningStep, ...] = (Wiring(), ValveEdges(), Leakage(), SlowMoves(), ResponseTimes())
-"""The steps in their order."""
+"""The steps that measure, in their order."""
+SWINGING_STEPS: tuple[SwingingStep, ...] = (RisingSwings(), LearnedSwing(), HealthyLimits())
+"""The steps after them."""
+ALL_STEPS: tuple[NamedStep, ...] = (*STEPS, *SWINGING_STEPS)
 
 
 class DoneStep(NamedTuple):
@@ -81,9 +89,12 @@ class Commissioning:
         return [value for step in self.done for value in step.values]
 
     def next_step(self) -> CommissioningStep | None:
-        """Return the first step that is not done, None after the last."""
-        names = {step.name for step in self.done}
-        return next((step for step in STEPS if step.name not in names), None)
+        """Return the first measuring step that is not done, None after the last."""
+        return next((step for step in STEPS if not self.has_done(step)), None)
+
+    def has_done(self, step: NamedStep) -> bool:
+        """Return whether `step` is done."""
+        return step.name in {done.name for done in self.done}
 
     def save(self) -> None:
         """Store the state, whole or not at all."""
@@ -173,35 +184,85 @@ def commission(
     now: Callable[[], datetime],
     *,
     observe: Callable[[], tuple[str, ...]] = tuple,
-    on_step: Callable[[CommissioningStep], None] = lambda step: None,
+    on_step: Callable[[NamedStep], None] = lambda step: None,
 ) -> KnownRobot:
-    """Do the steps of `state` that are not done; store it after each. The machine is passive at the end.
+    """Do the measuring steps of `state` that are not done; store it after each.
 
-    `observe` returns further notes after a step, such as a simulated robot's loads.
+    The machine is passive at the end. `observe` returns further notes after a step, such as a simulated
+    robot's loads.
 
     Raises:
         WrongMachine: a step found the machine wrong; the state says so.
         Refused: an interlock ended a step; it is repeated when resumed.
     """
     known = KnownRobot(nominal, state.values)
-    step = state.next_step()
     try:
-        while step is not None:
+        while (step := state.next_step()) is not None:
             on_step(step)
-            state.done.append(_do(step, state, machine, known, now, observe))
+            with _noting_what_is_wrong(state, step, now):
+                state.done.append(_do(step, state, machine, known, now, observe))
             state.save()
             known.add(state.done[-1].values)
-            step = state.next_step()
-    except WrongMachine as error:
-        step_name = "" if step is None else step.name
-        state.wrong = WrongFound(
-            step_name, now().isoformat(), error.place, error.found, error.expected, error.cure
-        )
-        state.save()
-        raise
     finally:
         machine.make_passive()
     return known
+
+
+def commission_swings(
+    state: Commissioning,
+    known: Configuration,
+    robot: SwungRobot,
+    now: Callable[[], datetime],
+    *,
+    on_step: Callable[[NamedStep], None] = lambda step: None,
+    progress: Callable[[str], None] = lambda what: None,
+) -> None:
+    """Do the swinging steps of `state` that are not done, on `robot`, which is `known` as measured.
+
+    Raises:
+        WrongMachine: a step found the machine wrong; the state says so.
+        Refused: the robot did not come to its address; the step is repeated when resumed.
+        BenchError: the package casadi is not installed.
+    """
+    (state.folder / "records").mkdir(parents=True, exist_ok=True)
+    for step in SWINGING_STEPS:
+        if state.has_done(step):
+            continue
+        on_step(step)
+        begun = now()
+        with _noting_what_is_wrong(state, step, now):
+            result = step.swing(robot, known, state.folder, progress)
+        done = _done(step, "records", result, now(), (now() - begun).total_seconds())
+        state.done.append(done)
+        state.save()
+
+
+@contextmanager
+def _noting_what_is_wrong(
+    state: Commissioning, step: NamedStep, now: Callable[[], datetime]
+) -> Iterator[None]:
+    """Store in `state` that `step` found the machine wrong, if it does."""
+    try:
+        yield
+    except WrongMachine as error:
+        state.wrong = WrongFound(
+            step.name, now().isoformat(), error.place, error.found, error.expected, error.cure
+        )
+        state.save()
+        raise
+
+
+def _done(step: NamedStep, record: str, result: StepResult, date: datetime, seconds: float) -> DoneStep:
+    return DoneStep(
+        step.name,
+        step.title,
+        step.bounds_text,
+        date.isoformat(),
+        seconds,
+        record,
+        result.values,
+        result.notes,
+    )
 
 
 def _do(
@@ -217,16 +278,8 @@ def _do(
     file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
     write_traces(state.folder / file, traces)
     result = step.estimate(traces, known)
-    return DoneStep(
-        step.name,
-        step.title,
-        step.bounds_text,
-        now().isoformat(),
-        machine.time - begun,
-        file,
-        result.values,
-        (*result.notes, *observe()),
-    )
+    result = result._replace(notes=(*result.notes, *observe()))
+    return _done(step, file, result, now(), machine.time - begun)
 
 
 def write_traces(path: Path, traces: Traces) -> None:

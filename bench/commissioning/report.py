@@ -7,10 +7,10 @@ from importlib.resources import files
 
 import jinja2
 
-from bench.commissioning.commissioning import STEPS, Commissioning
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning
 from bench.commissioning.known_robot import KnownRobot, value_at
 from bench.commissioning.robot_file import GUESSES
-from bench.commissioning.steps import CommissioningStep
+from bench.commissioning.steps import NamedStep
 from sim.plant import PlantParameters
 
 
@@ -29,11 +29,11 @@ def commissioning_report(state: Commissioning, nominal: PlantParameters, made: d
         made=made,
         minutes=sum(step.seconds for step in state.done) / 60,
         configured=lambda key: f"{value_at(known.nominal, key):.6g}",
-        left=_titles([step for step in STEPS if step.name not in done]),
+        left=_titles([step for step in ALL_STEPS if step.name not in done]),
         guesses=GUESSES,
-        steps=len(STEPS),
+        steps=len(ALL_STEPS),
     )
 
 
-def _titles(steps: list[CommissioningStep]) -> list[str]:
+def _titles(steps: list[NamedStep]) -> list[str]:
     return [step.title for step in steps]

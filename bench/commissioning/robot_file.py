@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from datetime import date
 
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
+from bench.control.settings import EnvelopeSettings
 
 GUESSES = (
     "lengths",
@@ -21,11 +22,14 @@ GUESSES = (
 """Parts of the plant that no step measures yet: they stay as configured."""
 
 
-_CLUB = "robot.club"
+_CLUB, _SUPPLY = "robot.club", "supply.pressure"
 
 
-def robot_file(known: KnownRobot, base: str, made: date) -> str:
-    """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`."""
+def robot_file(known: KnownRobot, base: str, made: date, envelope: EnvelopeSettings | None = None) -> str:
+    """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`.
+
+    The limits of the supply's pressure, of `envelope`, follow the supply that was found.
+    """
     lines = [
         f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
         "# Stayed a guess, as configured: " + "; ".join(GUESSES) + ".",
@@ -41,8 +45,13 @@ def robot_file(known: KnownRobot, base: str, made: date) -> str:
         note = f"± {errors}{unit}; {found[0].step}"
         tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
     for table in sorted(tables):
-        place = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}"
+        place = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
         lines += ["", f"[{place}]", *tables[table]]
+    if envelope is not None and _SUPPLY in known.found:
+        share = known.plant.supply.pressure / known.nominal.supply.pressure
+        low, high = share * envelope.min_supply_pressure, share * envelope.max_supply_pressure
+        lines += ["", "[envelope]"]
+        lines += [f"min_supply_pressure = {low:.0f}.0", f"max_supply_pressure = {high:.0f}.0"]
     return "\n".join(lines) + "\n"
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine import CommissionedMachine, MotionTrace
+from bench.commissioning.swung_robot import SwungRobot
+from bench.config import Configuration
 
 Traces = Mapping[str, MotionTrace]
 """Traces of a step by the name of what was done."""
@@ -20,8 +23,8 @@ class StepResult(NamedTuple):
     """Findings for the report that are no values."""
 
 
-class CommissioningStep(Protocol):
-    """One step; measuring and estimating are separate, so that a stored trace can be estimated again."""
+class NamedStep(Protocol):
+    """Name, title and bounds of any step."""
 
     @property
     def name(self) -> str:
@@ -34,6 +37,24 @@ class CommissioningStep(Protocol):
     @property
     def bounds_text(self) -> str:
         """How the energy is bounded, for the report."""
+
+
+class SwingingStep(NamedStep, Protocol):
+    """A step that swings the robot as it was measured."""
+
+    def swing(
+        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    ) -> StepResult:
+        """Swing `robot`, `known` as measured, leave files in `folder`, and give `progress` the present part.
+
+        Raises:
+            WrongMachine: the machine does not swing as a right one does.
+            Refused: it does not come to its address.
+        """
+
+
+class CommissioningStep(NamedStep, Protocol):
+    """A measuring step; measuring and estimating are separate: a stored trace can be estimated again."""
 
     def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
         """Move the robot and return the traces; the robot is vented afterwards.

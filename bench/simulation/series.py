@@ -19,8 +19,10 @@ from bench.control.settings import (
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.simulation.engine import LONGEST_RETURN, LONGEST_STOP, LockstepEngine, Mark, joined
+from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
+from sim.faults import Fault
 from sim.impact import Delivery
 from sim.plant import Plant, PlantParameters, build_plant
 from sim.truth import contact_in
@@ -74,14 +76,14 @@ class Bench(NamedTuple):
 class Series:
     """A simulated bench that swings repeatedly; the profile's tables may differ from swing to swing."""
 
-    def __init__(self, bench: Bench, plant: PlantParameters) -> None:
-        """Arm `bench` on `plant`, which may differ from the bench's model.
+    def __init__(self, bench: Bench, plant: PlantParameters, faults: tuple[Fault, ...] = ()) -> None:
+        """Arm `bench` on `plant`, which may differ from the bench's model, with `faults`.
 
         Raises:
             Refused: the robot does not reach its address.
         """
         self.bench, self._parameters = bench, plant
-        stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
+        stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0], faults)
         self._engine = LockstepEngine(stepper, name=bench.profile.name)
         self._arm()
 
@@ -96,6 +98,10 @@ class Series:
     def rest(self) -> None:
         """Rest at the address for as long as before a swing."""
         self._engine.advance(round(HOLD / self.bench.profile.period))
+
+    def loads(self) -> Loads:
+        """Return the loads since it was armed first."""
+        return self._engine.loads()
 
     @property
     def plant(self) -> Plant:
@@ -124,7 +130,9 @@ class Series:
         self._engine.go_back(mark)
         return self._swing(profile, ticks or len(profile.angle), ball=ball)
 
-    def swing(self, profile: Profile, parameters: ControlParameters | None = None) -> SeriesSwing:
+    def swing(
+        self, profile: Profile, parameters: ControlParameters | None = None, *, ball: bool = True
+    ) -> SeriesSwing:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
         With `parameters` another controller makes the swing itself, but not what precedes and follows it.
@@ -137,7 +145,7 @@ class Series:
         stepper = self._engine.stepper
         own = stepper.parameters
         stepper.parameters = parameters or own
-        swing = self._swing(profile, len(profile.angle))
+        swing = self._swing(profile, len(profile.angle), ball=ball)
         if parameters is not None:
             stepper.parameters = own
         if self._returned():

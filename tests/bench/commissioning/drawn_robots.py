@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from datetime import date
 from math import pi
+from typing import Any
 
 import numpy as np
 
-from bench.commissioning.known_robot import FoundValue, value_at
+from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
+from bench.commissioning.robot_file import robot_file
+from bench.config import Configuration
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 from sim.robot import Body
@@ -86,6 +91,29 @@ def drawn_robot(seed: int, nominal: PlantParameters | None = None) -> PlantParam
             latency=between(0.0, 0.002),
         ),
     )
+
+
+def drawn_robot_file(robot: PlantParameters, configuration: Configuration) -> str:
+    """Return `robot` as TOML over `configuration`, its limits of the supply's pressure as the robot's."""
+    found = [
+        FoundValue(key, value, 0.0, "", "drawn")
+        for (key, value), (_, before) in zip(_leaves(robot), _leaves(configuration.plant), strict=True)
+        if value != before
+    ]
+    known, base = KnownRobot(configuration.plant, found), str(configuration.files[-1].resolve())
+    return robot_file(known, base, date(2026, 5, 1), configuration.envelope)
+
+
+def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys below `value` and what stands there."""
+    if is_dataclass(value):
+        for field in fields(value):
+            yield from _leaves(getattr(value, field.name), f"{key}.{field.name}".lstrip("."))
+    elif isinstance(value, tuple):
+        for i, item in enumerate(value):
+            yield from _leaves(item, f"{key}.{i}")
+    else:
+        yield key, value
 
 
 def gap_of(found: FoundValue, truth: PlantParameters) -> float:

@@ -14,6 +14,7 @@ import pytest
 
 from bench.cli import main
 from bench.commissioning.commissioning import (
+    ALL_STEPS,
     STATE_FILE,
     STEPS,
     Commissioning,
@@ -26,14 +27,18 @@ from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.commissioning.report import commissioning_report
+from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.robot_file import robot_file
 from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import BenchError, Refused
+from bench.learning.figures import figures_of
+from bench.simulation.series import Series
+from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
-from tests.bench.commissioning.drawn_robots import drawn_robot, gap_of
+from tests.bench.commissioning.drawn_robots import drawn_robot, drawn_robot_file, gap_of
 from tests.bench.commissioning.wrong_machines import wrong_machines
 
 DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
@@ -130,7 +135,9 @@ def test_a_check_says_the_steps_and_writes_nothing(
         main([*given, "--json"])
     assert ended.value.code == 0
     said = json.loads(capsys.readouterr().out)
-    assert [(step["name"], step["done"]) for step in said["steps"]] == [(step.name, False) for step in STEPS]
+    assert [(step["name"], step["done"]) for step in said["steps"]] == [
+        (step.name, False) for step in ALL_STEPS
+    ]
     assert (said["robot"], said["simulated"]) == ("", True)
     with pytest.raises(SystemExit):
         main(given)
@@ -235,17 +242,88 @@ def test_errors_cover_the_truth_of_a_drawn_robot(tmp_path: Path, configuration: 
     assert max(off) < 5.0, dict(zip(known.found, np.round(off, 1), strict=True))
 
 
-def test_without_a_learned_swing_the_command_does_not_exit_with_0(
+class _Swinging:
+    """A swinging step that finds the machine right, or wrong."""
+
+    title, bounds_text = "Nothing", "nothing moves"
+
+    def __init__(self, name: str, *, failing: bool = False) -> None:
+        self.name, self.failing, self.knew = name, failing, list[Configuration]()
+
+    def swing(self, robot: object, known: Configuration, folder: Path, progress: object) -> StepResult:
+        self.knew.append(known)
+        if self.failing:
+            raise WrongMachine("swing of 60 %", "30 m/s", "26 m/s", "Look at the club.")
+        return StepResult((), ("swung",))
+
+
+def _measured(monkeypatch: pytest.MonkeyPatch, *steps: _Swinging) -> None:
+    """Let the measuring steps be done at once, and `steps` follow."""
+
+    def all_done(state: Commissioning, nominal: PlantParameters, *_: Any, **__: Any) -> KnownRobot:
+        return KnownRobot(nominal, [FoundValue("supply.pressure", 7e5, 100.0, "Pa", "friction")])
+
+    monkeypatch.setattr("bench.commissioning.commissioning.commission", all_done)
+    monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", steps)
+
+
+def test_the_robot_swings_as_it_was_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nobody's script takes five steps for a commissioned robot."""
-
-    def all_steps_done(state: Commissioning, nominal: PlantParameters, *_: Any, **__: Any) -> KnownRobot:
-        return KnownRobot(nominal)
-
-    monkeypatch.setattr("bench.commissioning.commissioning.commission", all_steps_done)
+    first, last = _Swinging("swings"), _Swinging("learning")
+    _measured(monkeypatch, first, last)
     with pytest.raises(SystemExit) as ended:
         main(["commission", "--sim", "--output", str(tmp_path / "day")])
+    assert ended.value.code == 0
+    known = last.knew[0]
+    assert known.plant.supply.pressure == 7e5
+    assert known.envelope.min_supply_pressure < 7e5 < known.envelope.max_supply_pressure < 8e5
+    assert known.files[-1] == (tmp_path / "day" / "robot.toml").resolve()
+    assert "learned.toml" in capsys.readouterr().out
+    assert [step.name for step in read_state(tmp_path / "day").done] == ["swings", "learning"]
+
+
+def test_without_a_learned_swing_the_command_does_not_exit_with_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody's script takes a measured robot for one that swings; its swing is repeated when resumed."""
+    first, last = _Swinging("swings"), _Swinging("learning", failing=True)
+    _measured(monkeypatch, first, last)
+    given = ["commission", "--sim", "--output", str(tmp_path / "day")]
+    with pytest.raises(SystemExit) as ended:
+        main(given)
     assert ended.value.code == 1
     assert (tmp_path / "day" / "robot.toml").is_file()
-    assert "not part of commissioning yet" in " ".join(capsys.readouterr().out.split())
+    wrong = read_state(tmp_path / "day").wrong
+    assert wrong is not None
+    assert wrong.cure == "Look at the club."
+    assert "Look at the club." in (tmp_path / "day" / "report.html").read_text()
+    last.failing = False
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--resume"])
+    assert ended.value.code == 0
+    assert (len(first.knew), len(last.knew)) == (1, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Configuration) -> None:
+    truth = drawn_robot(31, configuration.plant)
+    file = tmp_path / "truth.toml"
+    file.write_text(drawn_robot_file(truth, configuration))
+    day = tmp_path / "day"
+    with pytest.raises(SystemExit) as ended:
+        main(["commission", "--sim", "--robot", str(file), "--output", str(day)])
+    assert ended.value.code == 0, (day / "report.html").read_text()
+    state, learned = read_state(day), load_profile(day / "learned.toml")
+    assert [step.name for step in state.done] == [step.name for step in ALL_STEPS]
+    # The learned swing, on the robot itself, as the plant knows it.
+    known = load_configuration(day / "robot.toml")
+    bench = bench_of(known, learned)
+    made = Series(bench, truth).swing(learned)
+    assert made.delivery is not None
+    delivered, planned = figures_of(made.delivery), load_profile(day / "swing.toml").delivery
+    assert abs(delivered.strike) < 0.003
+    assert delivered.speed == pytest.approx(planned["head_speed_mps"], rel=0.005)
+    assert np.degrees(delivered.attack) == pytest.approx(planned["attack_angle_deg"], abs=0.4)
+    assert np.degrees(delivered.lean) == pytest.approx(planned["shaft_lean_deg"], abs=0.4)

@@ -1,0 +1,101 @@
+"""Step: the swing is learned on the robot itself, with the response of the robot as it was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.commissioning.rising_swings import SWING_FILE, bench_of, require_safe
+from bench.commissioning.steps import StepResult
+from bench.commissioning.swung_robot import SwungRobot
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration
+from bench.learning.figures import Figures, figures_of
+from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
+from bench.learning.learner import LearningSettings
+from bench.learning.measured import delivery_from_encoders
+from bench.simulation.series import SeriesSwing
+from bench.swing.profile import load_profile, save_profile
+
+LEARNED_FILE = "learned.toml"
+"""The profile with the learned correction."""
+_SWINGS = 20
+"""Max learning swings."""
+
+
+class LearnedSwing:
+    """Learning of the swing that was found."""
+
+    name, title = "learning", "Learning the swing"
+    bounds_text = (
+        f"at most {_SWINGS} swings at the speed of the step before, corrections bounded; "
+        "a swing that leaves its limits is stopped"
+    )
+
+    def swing(
+        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    ) -> StepResult:
+        """Learn the profile of the step before on `robot`, and store it corrected in `folder`.
+
+        Raises:
+            WrongMachine: the tolerances are not reached, or a load is beyond a rating.
+            Refused: the robot does not come back to its address.
+        """
+        profile = load_profile(folder / SWING_FILE)
+        progress("the response of the measured robot")
+        problem = prepare(bench_of(known, profile))
+        series, made = robot.series(problem.bench), list[SeriesSwing]()
+
+        def swing(weights: NDArray[np.float64]) -> ObservedSwing:
+            progress(f"learning swing {len(made)}")
+            swung = series.swing(problem.basis.correction(weights).applied_to(profile))
+            require_safe(series.loads(), f"learning swing {len(made)}")
+            made.append(swung)
+            return _observed(problem, swung)
+
+        result = learn(problem, swing, LearningSettings(swings=_SWINGS))
+        save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
+        figures = _Learned(result, figures_of(made[result.chosen].delivery))
+        if not result.within:
+            raise WrongMachine(
+                "learning",
+                f"after {result.used} swings {figures.text}",
+                "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target",
+                "Look for what changes between swings: play, a slipping shaft, the supply; then --resume.",
+            )
+        return StepResult((), (f"learned in {result.used} swings: {figures.text}", *figures.truth))
+
+
+class _Learned(NamedTuple):
+    result: LearningResult
+    true: Figures
+    """The kept swing's delivery as a simulated plant knows it."""
+
+    @property
+    def text(self) -> str:
+        """The kept swing by its source, beside the target."""
+        kept, target = self.result.attempts[self.result.chosen].figures, self.result.target
+        return f"{_words(kept)}; target {_words(target)}"
+
+    @property
+    def truth(self) -> tuple[str, ...]:
+        """The kept swing as the simulated plant knows it; empty on a real robot."""
+        return () if np.isnan(self.true.speed) else (f"the simulated plant knows: {_words(self.true)}",)
+
+
+def _words(f: Figures) -> str:
+    angles = f"lean {np.degrees(f.lean):+.2f} deg, attack {np.degrees(f.attack):+.2f} deg"
+    return f"{f.speed:.2f} m/s, strike {1e3 * f.strike:+.1f} mm, {angles}"
+
+
+def _observed(problem: LearningProblem, swung: SeriesSwing) -> ObservedSwing:
+    delivery = (
+        None
+        if swung.cause
+        else delivery_from_encoders(swung.cycles, problem.bench.model, problem.response.free)
+    )
+    return ObservedSwing(swung.cycles, figures_of(delivery), swung.cause, swung.settled)

@@ -1,0 +1,199 @@
+"""Step: first swings, of 40, 60, 80 and 100 % of the speed, each compared with its prediction.
+
+The prediction is the same swing of the robot as it was measured. What differs by more than the measured
+values explain is a machine that is not as assumed; the next swing would only be faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.commissioning.fastest_swing import design_at, fastest_swing
+from bench.commissioning.slowed_swing import slowed
+from bench.commissioning.steps import StepResult
+from bench.commissioning.swung_robot import SwungRobot
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration
+from bench.control.feed_forward import FeedForward
+from bench.design.designer import DesignFailed
+from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.simulation.loads import Loads
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.series import Bench, Series, SeriesSwing
+from bench.swing.profile import Profile, save_profile
+from drivers.base import JOINTS
+from sim.kinematics import head_motion
+
+SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
+"""Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
+RESERVE = 0.95
+"""Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
+SWING_FILE = "swing.toml"
+"""Profile of 100 %."""
+_MOST_SPEED, _MOST_PATH = 0.05, (0.06, 0.06, 0.1)
+"""Max deviation from the prediction: of the head's highest speed, a share; of a joint up to the ball, rad."""
+_MOST_BRAKE = 0.15, 1.5
+"""Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
+_BRAKED = 0.1
+"""s after the ball, when speeds are compared."""
+_FEED_FORWARD: FeedForward = "kane+pneumatic"
+"""Of slow swings: their openings are not planned."""
+_ROOM = 3.0
+"""Times the following errors that are allowed a planned swing: a slow one has little energy."""
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+class SwingDeviation(NamedTuple):
+    """A swing beside its prediction."""
+
+    predicted: float
+    """Highest speed of the head up to the ball, m/s."""
+    measured: float
+    path: Array
+    """Largest deviation of each joint up to the ball, rad (3,)."""
+    braking: Array
+    """Speed of each joint while it brakes, measured and predicted, rad/s (2, 3)."""
+
+
+class RisingSwings:
+    """Swings of rising speed."""
+
+    name, title = "swings", "Swings of 40, 60, 80 and 100 % of the speed"
+    bounds_text = (
+        "each designed for the robot as measured, within its cushions if the ball is missed or the bench "
+        f"falls silent; the next one only if the speed came within {100 * _MOST_SPEED:g} % of the prediction"
+    )
+
+    def swing(
+        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+    ) -> StepResult:
+        """Design the swings for the robot as `known`, make them, and store the fastest in `folder`.
+
+        Raises:
+            WrongMachine: no swing can be designed, or the robot does not swing as predicted.
+            Refused: it does not reach its address.
+            BenchError: the package casadi is not installed.
+        """
+        try:
+            fastest = fastest_swing(known, lambda speed: progress(f"designing a swing of {speed}"))
+            highest = RESERVE * fastest.speed
+            progress(f"designing a swing of {highest:.1f} m/s")
+            full = design_at(known, highest, "commissioned", fastest.profile)
+            next_fastest = design_at(known, DESIGNED_SHARES[0] * highest, "commissioned-slower", full)
+        except DesignFailed as failure:
+            raise WrongMachine(
+                "swing",
+                str(failure),
+                "a swing that this robot can do",
+                "Check supply and valves: the measured robot is too weak or too slow.",
+            ) from None
+        notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
+        slow = _for_slow_swings(known)
+        swings = [(share, slow, slowed(full, share, slow)) for share in SLOW_SHARES]
+        swings += zip(DESIGNED_SHARES, (known, known), (next_fastest, full), strict=True)
+        for share, configuration, swing in swings:
+            progress(f"swing of {100 * share:.0f} %")
+            notes.append(_swung(robot, bench_of(configuration, swing), share, folder))
+        save_profile(folder / SWING_FILE, full)
+        return StepResult((), tuple(notes))
+
+
+def _for_slow_swings(known: Configuration) -> Configuration:
+    """Return `known` with openings from the model, and room for what friction holds back near the top."""
+    room = {phase: (_ROOM * a, _ROOM * b, _ROOM * c) for phase, (a, b, c) in known.envelope.following.items()}
+    return replace(
+        known,
+        control=replace(known.control, feed_forward=_FEED_FORWARD),
+        envelope=replace(known.envelope, following=room),
+    )
+
+
+def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
+    """Swing `bench` once, and return what came of it; raises WrongMachine if it is not as predicted."""
+    ball, place = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
+    model = Series(bench, bench.model)
+    predicted = model.swing(bench.profile, ball=ball)
+    require_safe(model.loads(), f"prediction of the {place}")
+    series = robot.series(bench)
+    made = series.swing(bench.profile, ball=ball)
+    np.savez_compressed(folder / f"records/6-swing-{100 * share:.0f}.npz", cycles=made.cycles)
+    require_safe(series.loads(), place)
+    found = deviation(bench, predicted, made)
+    require_as_predicted(found, made.cause, place)
+    offs = ", ".join(
+        f"{joint} {1e3 * off:.0f} mrad" for joint, off in zip(JOINTS, found.path.tolist(), strict=True)
+    )
+    return (
+        f"{place}: {found.measured:.1f} m/s, predicted {found.predicted:.1f} m/s; "
+        f"largest deviation up to the ball {offs}"
+    )
+
+
+def bench_of(known: Configuration, profile: Profile) -> Bench:
+    """Return the bench that swings `profile`, its model the robot as `known`."""
+    envelope = known.envelope.with_model_check("off")
+    return Bench(known.plant, profile, known.control, envelope, known.estimator)
+
+
+def require_safe(loads: Loads | None, place: str) -> None:
+    """Refuse to go on after `loads` beyond a rating; None: nothing measures them.
+
+    Raises:
+        WrongMachine: a rating was exceeded.
+    """
+    unsafe = [] if loads is None else dangers(RunEnd(loads), SafetyLimits())
+    if unsafe:
+        cure = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
+        raise WrongMachine(place, "; ".join(unsafe), "loads within every rating", cure)
+
+
+def deviation(bench: Bench, predicted: SeriesSwing, made: SeriesSwing) -> SwingDeviation:
+    """Return how the swing `made` differs from the one `predicted`, by the encoders."""
+    ball, rows = bench.profile.begins[5], round(_BRAKED / bench.profile.period)
+    path = made.cycles["angle"][:ball] - predicted.cycles["angle"][:ball]
+    going = made.cycles["trip"][:ball] == 0
+    braking = [np.abs(swing.cycles["velocity"][ball + rows]) for swing in (made, predicted)]
+    largest = np.abs(path[going]).max(axis=0) if going.any() else np.full(3, np.nan)
+    fast = [_head_speed(bench, swing) for swing in (predicted, made)]
+    return SwingDeviation(fast[0], fast[1], largest, np.array(braking))
+
+
+def _head_speed(bench: Bench, swing: SeriesSwing) -> float:
+    """Return the head's highest speed (m/s) in the downswing, by the encoders."""
+    rows = swing.cycles[bench.profile.begins[3] : bench.profile.begins[5]]
+    moving = zip(rows["angle"].tolist(), rows["velocity"].tolist(), strict=True)
+    robot = bench.model.robot.record[0]
+    return max(float(np.hypot(*head_motion(robot, *angle, *speed)[3:5])) for angle, speed in moving)
+
+
+def require_as_predicted(found: SwingDeviation, cause: Cause, place: str) -> None:
+    """Refuse to go on after a swing that is not as predicted.
+
+    Raises:
+        WrongMachine: it is not.
+    """
+    cure = "Look for what changed since the steps before: supply and hoses, play, a rubbing joint, the club."
+    if cause:
+        raise WrongMachine(place, f"stopped: {CAUSE_TEXT[cause]}", "a whole swing", cure)
+    off = found.measured / found.predicted - 1.0
+    if not abs(off) <= _MOST_SPEED:
+        said = f"head speed {100 * off:+.0f} % beside its prediction"
+        raise WrongMachine(place, said, f"within {100 * _MOST_SPEED:g} %", cure)
+    for i, joint in enumerate(JOINTS):
+        if not found.path[i] <= _MOST_PATH[i]:
+            away = f"the {joint} {found.path[i]:.2f} rad beside its prediction"
+            raise WrongMachine(place, away, f"at most {_MOST_PATH[i]:g} rad", cure)
+        measured, predicted = found.braking[:, i].tolist()
+        if measured > (1.0 + _MOST_BRAKE[0]) * predicted + _MOST_BRAKE[1]:
+            raise WrongMachine(
+                f"{place}, {joint}",
+                f"{measured:.1f} rad/s {1e3 * _BRAKED:.0f} ms after the ball",
+                f"about {predicted:.1f} rad/s: it brakes less than assumed",
+                "Check valve, hoses and vents of this joint: the brake is weaker than measured slowly.",
+            )

@@ -1,0 +1,104 @@
+"""Rising swings: slower ones along a designed path, and what is said of a robot that swings otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.commissioning.rising_swings import (
+    SwingDeviation,
+    bench_of,
+    deviation,
+    require_as_predicted,
+    require_safe,
+)
+from bench.commissioning.slowed_swing import slowed
+from bench.commissioning.swung_robot import SimulatedRobot
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.lifecycle import Cause
+from bench.simulation.loads import Loads
+from bench.simulation.variation import Variation
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+
+GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    shipped = load_configuration(shipped_configuration())
+    return replace(shipped, control=replace(shipped.control, feed_forward="kane+pneumatic"))
+
+
+@pytest.fixture(scope="module")
+def default() -> Profile:
+    return load_profile(find_profile("default"))
+
+
+def test_a_slower_swing_follows_the_same_path(configuration: Configuration, default: Profile) -> None:
+    slow = slowed(default, 0.5, configuration)
+    for row in (default.begins[1], default.begins[3], default.begins[5], default.begins[6]):
+        later = default.begins[1] + 2 * (row - default.begins[1])
+        assert slow.angle[later] == pytest.approx(default.angle[row], abs=1e-6)
+    assert slow.begins[3] - slow.begins[1] == 2 * (default.begins[3] - default.begins[1])
+    assert slow.downswing_time == pytest.approx(2.0 * default.downswing_time, abs=0.002)
+    assert slow.air == default.air
+    assert len(slow.blind_brake) == (len(slow.angle) - 1) // slow.blind_spacing + 1
+    assert np.abs(slow.valve).max() <= 1.0
+
+
+@compiled_only
+def test_a_slower_swing_comes_as_fast_as_its_share(
+    tmp_path: Path, configuration: Configuration, default: Profile
+) -> None:
+    slow = slowed(default, 0.5, configuration)
+    bench = bench_of(configuration, slow)
+    right = SimulatedRobot(configuration.plant).series(bench)
+    predicted = right.swing(slow, ball=False)
+    found = deviation(bench, predicted, right.swing(slow, ball=False))
+    assert found.measured == pytest.approx(0.5 * default.delivery["head_speed_mps"], rel=0.15)
+    require_as_predicted(found, Cause.NONE, "swing of 50 %")
+    require_safe(right.loads(), "swing of 50 %")
+
+    stiff = Variation(friction=(2.5, 2.5, 2.5), flow=(0.7, 0.7, 0.7)).applied_to(configuration.plant)
+    other = SimulatedRobot(stiff).series(bench).swing(slow, ball=False)
+    with pytest.raises(WrongMachine, match="swing of 50 %"):
+        require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
+
+
+@pytest.mark.parametrize(
+    ("found", "cause", "words"),
+    [
+        (GOOD, Cause.SHOULDER_FOLLOWING, "stopped"),
+        (GOOD._replace(measured=34.0), Cause.NONE, "head speed [+]13 %"),
+        (GOOD._replace(measured=26.0), Cause.NONE, "head speed -13 %"),
+        (GOOD._replace(measured=float("nan")), Cause.NONE, "head speed"),
+        (GOOD._replace(path=np.array([0.01, 0.4, 0.02])), Cause.NONE, "arm 0.40 rad beside"),
+        (GOOD._replace(path=np.full(3, np.nan)), Cause.NONE, "shoulder nan rad"),
+        (GOOD._replace(braking=np.array([[3.0, 2.0, 9.0], [3.0, 2.0, 4.0]])), Cause.NONE, "brakes less"),
+    ],
+)
+def test_what_is_not_as_predicted_is_named(found: SwingDeviation, cause: Cause, words: str) -> None:
+    with pytest.raises(WrongMachine, match=words):
+        require_as_predicted(found, cause, "swing of 60 %")
+
+
+def test_a_swing_as_predicted_goes_on() -> None:
+    require_as_predicted(GOOD, Cause.NONE, "swing of 60 %")
+    slower = GOOD._replace(braking=np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 4.0]]))
+    require_as_predicted(slower, Cause.NONE, "swing of 60 %")
+
+
+def test_a_load_beyond_a_rating_ends_the_swings() -> None:
+    loads = Loads(np.zeros((3, 2)), np.zeros(6), 0.02, 20.0, 1.2, "wrist upper stop", 0.5, 0.5)
+    with pytest.raises(WrongMachine, match="120 % of its rated energy"):
+        require_safe(loads, "swing of 80 %")
+    require_safe(None, "swing of 80 %")  # a real robot does not say
