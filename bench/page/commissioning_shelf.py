@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.commissioning.commissioning import STATE_FILE, STEPS, Commissioning, read_state
+from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
 from bench.commissioning.folder_lock import commissioning_process
 from bench.errors import BenchError, Refused
 from bench.page.downloads import plain_file
@@ -35,7 +35,7 @@ class CommissioningShelf:
     def view(self) -> dict[str, Any]:
         """Return steps, robots and commissionings, the newest first, as the page shows them."""
         return {
-            "steps": [{"title": step.title, "bounds": step.bounds_text} for step in STEPS],
+            "steps": [{"title": step.title, "bounds": step.bounds_text} for step in ALL_STEPS],
             "robots": [path.stem for path in self._robot_files()],
             "folder": str(self._robots),
             "commissionings": [_described(folder) for folder in self._folders()],
@@ -119,7 +119,7 @@ def _steps(state: Commissioning) -> list[dict[str, Any]]:
     """Return what each step found, in the order of the steps."""
     done = {step.name: step for step in state.done}
     found = []
-    for step in STEPS:
+    for step in ALL_STEPS:
         one = done.get(step.name)
         found.append(
             {

@@ -110,7 +110,7 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         table = configuration.get(name)
         recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
         defaults = json.loads(json.dumps(asdict(kind())))
-        if kind is PlantParameters:
+        if kind is PlantParameters and _has_club(table):
             defaults["robot"]["club"] |= ADDED_TO_CLUBS  # what a record of before is without
         today = as_tree({name: defaults}, file, faults)
         cure = "Read it with the version of golfbench that wrote it."
@@ -119,6 +119,11 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
     if faults:
         raise ExceptionGroup(f"{place} has an invalid configuration", faults)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
+
+
+def _has_club(plant: Any) -> bool:
+    robot = plant.get("robot") if isinstance(plant, Mapping) else None
+    return isinstance(robot, Mapping) and "club" in robot
 
 
 def shot_from_json(given: Any, place: str) -> Shot:

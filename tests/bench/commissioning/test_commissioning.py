@@ -33,6 +33,8 @@ from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.control.model_limits import load_limits
+from bench.design.model_limits import DRAWS
 from bench.errors import BenchError, Refused
 from bench.learning.figures import figures_of
 from bench.simulation.series import Series
@@ -317,6 +319,8 @@ def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Co
     assert ended.value.code == 0, (day / "report.html").read_text()
     state, learned = read_state(day), load_profile(day / "learned.toml")
     assert [step.name for step in state.done] == [step.name for step in ALL_STEPS]
+    assert "All 8 steps done" in (day / "report.html").read_text()
+    assert load_limits(day / "learned.limits.toml").draws == DRAWS
     # The learned swing, on the robot itself, as the plant knows it.
     known = load_configuration(day / "robot.toml")
     bench = bench_of(known, learned)

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from bench.commissioning.commissioning import STEPS, Commissioning, DoneStep, WrongFound
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, WrongFound
 from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
 from bench.errors import Refused
@@ -49,11 +49,13 @@ def stored(data_dir: Path, name: str, done: int = 1, wrong: bool = False) -> Pat
     """Store a commissioning with `done` steps."""
     folder = data_dir / "commissioning" / name
     state = Commissioning(folder, "0" * 16, "/srv/bench.toml", simulated=True, robot="/srv/other.toml")
-    for step in STEPS[:done]:
+    for step in ALL_STEPS[:done]:
         one = DoneStep(step.name, step.title, "bounds", DAY.isoformat(), 61.0, "records/1.npz", (), (SCRIPT,))
         state.done.append(one)
     if wrong:
-        state.wrong = WrongFound(STEPS[done].name, DAY.isoformat(), "hose", "air", "none", "Fit the hose.")
+        state.wrong = WrongFound(
+            ALL_STEPS[done].name, DAY.isoformat(), "hose", "air", "none", "Fit the hose."
+        )
     state.save()
     (folder / "report.html").write_text(f"<!doctype html><title>Report</title>{SCRIPT}")
     return folder
@@ -71,11 +73,11 @@ def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
 def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
     shelf = CommissioningShelf(tmp_path, "bench1")
     assert shelf.view()["commissionings"] == []
-    assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in STEPS]
+    assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in ALL_STEPS]
     stored(tmp_path, "first-day", done=2, wrong=True)
     (one,) = shelf.view()["commissionings"]
     assert (one["name"], one["done"], one["robot"], one["process"]) == ("first-day", 2, "other", None)
-    assert [step["done"] for step in one["steps"]] == [True, True, False, False, False]
+    assert [step["done"] for step in one["steps"]] == [True, True, *[False] * 6]
     assert one["steps"][0]["notes"] == [SCRIPT]
     assert one["wrong"]["cure"] == "Fit the hose."
     assert one["files"] == ["report"]
