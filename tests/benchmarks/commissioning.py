@@ -1,29 +1,42 @@
 """Commissioning of robots drawn over the whole range, and of wrong machines: `... commissioning [--draws N]`.
 
-Prints each robot's parameters: truth, estimate, standard error; then what was said of each wrong machine. The
-range is that of `tests/bench/commissioning/drawn_robots.py`. Judged: the share of values whose 95 % interval
-covers the truth, loads, and wrong machines that are named.
+With `--swings` each robot is commissioned by the command itself, up to its learned swing and its limits; the
+swing is judged by the plant's truth, its speed beside what the designer finds for the true plant.
+
+Otherwise prints each robot's parameters: truth, estimate, standard error; then what was said of each wrong
+machine. The range is that of `tests/bench/commissioning/drawn_robots.py`. Judged: the share of values whose
+95 % interval covers the truth, loads, and wrong machines that are named.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from datetime import UTC, datetime
+from math import degrees, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.table import Table
 
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.fastest_swing import fastest_swing
 from bench.commissioning.known_robot import KnownRobot, value_at
+from bench.commissioning.learned_swing import LEARNED_FILE
+from bench.commissioning.rising_swings import SWING_FILE, bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import Refused
+from bench.learning.figures import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.series import Series
+from bench.swing.profile import load_profile
 from sim.faults import Fault
 from sim.plant import PlantParameters
-from tests.bench.commissioning.drawn_robots import drawn_robot, gap_of
+from tests.bench.commissioning.drawn_robots import drawn_robot, drawn_robot_file, gap_of
 from tests.bench.commissioning.wrong_machines import wrong_machines
 from tests.benchmarks.row import Row
 
@@ -35,9 +48,12 @@ def run(arguments: list[str]) -> list[Row]:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks commissioning", description=__doc__)
     parser.add_argument("--draws", type=int, default=20, metavar="N", help="robots (default: 20)")
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (default: 1)")
+    parser.add_argument("--swings", action="store_true", help="up to the learned swing: minutes a robot")
     parser.add_argument("--wrong", action="store_true", help="wrong machines, too")
     options = parser.parse_args(arguments)
     configuration, console = load_configuration(shipped_configuration()), Console(width=120)
+    if options.swings:
+        return _learned(range(options.first, options.first + options.draws), configuration, console)
     covered, unsafe, seconds = list[bool](), list[str](), list[float]()
     for seed in range(options.first, options.first + options.draws):
         truth = drawn_robot(seed, configuration.plant)
@@ -55,6 +71,70 @@ def run(arguments: list[str]) -> list[Row]:
     if options.wrong:
         rows += _wrong(console, configuration)
     return rows
+
+
+class _LearnedRobot(NamedTuple):
+    """What came of a robot."""
+
+    exit_code: int
+    off: str
+    """Its learned swing beside the centre of the face and the designed delivery, by the plant's truth."""
+    speed: float
+    """m/s; NaN without a learned swing."""
+    highest: float
+    """Speed that the designer finds for the true plant, m/s; NaN where it was not looked for."""
+
+
+def _learned(seeds: range, configuration: Configuration, console: Console) -> list[Row]:
+    """Commission robots with the command, and look at the learned swing of each."""
+    found = list[_LearnedRobot]()
+    for seed in seeds:
+        with TemporaryDirectory() as folder:
+            found.append(_learned_robot(seed, Path(folder), configuration))
+        one = found[-1]
+        console.print(
+            f"robot {seed}: exit {one.exit_code}, {one.speed:.2f} m/s of {one.highest:.1f} m/s; {one.off}",
+            highlight=False,
+        )
+    learned = [one for one in found if one.exit_code == 0]
+    shares = [one.speed / one.highest for one in learned]
+    return [
+        Row(
+            NAME,
+            "robots with a learned swing",
+            len(learned),
+            f"of {len(found)}",
+            "",
+            at_least=0.9 * len(found),
+        ),
+        Row(
+            NAME,
+            "least share of the designer's speed",
+            100.0 * min(shares, default=0.0),
+            "%",
+            "",
+            at_least=90.0,
+        ),
+    ]
+
+
+def _learned_robot(seed: int, folder: Path, configuration: Configuration) -> _LearnedRobot:
+    truth, robot, day = drawn_robot(seed, configuration.plant), folder / "robot.toml", folder / "day"
+    robot.write_text(drawn_robot_file(truth, configuration))
+    code = subprocess.run(
+        [sys.executable, "-m", "bench", "commission", "--sim", "--robot", robot, "--output", day], check=False
+    ).returncode
+    if code:
+        return _LearnedRobot(code, "", nan, nan)
+    learned, planned = load_profile(day / LEARNED_FILE), load_profile(day / SWING_FILE).delivery
+    made = Series(bench_of(load_configuration(day / "robot.toml"), learned), truth).swing(learned)
+    f, highest = figures_of(made.delivery), fastest_swing(load_configuration(robot)).speed
+    off = (
+        f"strike {1e3 * f.strike:+.1f} mm, speed {100 * (f.speed / planned['head_speed_mps'] - 1):+.2f} %, "
+        f"lean {degrees(f.lean) - planned['shaft_lean_deg']:+.2f} deg, "
+        f"attack {degrees(f.attack) - planned['attack_angle_deg']:+.2f} deg"
+    )
+    return _LearnedRobot(code, off, f.speed, highest)
 
 
 def _share(covered: list[bool]) -> float:
