@@ -35,7 +35,7 @@ RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
 SWING_FILE = "swing.toml"
 """Profile of 100 %."""
-_MOST_SPEED, _MOST_PATH = 0.05, (0.06, 0.06, 0.1)
+_MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
 """Max deviation from the prediction: of the head's highest speed, a share; of a joint up to the ball, rad."""
 _MOST_BRAKE = 0.15, 1.5
 """Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
