@@ -19,6 +19,7 @@ from typing import Any
 
 from drivers.base.compiled import compiled
 from sim.friction import friction_bound, friction_impulse
+from sim.ground import ground_drag
 from sim.kane import kane_terms_at, solve_symmetric
 from sim.pneumatics import flow, stop_force
 
@@ -183,8 +184,8 @@ def _derivative(
     f2 -= slip[1] * bound2
     f3 -= slip[2] * bound3
 
-    # The ground pushes the head up.
-    push = 0.0
+    # The ground pushes the head up, and a surface drags at the sole; `kick` is what both do across the shaft.
+    push = kick = 0.0
     depth = p.ground + p.sole_depth - (r.l12 * s1 + r.l23 * s12 + r.l3t * s123 + c123 * flex)
     if depth > 0.0:
         x3t = r.l3t * c123 - s123 * flex
@@ -200,6 +201,18 @@ def _derivative(
         f1 += x1t * push
         f2 += x2t * push
         f3 += x3t * push
+        kick = c123 * push
+        if p.ground_friction > 0.0:
+            # The sole's way along the ground per joint speed: less the joint's height over it.
+            y3t = p.sole_depth - r.l3t * s123 - c123 * flex
+            y2t = y3t - r.l23 * s12
+            y1t = y2t - r.l12 * s1
+            bend = 1.5 / p.head_distance * p.sole_depth - s123
+            drag = ground_drag(p, push, depth, y1t * u1 + y2t * u2 + y3t * u3 + bend * flex_speed)
+            f1 += y1t * drag
+            f2 += y2t * drag
+            f3 += y3t * drag
+            kick += bend * drag
 
     across1 = across2 = across3 = across_force = 0.0
     if p.flexible:
@@ -211,7 +224,7 @@ def _derivative(
         along_bias = -w1 * r.l12 * c23 - w2 * r.l23 * c3 - w3 * w3 * p.head_distance
         along_bias += r.gravity * s123 - 2.0 * w3 * flex_speed
         across_bias = w1 * r.l12 * s23 + w2 * r.l23 * s3 - w3 * w3 * flex + r.gravity * c123
-        spring = p.head_stiffness * flex + p.head_damping * flex_speed - c123 * push
+        spring = p.head_stiffness * flex + p.head_damping * flex_speed - kick
         across_force = -spring - mass * across_bias
         m11 += mass * along1 * along1
         m12 += mass * along1 * along2

@@ -108,5 +108,7 @@ ORIGINS: Mapping[str, str] = {
     "site.ball_x": "assumption: off the left foot, for a level attack",
     "site.ball_y": "assumption",
     "site.ground_stiffness": "assumption: hard mat on a floor",
+    "site.surface": "assumption: the driver's ball stands on a tee",
+    "site.divot": "assumption: the driver's head touches nothing",
 }
 """By the dotted name of a field or table of `sim.plant.PlantParameters`."""

@@ -18,6 +18,7 @@ import numpy as np
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
+from sim.ground import SURFACES, SurfaceName
 from sim.impact import impact_parameters
 from sim.motion import (
     SCRATCH,
@@ -105,6 +106,10 @@ class Site:
     """Height y0 of the ball centre on its tee, m."""
     ground_stiffness: Annotated[float, Range(1e3, 1e8, "N/m")] = 2.0e5
     """Stiffness of the ground, N/m."""
+    surface: SurfaceName = field(default="none", metadata={"optional": True})
+    """Surface that the sole may touch: "turf", "mat", or "none", a bare floor."""
+    divot: Annotated[float, Range(0.0, 0.05, "m")] = field(default=0.0, metadata={"optional": True})
+    """Depth to which the sole may go into the surface by the ball, m in the swing plane."""
 
 
 def _shoulder() -> Actuator:
@@ -238,6 +243,9 @@ PLANT_PARAMETERS = np.dtype(
         ("head_distance", "f8"),
         ("ground", "f8"),
         ("ground_stiffness", "f8"),
+        ("ground_friction", "f8"),
+        ("ground_strength", "f8"),
+        ("ground_density", "f8"),
         ("sole_depth", "f8"),
         ("ball_x", "f8"),
         ("ball_y", "f8"),
@@ -377,7 +385,7 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
     """Return the scalar fields of PLANT_PARAMETERS."""
     encoders, supply, site = parameters.encoders, parameters.supply, parameters.site
     shaft, club = parameters.shaft, parameters.robot.club
-    omega = 2 * pi * shaft.frequency
+    omega, surface = 2 * pi * shaft.frequency, SURFACES[site.surface]
     return {
         "wrist_lever": parameters.wrist_lever,
         "regulated": supply.pressure,
@@ -405,6 +413,9 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
         "head_distance": club.shaft_length,
         "ground": site.ground,
         "ground_stiffness": site.ground_stiffness,
+        "ground_friction": surface.friction,
+        "ground_strength": surface.strength * surface.width,
+        "ground_density": surface.density * surface.width,
         "sole_depth": site.sole_depth,
         "ball_x": site.ball_x,
         "ball_y": site.ball_y,

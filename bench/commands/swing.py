@@ -176,9 +176,9 @@ def check(
 ) -> None:
     """Check on the simulated plant how every stop ends, from every instant of a swing.
 
-    Each reaction, each valve stuck open or shut, a silent bench and a missing ball, against the ratings of
-    stops and chambers. Exits with 1 if a reaction of the stopping table, the silent bench or the missing ball
-    ends unsafe; a stuck valve that ends unsafe is only shown.
+    Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
+    ratings of stops and chambers. Exits with 1 if any of them but a stuck valve ends unsafe; that is only
+    shown.
     """
     import json
 
@@ -235,10 +235,10 @@ Lean = Annotated[
     float | None,
     typer.Option(
         metavar="DEG",
-        min=-3.0,
+        min=-12.0,
         max=3.0,
-        help="Shaft lean at the ball, in the swing plane.",
-        show_default="the easiest within 1.5 deg",
+        help="Shaft lean at the ball, in the swing plane; negative with leading hands.",
+        show_default="the easiest within 1.5 deg; on turf up to 10 deg of leading hands",
     ),
 ]
 Strike = Annotated[

@@ -295,6 +295,9 @@ def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if distance > reach:
         found, wanted = f"{distance:.3f} m from the shoulder axis", f"at most {reach:.3f} m, arm and club"
         yield "plant.site.ball_y", found, wanted, "Move the ball nearer, or take a longer club."
+    if site.divot > 0.0 and site.surface == "none":
+        found, wanted = f"{short(site.divot)} m into a bare floor", '0, or plant.site.surface "turf" or "mat"'
+        yield "plant.site.divot", found, wanted, "Name the surface, or keep the sole off the ground."
 
 
 MAX_TOE_TILT = radians(5.0)

@@ -35,7 +35,7 @@ from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record
 from sim.driver import hanging_pose, joint_travel
-from sim.plant import PlantParameters, build_plant
+from sim.plant import PlantParameters, Site, build_plant
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
@@ -347,7 +347,7 @@ class EnvelopeSettings:
     ball_window: Positive = 0.60
     """Half width of the ball's window along the target line, m."""
     ball_clearance: NotNegative = 0.005
-    """Head over ground inside that window, m."""
+    """Head over ground inside that window, m; where the site allows a divot, its depth below the ground."""
     frame_radius: NotNegative = 0.10
     """Radius around R1 that the club keeps clear of, m."""
     min_lever: Annotated[float, Ge(0), Le(1)] = 0.15
@@ -355,6 +355,10 @@ class EnvelopeSettings:
     minimum_stop_margin: NotNegative = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
+
+    def clearance_by_ball(self, site: Site) -> float:
+        """Return the least height (m) of the sole over the ground by the ball; negative in a divot."""
+        return -site.divot if site.divot > 0.0 else self.ball_clearance
 
     def with_model_check(self, check: Literal["off", "simulated", "always"]) -> EnvelopeSettings:
         """Return these limits with the model-based check as `check` says."""
@@ -576,10 +580,10 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "lost_time",
         "clearance",
         "ball_window",
-        "ball_clearance",
         "frame_radius",
     ):
         record[name] = getattr(settings, name)
+    record["ball_clearance"] = settings.clearance_by_ball(plant.site)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"] = profile.ball[0]
     return record

@@ -2,14 +2,15 @@
 
 The nominal swing runs once with and once without a ball. From each instant of both, each reaction of the
 stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent; each time
-the whole control step goes on against the plant until everything rests. The end is judged by
+the whole control step goes on against the plant until everything rests. Once for each height, ground and ball
+stand higher than the bench believes, so that the head meets the turf first (a fat shot). The end is judged by
 `bench.simulation.safety`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
-from sim.faults import Fault
+from sim.faults import Fault, own_records
 from sim.plant import Plant, PlantParameters, build_plant
 
 _LONG_STILL = 1.5
@@ -36,21 +37,26 @@ _WATCHED = 14.0
 
 
 class FaultTrial(NamedTuple):
-    """One trial: the parts that break, a request, with or without a ball."""
+    """One trial: the parts that break, a request, with or without a ball, ground that came up."""
 
     name: str
     faults: tuple[Fault, ...] = ()
     request: int = 0
     ball: bool = True
+    raised: float = 0.0
+    """Height by which ground and ball stand too high, m, through the whole swing."""
 
 
 _ESTOP = (Fault("emergency stop", "emergency stop", "off"),)
 _LOST = tuple(Fault(f"{joint} encoder", f"{joint} encoder", "off") for joint in JOINTS)
 _SILENT = (Fault("bench silent", "loop", "off"),)
+_FAT = (0.005, 0.010, 0.020)
+"""Heights by which ground and ball stand too high, m: worn feet, a thicker mat, a wrong zero."""
 
 TRIALS = (
     FaultTrial("none"),
     FaultTrial("no ball", ball=False),
+    *(FaultTrial(f"ground {1e3 * height:g} mm higher", raised=height) for height in _FAT),
     FaultTrial("operator stop", request=Request.STOP),
     FaultTrial("operator stop, no ball", request=Request.STOP, ball=False),
     FaultTrial("emergency stop", _ESTOP),
@@ -140,7 +146,9 @@ class SwingCheck:
         for part, ball in enumerate((True, False)):
             wanted = [trial for trial in trials if trial.ball == ball]
             for tick, bench in self._bases(spacing, ball=ball) if wanted else ():
-                found += [self._outcome(trial, tick, bench) for trial in wanted]
+                found += [
+                    self._outcome(trial, tick, bench) for trial in wanted if not (trial.raised and tick)
+                ]
                 progress((part + tick / len(self.profile.angle)) / 2)
         return found
 
@@ -149,6 +157,8 @@ class SwingCheck:
         bench.begin_tally()
         if trial.faults:
             bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: it lets go at once
+        if trial.raised:
+            _raise_ground(bench, trial.raised)
         request = Request.SWING if tick == 0 and not trial.request else trial.request
         rest = self._run_to_rest(bench, request, silent=trial.faults is _SILENT)
         rested = rest < (self.watched - 1) * self.plant.parameters.tick
@@ -164,7 +174,7 @@ class SwingCheck:
             head_speed=loads.peak_head_speed,
             rest_time=rest if rested else float("inf"),
             cause=bench.cause,
-            unsafe="; ".join(dangers(RunEnd(loads, rested=rested), SafetyLimits())),
+            unsafe="; ".join(dangers(RunEnd(loads, rested=rested), _limits(trial))),
         )
 
     def _run_to_rest(self, bench: LockstepEngine, request: int, *, silent: bool) -> float:
@@ -181,6 +191,19 @@ class SwingCheck:
             if standing and (ticks - rest) * period > _LONG_STILL:
                 break
         return rest * period
+
+
+def _raise_ground(bench: LockstepEngine, height: float) -> None:
+    """Let ground and ball stand higher by `height` (m), on records of the bench's own."""
+    bench.stepper.plant = own_records(bench.stepper.plant)
+    for name in ("ground", "ball_y"):
+        bench.stepper.plant.plant[name] += height
+
+
+def _limits(trial: FaultTrial) -> SafetyLimits:
+    """Return the limits of a trial: a sole may be as much deeper in the ground as that came up to it."""
+    limits = SafetyLimits()
+    return replace(limits, ground_touch=limits.ground_touch + trial.raised)
 
 
 @dataclass(frozen=True)

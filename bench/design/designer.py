@@ -66,6 +66,8 @@ _ROUNDS = 7
 """Max plans of a downswing."""
 _AIMED = 5
 """Max corrections of the aim in closed loop."""
+_UPRIGHT, _LEADING = 0.026, 0.175
+"""Max lean either way of a shaft at a ball on a tee, and with leading hands at one on turf, rad."""
 _BROUGHT = (1.2, 0.65)
 """Initial shares of their cushions' rated energies that right arm and wrist may bring: the wrist's cushion
 also takes the energy that the arm's passes on."""
@@ -84,8 +86,10 @@ class SwingDemand:
     attack: float = 0.0
     """Angle of the head's path to the ground at the ball, rad, positive rising."""
     lean: float | None = None
-    """Shaft lean at the ball, rad, in the swing plane; None: the easiest within `lean_freedom`."""
-    lean_freedom: tuple[float, float] = (-0.026, 0.026)
+    """Shaft lean at the ball, rad, in the swing plane, negative with leading hands; None: the easiest within
+    `lean_freedom`."""
+    lean_freedom: tuple[float, float] | None = None
+    """None: `_UPRIGHT`; on turf, where the path falls, up to `_LEADING`."""
     strike: float = 0.0
     """Ball off the face's centre along the cut of swing plane and face, m."""
     margin: float = 0.15
@@ -289,7 +293,7 @@ def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tu
 def _problem(
     parameters: PlantParameters, demand: SwingDemand, envelope: EnvelopeSettings, state: Array
 ) -> DownswingProblem:
-    lean = demand.lean_freedom if demand.lean is None else (demand.lean, demand.lean)
+    lean = _lean(demand, parameters)
     speeds = envelope.max_speed
     return DownswingProblem(
         start=state,
@@ -314,6 +318,15 @@ def _problem(
         ranges=demand.ranges,
         concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
     )
+
+
+def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, float]:
+    """Return the least and the most lean of the shaft at the ball, rad."""
+    if demand.lean is not None:
+        return demand.lean, demand.lean
+    if demand.lean_freedom is not None:
+        return demand.lean_freedom
+    return (-_UPRIGHT if parameters.site.surface == "none" else -_LEADING), _UPRIGHT
 
 
 def _furthest_back(parameters: PlantParameters, demand: SwingDemand) -> float:

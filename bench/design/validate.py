@@ -271,7 +271,7 @@ def _clearance(plan: MachineSwing) -> Check:
     head = forward_kinematics(robot, plan.profile.angle)
     height = head[:, 1] - site.sole_depth - site.ground
     by_ball = np.abs(head[:, 0] - plan.profile.ball[0]) <= envelope.ball_window
-    needed = np.where(by_ball, envelope.ball_clearance, envelope.clearance)
+    needed = np.where(by_ball, envelope.clearance_by_ball(site), envelope.clearance)
     k = int((height - needed).argmin())
     if height[k] < needed[k]:
         found, wanted = f"sole {1e3 * height[k]:.1f} mm over ground", f"at least {1e3 * needed[k]:g} mm"

@@ -52,6 +52,8 @@ class Loads:
     """Share of a cushion's travel that was pressed in."""
     pressure_share: float
     """Pressure of the most loaded chamber."""
+    divot: float = 0.0
+    """Depth to which the sole may go into the surface by the ball, m."""
 
 
 def loads_of(plant_state: NDArray[Any], plant: PlantParameters) -> Loads:
@@ -69,4 +71,5 @@ def loads_of(plant_state: NDArray[Any], plant: PlantParameters) -> Loads:
         stop=f"{JOINTS[int(joint)]} {('lower', 'upper')[int(side)]} stop",
         depth_share=float(depth.max()),
         pressure_share=float(pressure_shares(state["peak_pressure"], plant).max()),
+        divot=plant.site.divot,
     )

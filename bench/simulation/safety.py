@@ -19,7 +19,7 @@ class SafetyLimits:
     """Share of a cushion's rated energy and of a chamber's rated pressure."""
     ground_touch: float = 0.005
     """Depth to which the turf may be pressed, m: a club that sinks to the ground while the air leaves touches
-    it at up to about 2 m/s, which the ground's stiffness turns into this depth."""
+    it at up to about 2 m/s, which the ground's stiffness turns into this depth. A site's divot adds to it."""
     frame_radius: float = 0.0
     """Min distance of the club from the shoulder axis, m."""
     head_share: float = 1.05
@@ -57,7 +57,7 @@ def dangers(end: RunEnd, limits: SafetyLimits) -> list[str]:
         found.append(f"{loads.stop} took {100 * loads.stop_share:.0f} % of its rated energy")
     if not loads.pressure_share <= limits.load_share:
         found.append(f"a chamber reached {100 * loads.pressure_share:.0f} % of its rating")
-    if not loads.lowest_clearance >= -limits.ground_touch:
+    if not loads.lowest_clearance >= -(limits.ground_touch + loads.divot):
         found.append(f"the head went {-1e3 * loads.lowest_clearance:.0f} mm into the ground")
     if end.frame_distance is not None and not end.frame_distance >= limits.frame_radius:
         found.append(f"the club came within {1e3 * end.frame_distance:.0f} mm of the shoulder axis")

@@ -15,7 +15,7 @@ from bench.errors import BenchError
 from sim.impact import face_axes, impact_parameters
 from sim.plant import build_plant
 
-BAG = ("wood1", "wood3", "hybrid", "iron5", "iron7", "iron9", "pitching", "wedge56")
+BAG = ("wood1", "wood3", "hybrid", "iron5", "iron7", "iron8", "iron9", "pitching", "wedge56")
 IRON7 = """
 [sites.iron7]
 plane_deg = 62.5
@@ -60,7 +60,7 @@ def test_a_club_brings_its_site(bag: Configuration) -> None:
     assert plant.robot.club == bag.clubs["iron7"]
     assert plant.robot.lie == pytest.approx(radians(62.0))
     assert plant.robot.in_plane_gravity == pytest.approx(plant.robot.gravity * sin(radians(62.0)))
-    assert (plant.site.ball_x, plant.site.ground) == (0.14, -1.417)
+    assert (plant.site.ball_x, plant.site.ground) == (0.07, -1.3574)
     assert type(plant.site) is type(bag.plant.site)
     assert build_plant(plant).plant["lie"][0] == plant.robot.lie
 
@@ -87,8 +87,9 @@ def test_clubs_of_the_bag_meet_their_balls_level(name: str, bag: Configuration) 
     assert degrees(asin(n[1])) == pytest.approx(degrees(club.loft))
     lifted = site.ball_y - site.ground - plant.ball.radius
     assert lifted == pytest.approx(0.0387 if name == "wood1" else 0.0, abs=1e-4)
-    # The arms stand alike whatever the club's length.
-    assert site.ground + club.length_to_face == pytest.approx(-1.62 + 1.09, abs=1e-9)
+    # The arms stand alike whatever the club's length, on turf higher than at a tee.
+    assert site.ball_y + club.length_to_face == pytest.approx(-0.47 if name == "wood1" else -0.449, abs=1e-9)
+    assert (site.surface, site.divot > 0.0) == (("none", False) if name == "wood1" else ("turf", True))
 
 
 def test_the_bag_goes_from_long_and_light_to_short_and_heavy(bag: Configuration) -> None:
@@ -134,6 +135,13 @@ def test_a_site_that_cannot_be_is_refused(
     assert fault.place.endswith(f": {key}")
     assert found in fault.found
     assert wanted in fault.expected
+
+
+def test_a_divot_needs_a_surface(overlay: Overlay) -> None:
+    (fault,) = faults(overlay(IRON7 + "divot = 0.012\n"))
+    assert fault.place.endswith("sites.iron7.divot")
+    assert "0.012 m into a bare floor" in fault.found
+    assert load_configuration(overlay(IRON7 + 'divot = 0.012\nsurface = "mat"\n')).plant.site.divot == 0.0
 
 
 def test_a_site_must_be_complete(overlay: Overlay) -> None:

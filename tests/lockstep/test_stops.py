@@ -86,6 +86,13 @@ def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> 
     assert [outcome.cause for outcome in outcomes if outcome.phase < Phase.DOWNSWING].count(own) > 5
 
 
+@pytest.mark.parametrize("height", ["5 mm", "10 mm", "20 mm"])
+def test_ground_that_stands_too_high_overloads_nothing(stopped: StoppedAt, height: str) -> None:
+    (outcome,) = stopped(f"ground {height} higher")
+    assert outcome.unsafe == ""
+    assert outcome.time == 0.0
+
+
 @pytest.mark.parametrize("joint", slow_except({"arm"}, ["shoulder", "arm", "wrist"]))
 def test_it_overloads_nothing_when_the_model_tells_it_sooner(default_profile: Profile, joint: str) -> None:
     watching = EnvelopeSettings(model=ModelSettings(check="always"))

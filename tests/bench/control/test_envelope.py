@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import asin, inf, nan, pi
 from typing import Any
@@ -23,10 +23,13 @@ from bench.control.envelope import (
     readings_cause,
 )
 from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.settings import EnvelopeSettings, build_controller
 from bench.lifecycle import Cause, Phase
+from bench.swing.profile import Profile
 from drivers.base import READINGS
 from drivers.base.compiled import new_record
 from sim.kinematics import forward_kinematics, right_arm_length
+from sim.plant import PlantParameters
 from sim.robot import thesis_robot
 
 Record = np.ndarray[Any, Any]
@@ -404,6 +407,14 @@ def test_ground(phase: Phase, window: str) -> None:
         ):
             p["ground"] = y - 0.02 - height
             assert motion.cause() is expected
+
+
+def test_a_site_with_a_divot_lets_the_sole_into_the_turf_by_the_ball(slow_swing: Profile) -> None:
+    settings, site = EnvelopeSettings(), replace(PlantParameters().site, surface="turf", divot=0.012)
+    assert settings.clearance_by_ball(PlantParameters().site) == settings.ball_clearance
+    record = build_controller(replace(PlantParameters(), site=site), slow_swing).envelope
+    assert record["ball_clearance"][0] == settings.clearance_by_ball(site) == -0.012
+    assert record["clearance"][0] == settings.clearance
 
 
 @given(st.floats(-2.0, 2.0), st.floats(pi, 1.5 * pi), st.floats(4.8, 6.2), st.floats(0.0, 1.2))

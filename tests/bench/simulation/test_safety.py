@@ -61,6 +61,16 @@ def test_each_observation_beyond_its_limit_is_unsafe(name: str, value: object, r
     assert reason in found
 
 
+def test_a_site_may_allow_a_divot() -> None:
+    deep = replace(LIGHT, lowest_clearance=-0.016)
+    assert dangers(SAFE._replace(loads=replace(deep, divot=0.012)), LIMITS) == []
+    (found,) = dangers(SAFE._replace(loads=replace(deep, divot=0.010)), LIMITS)
+    assert "16 mm into the ground" in found
+    site = replace(PlantParameters().site, surface="turf", divot=0.012)
+    plant = replace(PlantParameters(), site=site)
+    assert loads_of(initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0])), plant).divot == 0.012
+
+
 def test_loads_are_shares_of_the_ratings() -> None:
     plant = PlantParameters()
     state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
