@@ -13,9 +13,10 @@ The same input gives the same profile. A demand that cannot be met is refused wi
 
 from __future__ import annotations
 
+from cmath import exp, phase
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import asin, atan2, degrees, inf, pi, sin
+from math import acos, asin, atan2, degrees, inf, pi, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +67,9 @@ _ROUNDS = 7
 """Max plans of a downswing."""
 _AIMED = 5
 """Max corrections of the aim in closed loop."""
+_ADDRESS = (-0.050, 0.022)
+"""Place of the face from a ball on turf at the address, m: where the driver's stands from its ball. Its way
+back passes neither ball nor turf."""
 _UPRIGHT, _LEADING = 0.026, 0.175
 """Max lean either way of a shaft at a ball on a tee, and with leading hands at one on turf, rad."""
 _BROUGHT = (1.2, 0.65)
@@ -106,6 +110,7 @@ class SwingDemand:
     """Wrist at address, rad short of its stop."""
     address_shoulder: float = 0.45
     address_extension: float = 0.200
+    """At a ball on a tee; on turf they follow from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
     top_cock: float = np.deg2rad(65.0).item()
@@ -178,14 +183,31 @@ def slope_of(attack: float, lie: float) -> float:
 
 def address_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at address (rad)."""
-    robot = parameters.robot
-    return np.array(
-        [
-            demand.address_shoulder,
-            float(theta2_from_right_arm(robot, robot.l56 + demand.address_extension)),
-            parameters.wrist.upper - demand.address_cock,
-        ]
-    )
+    robot, wrist = parameters.robot, parameters.wrist.upper - demand.address_cock
+    if parameters.site.surface != "none":
+        return _behind_the_ball(parameters, wrist)
+    extension = float(theta2_from_right_arm(robot, robot.l56 + demand.address_extension))
+    return np.array([demand.address_shoulder, extension, wrist])
+
+
+def _behind_the_ball(parameters: PlantParameters, wrist: float) -> Array:
+    """Return the angles (rad), with the `wrist` given, whose head stands `_ADDRESS` from the ball.
+
+    Raises:
+        DesignFailed: the arms do not reach there.
+    """
+    robot, site = parameters.robot, parameters.site
+    place = complex(site.ball_x + _ADDRESS[0], site.ball_y + _ADDRESS[1])
+    below_elbow = robot.l23 + robot.club.length_to_face * exp(1j * wrist)
+    cosine = (abs(place) ** 2 - robot.l12**2 - abs(below_elbow) ** 2) / (2 * robot.l12 * abs(below_elbow))
+    if abs(cosine) >= 1.0:
+        raise DesignFailed("at the address: the arms do not reach the ball")
+    for bend in (-acos(cosine), acos(cosine)):
+        theta2 = (bend - phase(below_elbow)) % (2 * pi)
+        if pi < theta2 < 1.5 * pi:
+            shoulder = phase(place / (robot.l12 + below_elbow * exp(1j * theta2)))
+            return np.array([shoulder, theta2, wrist])
+    raise DesignFailed("at the address: the right arm does not reach the ball")
 
 
 def top_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
@@ -208,12 +230,17 @@ def _quintic(start: Array, end: Array, duration: float, samples: int) -> tuple[A
 
 
 def _sketch(
-    demand: SwingDemand, period: float, address: Array, top: Array, pid: NDArray[Any] | None = None
+    demand: SwingDemand,
+    parameters: PlantParameters,
+    address: Array,
+    top: Array,
+    pid: NDArray[Any] | None = None,
 ) -> Profile:
     """Return a provisional profile: smooth reference from address to top, then hold.
 
     With the PIDs' record `pid` its openings are those that move the joints on at the reference's speed.
     """
+    period, site = parameters.tick, parameters.site
     n, hold = round(demand.backswing_time / period), round((demand.top_time + 0.5) / period)
     angle, velocity = _quintic(address, top, demand.backswing_time, n)
     angle = np.vstack([angle, np.tile(top, (hold, 1))])
@@ -232,7 +259,7 @@ def _sketch(
         velocity * gain,
         SPACING,
         np.zeros((len(angle) // SPACING + 1, 6)),
-        (0.25, -1.560),
+        (site.ball_x, site.ball_y),
         n * period,
     )
 
@@ -241,7 +268,8 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
     """Let the controller take the plant to the top; the result is the nominal motion."""
     parameters, period = bench.plant, bench.plant.tick
     address, top = address_pose(parameters, demand), top_pose(parameters, demand)
-    sketch = _sketch(demand, period, address, top, pid_record(bench.control, bench.estimator, parameters))
+    pid = pid_record(bench.control, bench.estimator, parameters)
+    sketch = _sketch(demand, parameters, address, top, pid)
     try:
         sketch = with_planned_air(sketch, parameters)
     except ValueError as error:
@@ -694,7 +722,7 @@ def _bench(
     estimator: EstimatorSettings | None,
 ) -> SimulatedBench:
     """Return the bench for the rehearsals, still with an empty profile."""
-    nothing = _sketch(SwingDemand(), parameters.tick, np.zeros(3), np.zeros(3))
+    nothing = _sketch(SwingDemand(), parameters, np.zeros(3), np.zeros(3))
     return SimulatedBench(
         nothing,
         parameters,
