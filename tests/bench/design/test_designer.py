@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from math import asin, radians, sin
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from bench.config import load_configuration
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
+    DesignFailed,
     SwingDemand,
     _Cushions,
     _guess_from,
@@ -40,7 +42,7 @@ from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, sim
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.kinematics import head_motion
+from sim.kinematics import forward_kinematics, head_motion, right_arm_length
 from sim.motion import STATES as PLANT_STATES
 from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
@@ -134,6 +136,25 @@ def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
         assert plant.shoulder.lower < pose[0] < plant.shoulder.upper
         assert plant.wrist.lower < pose[2] < plant.wrist.upper
         assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(SwingDemand().least_lever))
+
+
+def test_the_head_stands_behind_a_ball_on_turf_at_the_address() -> None:
+    bag = load_configuration(Path("bag"))
+    for name in ("wood3", "iron7", "wedge56"):
+        plant = bag.plant_with(club=name)
+        pose, site = address_pose(plant, SwingDemand()), plant.site
+        x, y, _ = forward_kinematics(plant.robot, pose)
+        assert (x - site.ball_x, y - site.ball_y) == pytest.approx((-0.050, 0.022), abs=1e-9)
+        assert plant.wrist.upper - pose[2] == pytest.approx(SwingDemand().address_cock)
+        extension = right_arm_length(plant.robot, pose[1]) - plant.robot.l56
+        assert plant.right_arm.lower < extension < plant.right_arm.upper
+
+
+def test_a_ball_on_turf_that_the_arms_do_not_reach_is_refused() -> None:
+    plant = load_configuration(Path("bag")).plant_with(club="iron7")
+    far = replace(plant, site=replace(plant.site, ball_x=1.5))
+    with pytest.raises(DesignFailed, match="do not reach the ball"):
+        address_pose(far, SwingDemand())
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
