@@ -32,7 +32,7 @@ point mass.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import asin, atan2, cos, hypot, isfinite, pi, sin, sqrt
+from math import asin, atan2, cos, hypot, isfinite, nan, pi, sin, sqrt
 from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -106,6 +106,7 @@ IMPACT = np.dtype(
             "ball_radius",
             "ball_inertia",
             "friction",
+            "tee_shift",
         )
     ],
     align=True,
@@ -142,6 +143,7 @@ def impact_parameters(club: Club, ball: Ball, lie: float) -> Array:
         "ball_radius": ball.radius,
         "ball_inertia": ball.inertia,
         "friction": ball.friction * club.friction_factor,
+        "tee_shift": club.tee_shift,
     }.items():
         if not isfinite(value):
             raise ValueError(f"impact: {name} of club {club.name!r} or ball {ball.name!r}: found {value!r}")
@@ -208,14 +210,24 @@ def face_gap(x: float, y: float, theta_t: float, ball_x: float, ball_y: float, p
     (x, y) is the face centre and (ball_x, ball_y) the ball in the swing plane (m).
     """
     n = face_axes(theta_t, parameters)[0]
-    return dot(plane_to_golf(ball_x - x, ball_y - y, 0.0, parameters[0].plane_lie), n)
+    return dot(_ball_ahead(ball_x - x, ball_y - y, parameters), n)
+
+
+@compiled
+def _ball_ahead(x: float, y: float, parameters: Array) -> Vector:
+    """Return the ball's place from the face's centre (golf frame, m), `x` and `y` of it in the plane."""
+    place = plane_to_golf(x, y, 0.0, parameters[0].plane_lie)
+    return (place[0], place[1], place[2] + parameters[0].tee_shift)
 
 
 @compiled
 def in_plane_error(
     x: float, y: float, theta_t: float, ball_x: float, ball_y: float, parameters: Array
 ) -> float:
-    """Return where along the line 'swing plane cuts face' the ball is met (m from the centre, + up plane)."""
+    """Return where along the line 'swing plane cuts face' the ball is met (m from the centre, + up plane).
+
+    Without the tee's shift out of the plane, which no swing can correct.
+    """
     lie = parameters[0].plane_lie
     g = _cut(face_axes(theta_t, parameters)[0], lie)
     return dot(plane_to_golf(ball_x - x, ball_y - y, 0.0, lie), g)
@@ -233,6 +245,9 @@ def strike_point(
 ) -> tuple[float, float]:
     """Return (strike_x towards the toe, strike_y up the face) in m; arguments as `face_gap`."""
     axes = face_axes(theta_t, parameters)
+    if parameters[0].tee_shift != 0.0:
+        ahead = _ball_ahead(ball_x - x, ball_y - y, parameters)
+        return dot(ahead, axes[2]), dot(ahead, axes[1])
     g = _cut(axes[0], parameters[0].plane_lie)
     error = in_plane_error(x, y, theta_t, ball_x, ball_y, parameters)
     return error * dot(g, axes[2]), error * dot(g, axes[1])
@@ -562,7 +577,7 @@ def delivery_from_plane(
         toe_tilt=atan2(dot(t, up), dot(t, level)),
         strike_x=strike_x,
         strike_y=strike_y,
-        in_plane_error=in_plane_error(x, y, theta_t, *ball, parameters),
+        in_plane_error=nan if club.tee_shift else in_plane_error(x, y, theta_t, *ball, parameters),
         angular_velocity=plane_to_golf(0.0, 0.0, omega, lie),
         source=source,
     )

@@ -34,6 +34,7 @@ ADDED_TO_CLUBS = {
     "tangential_stiffness": 0.0,
     "tangential_loss": 0.0,
     "friction_factor": 1.0,
+    "tee_shift": 0.0,
 }
 """Fields of clubs that are younger than limits and records in use, with the values that change nothing."""
 
@@ -90,6 +91,9 @@ class Club:
     """Curvature heel to toe (m); 1e6 is flat."""
     roll_radius: FaceRadius = 0.305
     """Curvature sole to crown (m); 1e6 is flat."""
+    tee_shift: Annotated[float, Range(-0.05, 0.05, "m")] = field(default=0.0, metadata={"optional": True})
+    """Level distance of the tee from the swing plane, away from the robot (m): the ball meets the face so far
+    towards the toe. It is the tee's, moved by hand, and stands with the club that is swung at it."""
 
     @classmethod
     def thesis(cls) -> Club:

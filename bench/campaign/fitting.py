@@ -86,9 +86,10 @@ def missing(
     """Return the work needed before `step` is taken with ball `sample`; None if none is."""
     arm, handling = step.trial.arm, plan.ball_handling
     if fitting.club != arm.club:
-        return Preparation(
-            PromptKind.CLUB, f"Mount club {arm.club} in place of {fitting.club}.", {"club": arm.club}
+        text = " ".join(
+            (f"Mount club {arm.club} in place of {fitting.club}.", plan.preparation.get(arm.club, ""))
         )
+        return Preparation(PromptKind.CLUB, text.rstrip(), {"club": arm.club})
     if plan.split and fitting.used_in not in {0, step.trial.block} and step.trial.block:
         text = f"Take club {arm.club} off and mount it again: each mounting counts for itself."
         return Preparation(PromptKind.CLUB, text, {"club": arm.club})

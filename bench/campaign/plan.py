@@ -342,6 +342,8 @@ class CampaignPlan:
     simulation: Simulation
     swings: dict[str, dict[str, str]] = field(default_factory=dict)
     """Swing -> club -> profile, where a swing's name is not its profile's."""
+    preparation: dict[str, str] = field(default_factory=dict)
+    """Work besides mounting it that a club needs, by club: its site, its tee."""
     items: dict[str, ItemParticulars] = field(default_factory=dict)
     """Balls and clubs as received."""
     calibrations: dict[str, StatedCalibration] = field(default_factory=dict)

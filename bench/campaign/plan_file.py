@@ -184,6 +184,9 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 f"a club of {', '.join(d.clubs)}",
                 "Add it to design.clubs.",
             )
+    for club in plan.preparation.keys() - set(d.clubs):
+        wanted = f"one of {', '.join(d.clubs)}"
+        yield Mistake(f"preparation.{club}", "a club", wanted, "Add it to design.clubs.")
     yield from _stop(plan)
     yield from _split(plan)
     if 0 < plan.interruption.restart_after <= d.seconds_per_shot:

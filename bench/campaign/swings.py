@@ -30,6 +30,7 @@ _ON_THE_BALL_ONLY = frozenset(
         "friction_factor",
         "bulge_radius",
         "roll_radius",
+        "tee_shift",
     }
 )
 """Fields of a club that do not act on the robot."""

@@ -46,6 +46,9 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 NOT_FELT = frozenset({"ball", "seed", "vent_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
 
+ADDED_TO_SITES = {"surface": "none", "divot": 0.0}
+"""Fields of sites that are younger than limits in use, with the values at which they change nothing."""
+
 LimitTables = Mapping[str, Mapping[str, Triple]]
 """Limits by comparison and row, joints in order: Pa, Pa, rad/s, rad, N m."""
 
@@ -75,6 +78,7 @@ class MadeFor(NamedTuple):
         machine = {k: v for k, v in asdict(plant).items() if k not in NOT_FELT}
         club = machine["robot"]["club"]
         machine["robot"]["club"] = {k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v}
+        machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(
             digest_of(profile),

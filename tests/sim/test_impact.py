@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from math import atan2, cos, degrees, hypot, nan, pi, radians, sin
+from math import atan2, cos, degrees, hypot, isnan, nan, pi, radians, sin
 from typing import Any
 
 import numpy as np
@@ -385,6 +385,38 @@ def test_spin_loft_is_dynamic_loft_less_attack_angle_in_one_vertical_plane() -> 
     d = delivery_from_angles(45, radians(-0.9), 0, 0, radians(12.8))
     assert degrees(d.spin_loft) == pytest.approx(13.7)
     assert delivery_from_angles(45, 0, 0.02, 0.05, 0.2).face_to_path == pytest.approx(0.03)
+
+
+@settings(max_examples=100, deadline=None)
+@given(lean=st.floats(-0.1, 0.1), error=st.floats(-0.02, 0.02), shift=st.floats(-0.03, 0.03))
+def test_a_tee_beside_the_plane_moves_the_strike_towards_the_toe(
+    lean: float, error: float, shift: float
+) -> None:
+    square, moved = (
+        impact_parameters(replace(DRIVER, lie=LIE, tee_shift=s), BALL, LIE) for s in (0.0, shift)
+    )
+    theta_t = DOWN + lean
+    n, _, t = (np.array(a) for a in face_axes(theta_t, square))
+    g = np.cross(plane_to_golf(0.0, 0.0, 1.0, LIE), n)
+    bx, by, _ = golf_to_plane(tuple((error / np.linalg.norm(g) * g).tolist()), LIE)
+    before = strike_point(0.0, 0.0, theta_t, bx, by, square)
+    x, y = strike_point(0.0, 0.0, theta_t, bx, by, moved)
+    # The level shift lies in the face but for the little that a lean turns it.
+    assert x - before[0] == pytest.approx(shift * t[2], abs=1e-9)
+    assert y - before[1] == pytest.approx(0.0, abs=abs(shift) * 0.03 + 1e-12)
+    gap = face_gap(0.0, 0.0, theta_t, bx, by, moved)
+    assert gap == pytest.approx(shift * n[2], abs=1e-9)
+    assert in_plane_error(0.0, 0.0, theta_t, bx, by, moved) == pytest.approx(error, abs=1e-9)
+
+
+def test_a_strike_at_the_toe_starts_right_and_turns_back_with_bulge() -> None:
+    toe = replace(DRIVER, lie=LIE, tee_shift=0.015)
+    d = delivery_from_plane((0.0, 0.0, DOWN), (43.0, 1.5, 30.0), (0.0, 0.0), toe, LIE)
+    assert (d.strike_x, isnan(d.in_plane_error)) == (pytest.approx(0.015, abs=1e-9), True)
+    centred, off = strike(replace(d, strike_x=0.0), toe), strike(d, toe)
+    assert off.direction > centred.direction
+    assert off.spin_axis < centred.spin_axis
+    assert off.speed < centred.speed
 
 
 @settings(max_examples=100, deadline=None)
