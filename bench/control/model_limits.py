@@ -46,6 +46,8 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 NOT_FELT = frozenset({"ball", "seed", "vent_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
 
+_NOT_FELT_OF_CLUBS = frozenset({"tee_shift"})
+"""The same of the club: where on the face the ball is met is felt after the swing is over."""
 ADDED_TO_SITES = {"surface": "none", "divot": 0.0}
 """Fields of sites that are younger than limits in use, with the values at which they change nothing."""
 
@@ -77,7 +79,9 @@ class MadeFor(NamedTuple):
         """
         machine = {k: v for k, v in asdict(plant).items() if k not in NOT_FELT}
         club = machine["robot"]["club"]
-        machine["robot"]["club"] = {k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v}
+        machine["robot"]["club"] = {
+            k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v and k not in _NOT_FELT_OF_CLUBS
+        }
         machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(

@@ -30,7 +30,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
 
 
 def _run(name: str) -> Row:
-    shipped = load_configuration(Path("shipped"))
+    shipped = load_configuration(Path("bag" if name in {"bag", "wedge"} else "shipped"))
     with tempfile.TemporaryDirectory() as folder:
         configuration = replace(shipped, bench=replace(shipped.bench, data_dir=Path(folder)))
         plan = load_plan(Path(name), configuration)

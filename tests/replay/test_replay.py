@@ -18,6 +18,7 @@ import pytest
 from bench.cli import main
 from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.model import KINDS
+from bench.control.model_limits import ADDED_TO_SITES
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.errors import BenchError
@@ -71,6 +72,8 @@ ADDED = (
 """Settings that the references do not have, and that no swing or stop reads; of air only a planned one."""
 FACES = frozenset(f"plant.robot.club.{name}" for name in ADDED_TO_CLUBS)
 """Settings of the contact with the ball that the references do not have; their defaults do nothing."""
+SITES = frozenset(f"plant.site.{name}" for name in ADDED_TO_SITES)
+"""Settings of the ground that the references do not have; their defaults do nothing."""
 CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
 """Settings that the references do not have: in their time the cushion's travel, today's default."""
 
@@ -93,7 +96,7 @@ def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | FACES}
+    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | FACES | SITES}
     assert not since, "the record is older than these settings: make reference"
 
 
@@ -339,7 +342,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     )
     replay = replay_cycles(swing[0], metadata, "swing")
     assert (
-        set(replay.defaults) - ADDED - CLEARANCES - FACES
+        set(replay.defaults) - ADDED - CLEARANCES - FACES - SITES
         == {
             "control.strike_drop",
             *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
