@@ -31,8 +31,18 @@ from bench.control.references import square_wave
 from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
-_BAND = 2.0
+_BAND = 3.0
 """Times the band around the address that a joint may leave it while its valve serves the air."""
+_STOPPING = 0.04
+"""s in which friction stops a joint that is let go: one that slips is caught before it reaches the address."""
+_LOOSENING = 2.0
+"""Times the dry friction that a force beyond the load comes to until a joint breaks away; static is less."""
+_SLIPS = 2.0
+"""Times `still_speed` above which a joint slips; less may be a single count of its encoder."""
+_CAUGHT = 8.0
+"""Times `still_speed` at which a joint may be caught."""
+_FIRM = 0.5
+"""Share of the dry friction by which a resting joint's force may be off: beyond friction it slides."""
 _NEARER = 0.5
 """Share of the tolerance within which a swung spool comes to rest."""
 _RATE = 6.0
@@ -100,13 +110,27 @@ def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
 
 @compiled
 def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float) -> float:
-    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s."""
+    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s.
+
+    The swing by itself moves the force, too: one side lets in more than the other lets out.
+    """
     e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
     position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
-    _, up, down = force_rates(plant, i, air.pressure, position, 0.0)
+    still, up, down = force_rates(plant, i, air.pressure, position, 0.0)
     slope = 0.5 * (up - down)
-    offset = rate * missing / slope if slope > 0.0 else 0.0
+    drift = still + parameters.profile[0].air_share[i] * (up + down)
+    offset = (1.0 - plant.dead_band[i]) * (rate * missing - drift) / slope if slope > 0.0 else 0.0
     return float(offset) if np.isfinite(offset) else 0.0
+
+
+@compiled
+def _push(state: Any, parameters: Any, i: int) -> float:
+    """Return the force (N, N m) of actuator `i` that loosens its joint, which rests beside its address."""
+    e, plant = state.estimator[0], parameters.plant[0]
+    towards = parameters.angle[0] - e.angle
+    _, way = actuator_motion(parameters.robot, plant, e.angle, towards, i)
+    force: float = load_force(parameters.robot, plant, e.angle, i)
+    return force + (_LOOSENING if way > 0.0 else -_LOOSENING) * plant.coulomb[i]
 
 
 @compiled
@@ -117,34 +141,45 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
-    side, settled = square_wave((time - s.air_since) / profile.air_period), True
+    settled = True
     for i in range(3):
-        away = abs(parameters.angle[0, i] - e.angle[i])
-        if s.air_held[i] == 0 and away <= p.rest_band[i] and abs(e.velocity[i]) <= p.still_speed[i]:
+        side = square_wave((time - s.air_since) / profile.air_period[i])
+        away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
+        slips = speed > _SLIPS * p.still_speed[i]
+        ahead = away - _STOPPING * e.velocity[i] if slips else away
+        if s.air_held[i] == 0 and abs(ahead) <= p.rest_band[i] and speed <= _CAUGHT * p.still_speed[i]:
             s.air_held[i] = 1
-        elif not away <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
+        elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             s.air_held[i] = 0
         if s.air_held[i] != 0 and time - s.air_since >= _PATIENCE:
             s.air_held[i] = _LEAKS
         missing = _missing(profile, air, i)
-        if not missing <= p.air_tolerance or s.air_held[i] == 0:
+        force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
+        firm = _FIRM * plant.coulomb[i]
+        if not (missing <= p.air_tolerance and abs(force) <= firm) or s.air_held[i] == 0:
             s.air_swung[i] = 1
-        elif missing <= _NEARER * p.air_tolerance:
+        elif missing <= _NEARER * p.air_tolerance and abs(force) <= _NEARER * firm:
             s.air_swung[i] = 0
         enough = _LEAKING * p.air_tolerance if s.air_held[i] == _LEAKS else 0.0
         settled = settled and s.air_held[i] != 0 and (s.air_swung[i] == 0 or missing <= enough)
+        most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
         if s.air_held[i] == 0:
-            s.desired[i] += side * profile.air_width[i]
+            push = 0.0
+            if not slips:
+                push = _push(state, parameters, i) - actuator_force(plant, air.pressure, i)
+            offset = _offset_for(state, parameters, i, push, _RATE)
+            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
             continue
         # The swing begins as if nothing had been before it.
         state.pid[0].integral[i] = 0.0
         s.desired[i] = s.air_trim[i]
         if s.air_swung[i] != 0:
-            force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
-            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
-            offset = _offset_for(state, parameters, i, force, _RATE)
+            rate = _CHARGING_RATE if slips else _RATE
+            offset = _offset_for(state, parameters, i, force, rate)
             s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
-            trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * min(max(offset, -most), most)
+            # What the model explains needs no learning.
+            learned = offset - _offset_for(state, parameters, i, 0.0, _RATE)
+            trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * min(max(learned, -most), most)
             s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
     if not settled:
         s.air_good = time
@@ -161,8 +196,8 @@ def charge(state: Any, parameters: Any, time: float) -> None:
     other has as much. And a vented robot rests by friction alone: near the ground it would slide onto it.
     """
     s, air, plant, profile = state.control[0], state.air[0], parameters.plant[0], parameters.profile[0]
-    side = square_wave((time - s.move_start) / profile.air_period)
     for i in range(3):
+        side = square_wave((time - s.move_start) / profile.air_period[i])
         s.air_trim[i] = 0.0
         if time >= s.air_from:
             load = load_force(parameters.robot, plant, state.estimator[0].angle, i)
@@ -178,8 +213,8 @@ def loosen(s: Any, profile: Any, time: float) -> None:
 
     Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
     """
-    side = square_wave((time - s.move_start) / profile.air_period)
     for i in range(3):
+        side = square_wave((time - s.move_start) / profile.air_period[i])
         s.desired[i] += side * profile.air_width[i]
 
 

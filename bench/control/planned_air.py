@@ -30,6 +30,8 @@ _PERIOD, _QUICK = 0.012, 2.0 * pi * 100.0
 """s between two changes of side that lead the same way, for spools of at least this frequency, rad/s."""
 _WIDEST = 0.4
 """Max opening of a swung spool to either side."""
+_HARMONICS = 30
+"""Of a square wave; a spool follows the first few."""
 _LEAST, _MOST = 0.02, 0.98
 """Shares of time between which a load must be held."""
 
@@ -89,10 +91,32 @@ def swing_widths(plant: PlantParameters, machine: Array, angle: Array) -> Array:
     return widths
 
 
-def swing_period(plant: PlantParameters) -> float:
-    """Return the period (s) in which spools are swung: longer where a slow one would not follow."""
-    slowest = min(actuator.valve.natural_frequency for actuator in plant.actuators)
-    return _PERIOD * max(_QUICK / slowest, 1.0)
+def swing_periods(plant: PlantParameters) -> Array:
+    """Return the periods (3,) s in which spools are swung: longer where a slow one would not follow.
+
+    Each its own: in a long period a quick spool lets in so much air that the joint leaves its friction.
+    """
+    frequency = np.array([actuator.valve.natural_frequency for actuator in plant.actuators])
+    return np.asarray(_PERIOD * np.maximum(_QUICK / frequency, 1.0))
+
+
+def swing_shares(plant: PlantParameters, widths: Array) -> Array:
+    """Return the mean share of the stroke (3,) that a spool swung by `widths` (3,) opens to each side.
+
+    Beyond the dead band, over a whole period; of the spool's second-order model, by the square wave's Fourier
+    series.
+    """
+    shares = np.zeros(3)
+    turn = np.linspace(0.0, 2.0 * pi, 400, endpoint=False)[:, np.newaxis]
+    order = np.arange(1, _HARMONICS, 2)
+    for i, (actuator, period) in enumerate(zip(plant.actuators, swing_periods(plant), strict=True)):
+        valve = actuator.valve
+        relative = 2.0 * pi * order / period / valve.natural_frequency
+        follows = 1.0 / (1.0 - relative**2 + 2j * valve.damping_ratio * relative)
+        series = 4.0 / (pi * order) * np.imag(follows * np.exp(1j * order * turn))
+        opening = widths[i] * series.sum(axis=1)
+        shares[i] = np.maximum(opening - valve.dead_band, 0.0).mean() / (1.0 - valve.dead_band)
+    return shares
 
 
 def _force(plant: PlantParameters, i: int, share: float) -> float:

@@ -232,13 +232,14 @@ PROFILE = np.dtype(
         ("air", "f8", (6,)),
         ("air_supply", "f8"),
         ("air_width", "f8", (3,)),
-        ("air_period", "f8"),
+        ("air_period", "f8", (3,)),
+        ("air_share", "f8", (3,)),
     ],
     align=True,
 )
 """`air_planned`: whether the chambers have planned pressures at the address: `air` (Pa) where the supply has
 `air_supply` (Pa). `air_width` are the openings to either side with which the spools are swung there, in
-`air_period` (s)."""
+`air_period` (3,) s; `air_share` is the mean share of the stroke to each side that comes of it."""
 
 
 class ControlState(NamedTuple):

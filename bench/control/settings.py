@@ -19,7 +19,7 @@ from bench.control.gains import Gains
 from bench.control.machine_gains import machine_gains
 from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
-from bench.control.planned_air import swing_period, swing_widths
+from bench.control.planned_air import swing_periods, swing_shares, swing_widths
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
     EMERGENCIES,
@@ -620,5 +620,6 @@ def _profile_record(profile: Profile, plant: PlantParameters, machine: np.ndarra
         record["air_planned"] = True
         record["air"], record["air_supply"] = profile.air, profile.air_supply
         record["air_width"] = swing_widths(plant, machine, profile.angle[0])
-        record["air_period"] = swing_period(plant)
+        record["air_period"] = swing_periods(plant)
+        record["air_share"] = swing_shares(plant, record["air_width"][0])
     return record

@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+from markupsafe import escape
 from typer.testing import CliRunner, Result
 
 from bench.campaign.campaign_record import load_record
@@ -336,7 +337,7 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     found = findings(plan, record.shots)
     assert found.by_status["valid"] >= len(all_trials(plan))
     assert all(found.verdicts)
-    assert entry.title in render_campaign_report(record, found)
+    assert escape(entry.title) in render_campaign_report(record, found)
 
 
 def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:

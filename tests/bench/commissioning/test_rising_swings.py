@@ -68,7 +68,7 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
     require_as_predicted(found, Cause.NONE, "swing of 50 %")
     require_safe(right.loads(), "swing of 50 %")
 
-    stiff = Variation(friction=(2.5, 2.5, 2.5), flow=(0.7, 0.7, 0.7)).applied_to(configuration.plant)
+    stiff = Variation(friction=(3.0, 3.0, 3.0), flow=(0.6, 0.6, 0.6)).applied_to(configuration.plant)
     other = SimulatedRobot(stiff).series(bench).swing(slow, ball=False)
     with pytest.raises(WrongMachine, match="swing of 50 %"):
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
