@@ -125,12 +125,16 @@ def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float
 
 @compiled
 def _push(state: Any, parameters: Any, i: int) -> float:
-    """Return the force (N, N m) of actuator `i` that loosens its joint, which rests beside its address."""
+    """Return what the force (N, N m) of actuator `i` misses to loosen its joint, which rests beside its address.
+
+    Not against a PID that pushes more: it knows what the model does not.
+    """
     e, plant = state.estimator[0], parameters.plant[0]
     towards = parameters.angle[0] - e.angle
     _, way = actuator_motion(parameters.robot, plant, e.angle, towards, i)
-    force: float = load_force(parameters.robot, plant, e.angle, i)
-    return force + (_LOOSENING if way > 0.0 else -_LOOSENING) * plant.coulomb[i]
+    pushes = actuator_force(plant, state.air[0].pressure, i) - load_force(parameters.robot, plant, e.angle, i)
+    enough = _LOOSENING * plant.coulomb[i]
+    return float(max(enough - pushes, 0.0) if way > 0.0 else min(-enough - pushes, 0.0))
 
 
 @compiled
@@ -162,23 +166,19 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
             s.air_swung[i] = 0
         enough = _LEAKING * p.air_tolerance if s.air_held[i] == _LEAKS else 0.0
         settled = settled and s.air_held[i] != 0 and (s.air_swung[i] == 0 or missing <= enough)
-        most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
-        if s.air_held[i] == 0:
-            push = 0.0
-            if not slips:
-                push = _push(state, parameters, i) - actuator_force(plant, air.pressure, i)
-            offset = _offset_for(state, parameters, i, push, _RATE)
-            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
-            continue
-        # The swing begins as if nothing had been before it.
-        state.pid[0].integral[i] = 0.0
-        s.desired[i] = s.air_trim[i]
+        rate = _CHARGING_RATE if slips else _RATE
+        if s.air_held[i] != 0:
+            # The swing begins as if nothing had been before it.
+            state.pid[0].integral[i] = s.desired[i] = 0.0
+        else:
+            force = 0.0 if slips else _push(state, parameters, i)
+        s.desired[i] += s.air_trim[i]
         if s.air_swung[i] != 0:
-            rate = _CHARGING_RATE if slips else _RATE
+            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
             offset = _offset_for(state, parameters, i, force, rate)
             s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
             # What the model explains needs no learning.
-            learned = offset - _offset_for(state, parameters, i, 0.0, _RATE)
+            learned = offset - _offset_for(state, parameters, i, 0.0, rate) if s.air_held[i] != 0 else 0.0
             trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * min(max(learned, -most), most)
             s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
     if not settled:

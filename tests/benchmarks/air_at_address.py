@@ -148,7 +148,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--swings", type=int, default=100, help="of each way (default: %(default)s)")
     parser.add_argument("--air", choices=("planned", "free", "both"), default="both")
     parser.add_argument("--robot", choices=("nominal", "worn", "both"), default="both")
-    parser.add_argument("--configuration", default="steady", help="Name or path (default: %(default)s).")
+    parser.add_argument("--configuration", default="shipped", help="Name or path (default: %(default)s).")
     parser.add_argument("--check", choices=("always", "off"), default="off", help="By the model.")
     options = parser.parse_args(arguments)
     c = load_configuration(Path(options.configuration))
