@@ -14,6 +14,8 @@ A joint is first brought into its band around the address by its PID, the spool 
 band nor friction keeps it away. From then on its valve serves the air: friction holds the joint as long as
 the planned force is near its load. Once both chambers are as planned the spool rests at its centre. On a
 robot whose air leaks away faster than all three come to rest together, the spools go on swinging instead.
+Where dry friction is large beside the pneumatic stiffness a joint sticks beside its address, breaks away and
+slips past it: after some time of that its force is brought beyond its friction, and it is caught as it slips.
 
 The pressures are those of `bench.control.air`: sensors, or the observer where none are fitted. Planned
 pressures are in proportion to the supply.
@@ -31,7 +33,7 @@ from bench.control.references import square_wave
 from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
-_BAND = 3.0
+_BAND = 2.0
 """Times the band around the address that a joint may leave it while its valve serves the air."""
 _STOPPING = 0.04
 """s in which friction stops a joint that is let go: one that slips is caught before it reaches the address."""
@@ -110,16 +112,26 @@ def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
 
 @compiled
 def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float) -> float:
-    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s.
+    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s."""
+    e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
+    position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
+    _, up, down = force_rates(plant, i, air.pressure, position, 0.0)
+    slope = 0.5 * (up - down)
+    offset = rate * missing / slope if slope > 0.0 else 0.0
+    return float(offset) if np.isfinite(offset) else 0.0
 
-    The swing by itself moves the force, too: one side lets in more than the other lets out.
+
+@compiled
+def _balancing(state: Any, parameters: Any, i: int) -> float:
+    """Return the offset with which a swung spool leaves the force where it is, by the model.
+
+    One side lets in more than the other lets out, and chambers leak.
     """
     e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
     position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
     still, up, down = force_rates(plant, i, air.pressure, position, 0.0)
-    slope = 0.5 * (up - down)
     drift = still + parameters.profile[0].air_share[i] * (up + down)
-    offset = (1.0 - plant.dead_band[i]) * (rate * missing - drift) / slope if slope > 0.0 else 0.0
+    offset = -2.0 * (1.0 - plant.dead_band[i]) * drift / (up - down) if up > down else 0.0
     return float(offset) if np.isfinite(offset) else 0.0
 
 
@@ -145,17 +157,18 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
-    settled = True
+    settled, late = True, time - s.air_since >= _PATIENCE
     for i in range(3):
         side = square_wave((time - s.air_since) / profile.air_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
         slips = speed > _SLIPS * p.still_speed[i]
-        ahead = away - _STOPPING * e.velocity[i] if slips else away
-        if s.air_held[i] == 0 and abs(ahead) <= p.rest_band[i] and speed <= _CAUGHT * p.still_speed[i]:
+        ahead = away - _STOPPING * e.velocity[i] if slips and late else away
+        caught = (_CAUGHT if late else 1.0) * p.still_speed[i]
+        if s.air_held[i] == 0 and abs(ahead) <= p.rest_band[i] and speed <= caught:
             s.air_held[i] = 1
         elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             s.air_held[i] = 0
-        if s.air_held[i] != 0 and time - s.air_since >= _PATIENCE:
+        if s.air_held[i] != 0 and late:
             s.air_held[i] = _LEAKS
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
@@ -171,16 +184,17 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
             # The swing begins as if nothing had been before it.
             state.pid[0].integral[i] = s.desired[i] = 0.0
         else:
-            force = 0.0 if slips else _push(state, parameters, i)
+            force = 0.0 if slips or not late else _push(state, parameters, i)
         s.desired[i] += s.air_trim[i]
         if s.air_swung[i] != 0:
             most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
-            offset = _offset_for(state, parameters, i, force, rate)
-            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
-            # What the model explains needs no learning.
-            learned = offset - _offset_for(state, parameters, i, 0.0, rate) if s.air_held[i] != 0 else 0.0
-            trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * min(max(learned, -most), most)
-            s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
+            offset = min(max(_offset_for(state, parameters, i, force, rate), -most), most)
+            if s.air_held[i] != 0:
+                trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
+                s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
+            if late:
+                offset = min(max(offset + _balancing(state, parameters, i), -most), most)
+            s.desired[i] += side * profile.air_width[i] + offset
     if not settled:
         s.air_good = time
     s.air_ready = time - s.air_good >= _SETTLING
