@@ -36,7 +36,7 @@ from drivers.base.compiled import compiled
 _BAND = 2.0
 """Times the band around the address that a joint may leave it while its valve serves the air."""
 _STOPPING = 0.04
-"""s in which friction stops a joint that is let go: one that slips is caught before it reaches the address."""
+"""s in which friction stops a joint that is let go: a slipping one is caught before it is at the address."""
 _LOOSENING = 2.0
 """Times the dry friction that a force beyond the load comes to until a joint breaks away; static is less."""
 _SLIPS = 2.0
@@ -137,7 +137,7 @@ def _balancing(state: Any, parameters: Any, i: int) -> float:
 
 @compiled
 def _push(state: Any, parameters: Any, i: int) -> float:
-    """Return what the force (N, N m) of actuator `i` misses to loosen its joint, which rests beside its address.
+    """Return what the force (N, N m) of actuator `i` misses to loosen its joint, at rest beside the address.
 
     Not against a PID that pushes more: it knows what the model does not.
     """
