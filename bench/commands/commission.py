@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -75,7 +76,12 @@ def _commission(state: Commissioning, configuration: Configuration, truth: Confi
     from datetime import UTC, datetime
 
     from bench.commands.progress import progress_bar
-    from bench.commissioning.commissioning import ALL_STEPS, commission, commission_swings
+    from bench.commissioning.commissioning import (
+        ALL_STEPS,
+        commission,
+        commission_swings,
+        known_with_swing,
+    )
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.folder_lock import folder_lock
     from bench.commissioning.robot_file import robot_file
@@ -101,9 +107,14 @@ def _commission(state: Commissioning, configuration: Configuration, truth: Confi
                 known = commission(
                     state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
                 )
-            with whole_file(file) as stream:
-                text = robot_file(known, state.configuration, now().date(), configuration.envelope)
-                stream.write(text.encode())
+
+            def write_robot(following: Mapping[str, tuple[float, float, float]]) -> None:
+                made = now().date()
+                text = robot_file(known, state.configuration, made, configuration.envelope, following)
+                with whole_file(file) as stream:
+                    stream.write(text.encode())
+
+            write_robot({})
             commission_swings(
                 state,
                 load_configuration(file),
@@ -112,6 +123,7 @@ def _commission(state: Commissioning, configuration: Configuration, truth: Confi
                 on_step=on_step,
                 progress=lambda what: bar.update(task, description=what),
             )
+            write_robot(known_with_swing(load_configuration(file), state.folder).envelope.following)
             bar.update(task, completed=len(state.done))
         finally:
             _write_report(state, nominal, now())

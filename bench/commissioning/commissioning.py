@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.commissioning.following import with_following_limits
 from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.leakage import Leakage
 from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.machine import CommissionedMachine
 from bench.commissioning.response_times import ResponseTimes
-from bench.commissioning.rising_swings import RisingSwings
+from bench.commissioning.rising_swings import SWING_FILE, RisingSwings
 from bench.commissioning.slow_moves import SlowMoves
 from bench.commissioning.steps import CommissioningStep, NamedStep, StepResult, SwingingStep, Traces
 from bench.commissioning.swung_robot import SwungRobot
@@ -28,6 +29,7 @@ from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
 from bench.errors import BenchError
+from bench.swing.profile import load_profile
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 
@@ -231,10 +233,16 @@ def commission_swings(
         on_step(step)
         begun = now()
         with _noting_what_is_wrong(state, step, now):
-            result = step.swing(robot, known, state.folder, progress)
+            result = step.swing(robot, known_with_swing(known, state.folder), state.folder, progress)
         done = _done(step, "records", result, now(), (now() - begun).total_seconds())
         state.done.append(done)
         state.save()
+
+
+def known_with_swing(known: Configuration, folder: Path) -> Configuration:
+    """Return `known` with following limits for the swing in `folder`; unchanged if there is none yet."""
+    file = folder / SWING_FILE
+    return with_following_limits(known, load_profile(file)) if file.exists() else known
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.commissioning.fastest_swing import design_at, fastest_swing
+from bench.commissioning.following import with_following_limits
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.steps import StepResult
 from bench.commissioning.swung_robot import SwungRobot
@@ -31,6 +32,8 @@ from sim.kinematics import head_motion
 
 SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
 """Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
+_FASTER = (0.0, 0.1, 0.2)
+"""Shares by which a slow swing may be faster where the robot would be stopped."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
 SWING_FILE = "swing.toml"
@@ -59,6 +62,11 @@ class SwingDeviation(NamedTuple):
     """Largest deviation of each joint up to the ball, rad (3,)."""
     braking: Array
     """Speed of each joint while it brakes, measured and predicted, rad/s (2, 3)."""
+
+
+class _SlowSwing(NamedTuple):
+    share: float
+    bench: Bench
 
 
 class RisingSwings:
@@ -95,11 +103,14 @@ class RisingSwings:
             ) from None
         notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
         slow = _for_slow_swings(known)
-        swings = [(share, slow, slowed(full, share, slow)) for share in SLOW_SHARES]
-        swings += zip(DESIGNED_SHARES, (known, known), (next_fastest, full), strict=True)
-        for share, configuration, swing in swings:
+        for share in SLOW_SHARES:
+            swing = _slow_swing(full, share, slow)
+            progress(f"swing of {100 * swing.share:.0f} %")
+            notes.append(_swung(robot, swing.bench, swing.share, folder))
+        for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
             progress(f"swing of {100 * share:.0f} %")
-            notes.append(_swung(robot, bench_of(configuration, swing), share, folder))
+            bench = bench_of(with_following_limits(known, designed), designed)
+            notes.append(_swung(robot, bench, share, folder))
         save_profile(folder / SWING_FILE, full)
         return StepResult((), tuple(notes))
 
@@ -111,6 +122,28 @@ def _for_slow_swings(known: Configuration) -> Configuration:
         known,
         control=replace(known.control, feed_forward=_FEED_FORWARD),
         envelope=replace(known.envelope, following=room),
+    )
+
+
+def _slow_swing(full: Profile, share: float, slow: Configuration) -> _SlowSwing:
+    """Return the swing along the path of `full` at `share` of its speed, or a little more.
+
+    A robot with much friction moves in jerks where it is slow; the prediction shows it.
+
+    Raises:
+        WrongMachine: the prediction is stopped at every speed tried.
+    """
+    cause = Cause.NONE
+    for faster in _FASTER:
+        bench = bench_of(slow, slowed(full, share + faster, slow))
+        cause = Series(bench, bench.model).swing(bench.profile, ball=False).cause
+        if not cause:
+            return _SlowSwing(share + faster, bench)
+    raise WrongMachine(
+        f"prediction of the swing of {100 * share:.0f} %",
+        f"stopped: {CAUSE_TEXT[cause]}",
+        "a whole swing, of the robot as measured",
+        "Reduce friction: at low speed this robot moves in jerks.",
     )
 
 

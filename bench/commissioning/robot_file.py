@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import date
 
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
@@ -25,10 +25,17 @@ GUESSES = (
 _CLUB, _SUPPLY = "robot.club", "supply.pressure"
 
 
-def robot_file(known: KnownRobot, base: str, made: date, envelope: EnvelopeSettings | None = None) -> str:
+def robot_file(
+    known: KnownRobot,
+    base: str,
+    made: date,
+    envelope: EnvelopeSettings | None = None,
+    following: Mapping[str, tuple[float, float, float]] | None = None,
+) -> str:
     """Return TOML of the robot in `known` over the configuration file `base`, commissioned on `made`.
 
-    The limits of the supply's pressure, of `envelope`, follow the supply that was found.
+    The limits of the supply's pressure, of `envelope`, follow the supply that was found; `following` are
+    those of following errors, by phase.
     """
     lines = [
         f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
@@ -52,6 +59,9 @@ def robot_file(known: KnownRobot, base: str, made: date, envelope: EnvelopeSetti
         low, high = share * envelope.min_supply_pressure, share * envelope.max_supply_pressure
         lines += ["", "[envelope]"]
         lines += [f"min_supply_pressure = {low:.0f}.0", f"max_supply_pressure = {high:.0f}.0"]
+    if following:
+        lines += ["", "[envelope.following]"]
+        lines += [f"{phase} = {list(limits)}" for phase, limits in following.items()]
     return "\n".join(lines) + "\n"
 
 
