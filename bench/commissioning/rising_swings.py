@@ -64,8 +64,11 @@ class SwingDeviation(NamedTuple):
     """Speed of each joint while it brakes, measured and predicted, rad/s (2, 3)."""
 
 
-class _SlowSwing(NamedTuple):
+class SlowSwing(NamedTuple):
+    """A slow swing along the path of a designed one."""
+
     share: float
+    """Of the designed swing's speed."""
     bench: Bench
 
 
@@ -104,7 +107,7 @@ class RisingSwings:
         notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
         slow = _for_slow_swings(known)
         for share in SLOW_SHARES:
-            swing = _slow_swing(full, share, slow)
+            swing = slow_swing(full, share, slow)
             progress(f"swing of {100 * swing.share:.0f} %")
             notes.append(_swung(robot, swing.bench, swing.share, folder))
         for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
@@ -125,7 +128,7 @@ def _for_slow_swings(known: Configuration) -> Configuration:
     )
 
 
-def _slow_swing(full: Profile, share: float, slow: Configuration) -> _SlowSwing:
+def slow_swing(full: Profile, share: float, slow: Configuration) -> SlowSwing:
     """Return the swing along the path of `full` at `share` of its speed, or a little more.
 
     A robot with much friction moves in jerks where it is slow; the prediction shows it.
@@ -138,7 +141,7 @@ def _slow_swing(full: Profile, share: float, slow: Configuration) -> _SlowSwing:
         bench = bench_of(slow, slowed(full, share + faster, slow))
         cause = Series(bench, bench.model).swing(bench.profile, ball=False).cause
         if not cause:
-            return _SlowSwing(share + faster, bench)
+            return SlowSwing(share + faster, bench)
     raise WrongMachine(
         f"prediction of the swing of {100 * share:.0f} %",
         f"stopped: {CAUSE_TEXT[cause]}",

@@ -170,9 +170,12 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
         ]
     )
     path = tmp_path / "robot.toml"
-    path.write_text(robot_file(known, str(shipped_configuration().resolve()), DAY.date()))
-    plant = load_configuration(path).plant
-    assert plant == known.plant
+    following = configuration.envelope.following | {"top": (0.25, 0.2, 0.3)}
+    base = str(shipped_configuration().resolve())
+    path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following))
+    loaded = load_configuration(path)
+    assert loaded.plant == known.plant
+    assert loaded.envelope.following == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
     assert "guess" in path.read_text()
 

@@ -15,6 +15,7 @@ from bench.commissioning.rising_swings import (
     deviation,
     require_as_predicted,
     require_safe,
+    slow_swing,
 )
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.swung_robot import SimulatedRobot
@@ -22,11 +23,13 @@ from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
+from bench.simulation.series import Series, SeriesSwing
 from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
+TIGHT = {"backswing": (0.01, 0.01, 0.01)}
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )
@@ -72,6 +75,26 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
     other = SimulatedRobot(stiff).series(bench).swing(slow, ball=False)
     with pytest.raises(WrongMachine, match="swing of 50 %"):
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
+
+
+@compiled_only
+def test_a_slow_swing_that_its_prediction_stops_is_made_faster(
+    monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
+) -> None:
+    assert slow_swing(default, 0.5, configuration).share == 0.5
+    blind = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
+    with pytest.raises(WrongMachine, match="prediction of the swing of 50 %"):
+        slow_swing(default, 0.5, blind)
+
+    stopped = iter([True, False])
+    real = Series.swing
+
+    def swing(series: Series, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+        made = real(series, profile, ball=ball)
+        return made._replace(cause=Cause.WRIST_LEVER) if next(stopped) else made
+
+    monkeypatch.setattr(Series, "swing", swing)
+    assert slow_swing(default, 0.5, configuration).share == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,58 @@
+"""Following limits for a robot that was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+from bench.commissioning.following import with_following_limits
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.lifecycle import Cause
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import Variation
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+@pytest.fixture(scope="module")
+def default() -> Profile:
+    return load_profile(find_profile("default"))
+
+
+@compiled_only
+def test_the_shipped_robot_keeps_its_limits(configuration: Configuration, default: Profile) -> None:
+    assert with_following_limits(configuration, default).envelope.following == {
+        phase: pytest.approx(limits) for phase, limits in configuration.envelope.following.items()
+    }
+
+
+@compiled_only
+def test_a_robot_that_lags_gets_room_and_is_not_stopped(
+    configuration: Configuration, default: Profile
+) -> None:
+    plant = Variation(flow=(0.5, 0.5, 0.5)).applied_to(configuration.plant)
+    lagging = replace(configuration, plant=plant)
+    wider = with_following_limits(lagging, default)
+    before, after = (np.array(list(c.envelope.following.values())) for c in (lagging, wider))
+    assert np.all(after >= before)
+    assert np.any(after > before)
+
+    def cause(c: Configuration) -> Cause:
+        envelope = c.envelope.with_model_check("off")
+        bench = Bench(c.plant, default, c.control, envelope, c.estimator)
+        return Series(bench, bench.model).swing(default, ball=True).cause
+
+    assert cause(lagging) in {Cause.SHOULDER_FOLLOWING, Cause.ARM_FOLLOWING, Cause.WRIST_FOLLOWING}
+    assert cause(wider) == Cause.NONE
