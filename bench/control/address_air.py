@@ -57,6 +57,8 @@ _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
 _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
+_LATE = 4.0
+"""s without all pressures as planned, after which stuck joints are pushed and slipping ones caught."""
 _PATIENCE = 6.0
 """s without all pressures as planned at rest, after which the chambers count as leaking."""
 _LEAKS = 2
@@ -157,7 +159,7 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
-    settled, late = True, time - s.air_since >= _PATIENCE
+    settled, late = True, time - s.air_since >= _LATE
     for i in range(3):
         side = square_wave((time - s.air_since) / profile.air_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
@@ -168,7 +170,7 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
             s.air_held[i] = 1
         elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             s.air_held[i] = 0
-        if s.air_held[i] != 0 and late:
+        if s.air_held[i] != 0 and time - s.air_since >= _PATIENCE:
             s.air_held[i] = _LEAKS
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)

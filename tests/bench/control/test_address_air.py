@@ -315,6 +315,29 @@ def test_known_valves_bring_the_air_in_time(valve: dict[str, float], profile: Pr
     assert np.abs(deviation(bench, planned)).max() < 1.6 * TOLERANCE
 
 
+@compiled_only
+def test_a_joint_that_sticks_and_slips_comes_to_rest_and_stays(profile: Profile) -> None:
+    """A shoulder with much friction, little area, and a plan far from what its spool swings to.
+
+    A commissioned robot had it; it slipped past its address again and again.
+    """
+    friction = replace(PLANT.shoulder.friction, coulomb=7.5, static=10.3)
+    valve = replace(PLANT.shoulder.valve, natural_frequency=550.0, dead_band=0.017, leakage=0.0026)
+    shoulder = replace(PLANT.shoulder, area_a=4.64e-4, area_b=3.18e-4, friction=friction, valve=valve)
+    valve = replace(PLANT.right_arm.valve, natural_frequency=446.0, dead_band=0.036)
+    arm = replace(PLANT.right_arm, area_a=2.12e-3, area_b=1.40e-3, valve=valve)
+    plant = replace(PLANT, shoulder=shoulder, right_arm=arm)
+    planned = with_planned_air(profile, plant)
+    for start in (hanging_pose(plant), planned.angle[0] + [-0.1, 0.0, 0.0]):
+        bench = LockstepEngine(Lockstep(build_plant(plant), build_controller(plant, planned), start))
+        bench.advance(200)
+        bench.arm()
+        assert bench.await_air()
+        held = bench.advance(6000)["angle"]
+        assert np.abs(held - held[0]).max() < 0.012
+        assert np.abs(held - planned.angle[0]).max() < 0.02
+
+
 def test_slow_spools_are_swung_more_slowly() -> None:
     slow = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 60.0))
     quick = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 150.0))
