@@ -240,7 +240,7 @@ def commission_swings(
 
 
 def known_with_swing(known: Configuration, folder: Path) -> Configuration:
-    """Return `known` with following limits for the swing in `folder`; unchanged if there is none yet."""
+    """Return `known` with following limits for the swing in `folder`; before it is designed unchanged."""
     file = folder / SWING_FILE
     return with_following_limits(known, load_profile(file)) if file.exists() else known
 

@@ -19,7 +19,7 @@ from bench.swing.profile import Profile
 _ROOM = 1.5
 """Times the model's following error that are allowed at least."""
 _DIGITS = 3
-"""Of a limit: what is written to a file is what was computed."""
+"""Of a limit, written and computed alike."""
 
 
 def with_following_limits(known: Configuration, profile: Profile) -> Configuration:
