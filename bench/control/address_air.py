@@ -44,7 +44,7 @@ _SLIPS = 2.0
 _CAUGHT = 8.0
 """Times `still_speed` at which a joint may be caught."""
 _FIRM = 0.5
-"""Share of the dry friction by which a resting joint's force may be off: beyond friction it slides."""
+"""Share of the dry friction by which a stuck joint's force may be off: beyond friction it slides."""
 _NEARER = 0.5
 """Share of the tolerance within which a swung spool comes to rest."""
 _RATE = 6.0
@@ -57,14 +57,12 @@ _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
 _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
-_LATE = 4.0
-"""s without all pressures as planned, after which stuck joints are pushed and slipping ones caught."""
 _PATIENCE = 6.0
-"""s without all pressures as planned at rest, after which the chambers count as leaking."""
-_LEAKS = 2
-"""In `air_held`, beside 1: the joint is held, and its chambers count as leaking."""
+"""s without all pressures as planned at rest, after which a joint counts as late."""
+HELD, LATE = 1, 2
+"""Bits of `air_held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak."""
 _LEAKING = 1.5
-"""Times the tolerance within which the pressures of leaking chambers are as planned: spools hold them."""
+"""Times the tolerance within which the pressures of late joints are as planned: spools hold them."""
 _OFFSET = 0.8
 """Share of the swing to either side that an offset may take: the rest goes on moving the sum."""
 
@@ -159,39 +157,43 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     """
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
-    settled, late = True, time - s.air_since >= _LATE
+    settled = True
     for i in range(3):
+        if time - s.air_since >= _PATIENCE:
+            s.air_held[i] |= LATE
+        late, held = s.air_held[i] & LATE != 0, s.air_held[i] & HELD != 0
         side = square_wave((time - s.air_since) / profile.air_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
         slips = speed > _SLIPS * p.still_speed[i]
         ahead = away - _STOPPING * e.velocity[i] if slips and late else away
         caught = (_CAUGHT if late else 1.0) * p.still_speed[i]
-        if s.air_held[i] == 0 and abs(ahead) <= p.rest_band[i] and speed <= caught:
-            s.air_held[i] = 1
+        if not held and abs(ahead) <= p.rest_band[i] and speed <= caught:
+            held = True
         elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
-            s.air_held[i] = 0
-        if s.air_held[i] != 0 and time - s.air_since >= _PATIENCE:
-            s.air_held[i] = _LEAKS
+            held = False
+        s.air_held[i] = (HELD if held else 0) | (LATE if late else 0)
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
-        firm = _FIRM * plant.coulomb[i]
-        if not (missing <= p.air_tolerance and abs(force) <= firm) or s.air_held[i] == 0:
+        firm = _FIRM * plant.coulomb[i] if late else np.inf
+        if not (missing <= p.air_tolerance and abs(force) <= firm and held):
             s.air_swung[i] = 1
         elif missing <= _NEARER * p.air_tolerance and abs(force) <= _NEARER * firm:
             s.air_swung[i] = 0
-        enough = _LEAKING * p.air_tolerance if s.air_held[i] == _LEAKS else 0.0
-        settled = settled and s.air_held[i] != 0 and (s.air_swung[i] == 0 or missing <= enough)
-        rate = _CHARGING_RATE if slips else _RATE
-        if s.air_held[i] != 0:
+        enough = _LEAKING * p.air_tolerance if late else 0.0
+        settled = settled and held and (s.air_swung[i] == 0 or missing <= enough)
+        rate = _CHARGING_RATE if slips and late else _RATE
+        if held:
             # The swing begins as if nothing had been before it.
-            state.pid[0].integral[i] = s.desired[i] = 0.0
+            state.pid[0].integral[i], s.desired[i] = 0.0, s.air_trim[i]
+        elif late:
+            force = 0.0 if slips else _push(state, parameters, i)
+            s.desired[i] += s.air_trim[i]
         else:
-            force = 0.0 if slips or not late else _push(state, parameters, i)
-        s.desired[i] += s.air_trim[i]
+            force = 0.0
         if s.air_swung[i] != 0:
             most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
             offset = min(max(_offset_for(state, parameters, i, force, rate), -most), most)
-            if s.air_held[i] != 0:
+            if held:
                 trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
                 s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
             if late:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.address_air import bring_air, charge, leave_address_air, loosen
+from bench.control.address_air import HELD, bring_air, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings
 from bench.control.feed_forward import KANE, NONE
 from bench.control.gain_table import DAMPING, DERIVATIVE, MOVE, PROPORTIONAL, interpolate_gains, middle_pose
@@ -46,7 +46,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
             away = parameters.angle[0, i] - e.angle[i]
-            moved = abs(away) > p.rest_band[i] and s.air_held[i] == 0
+            moved = abs(away) > p.rest_band[i] and s.air_held[i] & HELD == 0
             s.reference[i] = parameters.angle[0, i] if moved else e.angle[i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == Phase.FOLLOW_THROUGH:
