@@ -32,8 +32,6 @@ from sim.kinematics import head_motion
 
 SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
 """Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
-_FASTER = (0.0, 0.1, 0.2)
-"""Shares by which a slow swing may be faster where the robot would be stopped."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
 SWING_FILE = "swing.toml"
@@ -62,14 +60,6 @@ class SwingDeviation(NamedTuple):
     """Largest deviation of each joint up to the ball, rad (3,)."""
     braking: Array
     """Speed of each joint while it brakes, measured and predicted, rad/s (2, 3)."""
-
-
-class SlowSwing(NamedTuple):
-    """A slow swing along the path of a designed one."""
-
-    share: float
-    """Of the designed swing's speed."""
-    bench: Bench
 
 
 class RisingSwings:
@@ -105,11 +95,9 @@ class RisingSwings:
                 "Check supply and valves: the measured robot is too weak or too slow.",
             ) from None
         notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
-        slow = _for_slow_swings(known)
         for share in SLOW_SHARES:
-            swing = slow_swing(full, share, slow)
-            progress(f"swing of {100 * swing.share:.0f} %")
-            notes.append(_swung(robot, swing.bench, swing.share, folder))
+            progress(f"swing of {100 * share:.0f} %")
+            notes.append(_swung(robot, slow_bench(known, full, share, highest), share, folder))
         for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
             progress(f"swing of {100 * share:.0f} %")
             bench = bench_of(with_following_limits(known, designed), designed)
@@ -128,26 +116,30 @@ def _for_slow_swings(known: Configuration) -> Configuration:
     )
 
 
-def slow_swing(full: Profile, share: float, slow: Configuration) -> SlowSwing:
-    """Return the swing along the path of `full` at `share` of its speed, or a little more.
+def slow_bench(known: Configuration, full: Profile, share: float, speed: float) -> Bench:
+    """Return the bench of a swing at `share` of the `speed` (m/s) of `full`: its path stretched in time.
 
-    A robot with much friction moves in jerks where it is slow; the prediction shows it.
+    Where the prediction of that is stopped, as friction lets a slow robot move in jerks, it is designed.
 
     Raises:
-        WrongMachine: the prediction is stopped at every speed tried.
+        WrongMachine: no such swing can be designed.
+        BenchError: the package casadi is not installed.
     """
-    cause = Cause.NONE
-    for faster in _FASTER:
-        bench = bench_of(slow, slowed(full, share + faster, slow))
-        cause = Series(bench, bench.model).swing(bench.profile, ball=False).cause
-        if not cause:
-            return SlowSwing(share + faster, bench)
-    raise WrongMachine(
-        f"prediction of the swing of {100 * share:.0f} %",
-        f"stopped: {CAUSE_TEXT[cause]}",
-        "a whole swing, of the robot as measured",
-        "Reduce friction: at low speed this robot moves in jerks.",
-    )
+    slow = _for_slow_swings(known)
+    bench = bench_of(slow, slowed(full, share, slow))
+    cause = Series(bench, bench.model).swing(bench.profile, ball=False).cause
+    if not cause:
+        return bench
+    try:
+        designed = design_at(known, share * speed, f"commissioned-{100 * share:.0f}", full)
+    except DesignFailed as failure:
+        raise WrongMachine(
+            f"prediction of the swing of {100 * share:.0f} %",
+            f"stopped: {CAUSE_TEXT[cause]}; designed: {failure}",
+            "a whole swing, of the robot as measured",
+            "Reduce friction: at low speed this robot moves in jerks.",
+        ) from None
+    return bench_of(with_following_limits(known, designed), designed)
 
 
 def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:

@@ -9,21 +9,22 @@ import numba
 import numpy as np
 import pytest
 
+from bench.commissioning import rising_swings
 from bench.commissioning.rising_swings import (
     SwingDeviation,
     bench_of,
     deviation,
     require_as_predicted,
     require_safe,
-    slow_swing,
+    slow_bench,
 )
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.swung_robot import SimulatedRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.design.designer import DesignFailed
 from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
-from bench.simulation.series import Series, SeriesSwing
 from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
@@ -78,23 +79,25 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
 
 
 @compiled_only
-def test_a_slow_swing_that_its_prediction_stops_is_made_faster(
+def test_a_slow_swing_that_its_prediction_stops_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
-    assert slow_swing(default, 0.5, configuration).share == 0.5
-    blind = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
-    with pytest.raises(WrongMachine, match="prediction of the swing of 50 %"):
-        slow_swing(default, 0.5, blind)
+    def design(known: Configuration, speed: float, name: str, start: Profile) -> Profile:
+        assert (speed, name, start.name) == (20.0, "commissioned-50", "default")
+        return start
 
-    stopped = iter([True, False])
-    real = Series.swing
+    def fail(*_: object) -> Profile:
+        raise DesignFailed("the head does not pass")
 
-    def swing(series: Series, profile: Profile, *, ball: bool = True) -> SeriesSwing:
-        made = real(series, profile, ball=ball)
-        return made._replace(cause=Cause.WRIST_LEVER) if next(stopped) else made
-
-    monkeypatch.setattr(Series, "swing", swing)
-    assert slow_swing(default, 0.5, configuration).share == pytest.approx(0.6)
+    monkeypatch.setattr(rising_swings, "design_at", design)
+    assert slow_bench(configuration, default, 0.5, 40.0).profile.name != "default"
+    tight = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
+    bench = slow_bench(tight, default, 0.5, 40.0)
+    assert bench.profile.name == "default"
+    assert bench.envelope.following["backswing"] > TIGHT["backswing"], "the designed one has room"
+    monkeypatch.setattr(rising_swings, "design_at", fail)
+    with pytest.raises(WrongMachine, match=r"prediction of the swing of 50 %(?s:.)*the head does not pass"):
+        slow_bench(tight, default, 0.5, 40.0)
 
 
 @pytest.mark.parametrize(
