@@ -32,6 +32,8 @@ from sim.kinematics import head_motion
 
 SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
 """Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
+_FASTER = 0.1
+"""Share of the full speed by which a slow swing along the stretched path may be faster."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
 SWING_FILE = "swing.toml"
@@ -119,7 +121,8 @@ def _for_slow_swings(known: Configuration) -> Configuration:
 def slow_bench(known: Configuration, full: Profile, share: float, speed: float) -> Bench:
     """Return the bench of a swing at `share` of the `speed` (m/s) of `full`: its path stretched in time.
 
-    Where the prediction of that is stopped, as friction lets a slow robot move in jerks, it is designed.
+    Where the prediction of that is stopped or too fast, as friction lets a slow robot move in jerks, it is
+    designed.
 
     Raises:
         WrongMachine: no such swing can be designed.
@@ -127,16 +130,18 @@ def slow_bench(known: Configuration, full: Profile, share: float, speed: float) 
     """
     slow = _for_slow_swings(known)
     bench = bench_of(slow, slowed(full, share, slow))
-    cause = Series(bench, bench.model).swing(bench.profile, ball=False).cause
-    if not cause:
+    predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
+    fastest = _head_speed(bench, predicted)
+    if not predicted.cause and fastest <= (share + _FASTER) * speed:
         return bench
+    stopped = f"stopped: {CAUSE_TEXT[predicted.cause]}" if predicted.cause else f"{fastest:.1f} m/s"
     try:
         designed = design_at(known, share * speed, f"commissioned-{100 * share:.0f}", full)
     except DesignFailed as failure:
         raise WrongMachine(
             f"prediction of the swing of {100 * share:.0f} %",
-            f"stopped: {CAUSE_TEXT[cause]}; designed: {failure}",
-            "a whole swing, of the robot as measured",
+            f"{stopped}; designed: {failure}",
+            "a whole swing of this speed, of the robot as measured",
             "Reduce friction: at low speed this robot moves in jerks.",
         ) from None
     return bench_of(with_following_limits(known, designed), designed)

@@ -91,6 +91,11 @@ def test_a_slow_swing_that_its_prediction_stops_is_designed(
 
     monkeypatch.setattr(rising_swings, "design_at", design)
     assert slow_bench(configuration, default, 0.5, 40.0).profile.name != "default"
+    assert slow_bench(configuration, default, 0.5, 40.0).profile.angle.shape != default.angle.shape
+    monkeypatch.setattr(rising_swings, "_FASTER", -0.3)  # as if it came much too fast
+    assert slow_bench(configuration, default, 0.5, 40.0).profile.name == "default"
+    monkeypatch.undo()
+    monkeypatch.setattr(rising_swings, "design_at", design)
     tight = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
     bench = slow_bench(tight, default, 0.5, 40.0)
     assert bench.profile.name == "default"
