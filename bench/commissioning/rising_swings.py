@@ -34,6 +34,8 @@ SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
 """Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
 _FASTER = 0.1
 """Share of the full speed by which a slow swing along the stretched path may be faster."""
+_MORE = (0.0, 0.1, 0.2)
+"""Shares of the full speed that are added where a slow swing of the share itself is not found."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
 SWING_FILE = "swing.toml"
@@ -99,7 +101,8 @@ class RisingSwings:
         notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
         for share in SLOW_SHARES:
             progress(f"swing of {100 * share:.0f} %")
-            notes.append(_swung(robot, slow_bench(known, full, share, highest), share, folder))
+            slow = slow_swing(known, full, share, highest)
+            notes.append(_swung(robot, slow.bench, slow.share, folder))
         for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
             progress(f"swing of {100 * share:.0f} %")
             bench = bench_of(with_following_limits(known, designed), designed)
@@ -118,33 +121,43 @@ def _for_slow_swings(known: Configuration) -> Configuration:
     )
 
 
-def slow_bench(known: Configuration, full: Profile, share: float, speed: float) -> Bench:
-    """Return the bench of a swing at `share` of the `speed` (m/s) of `full`: its path stretched in time.
+class SlowSwing(NamedTuple):
+    """A slow swing on its bench."""
+
+    share: float
+    """Of the full speed."""
+    bench: Bench
+
+
+def slow_swing(known: Configuration, full: Profile, share: float, speed: float) -> SlowSwing:
+    """Return a swing at `share` of the `speed` (m/s) of `full`: its path stretched in time.
 
     Where the prediction of that is stopped or too fast, as friction lets a slow robot move in jerks, it is
-    designed.
+    designed; where no design is found, either at a little more speed.
 
     Raises:
-        WrongMachine: no such swing can be designed.
+        WrongMachine: there is no such swing.
         BenchError: the package casadi is not installed.
     """
-    slow = _for_slow_swings(known)
-    bench = bench_of(slow, slowed(full, share, slow))
-    predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
-    fastest = _head_speed(bench, predicted)
-    if not predicted.cause and fastest <= (share + _FASTER) * speed:
-        return bench
-    stopped = f"stopped: {CAUSE_TEXT[predicted.cause]}" if predicted.cause else f"{fastest:.1f} m/s"
-    try:
-        designed = design_at(known, share * speed, f"commissioned-{100 * share:.0f}", full)
-    except DesignFailed as failure:
-        raise WrongMachine(
-            f"prediction of the swing of {100 * share:.0f} %",
-            f"{stopped}; designed: {failure}",
-            "a whole swing of this speed, of the robot as measured",
-            "Reduce friction: at low speed this robot moves in jerks.",
-        ) from None
-    return bench_of(with_following_limits(known, designed), designed)
+    slow, found = _for_slow_swings(known), ""
+    for tried in (share + more for more in _MORE):
+        bench = bench_of(slow, slowed(full, tried, slow))
+        predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
+        fastest = _head_speed(bench, predicted)
+        if not predicted.cause and fastest <= (tried + _FASTER) * speed:
+            return SlowSwing(tried, bench)
+        found = f"stopped: {CAUSE_TEXT[predicted.cause]}" if predicted.cause else f"{fastest:.1f} m/s"
+        try:
+            designed = design_at(known, tried * speed, f"commissioned-{100 * tried:.0f}", full)
+            return SlowSwing(tried, bench_of(with_following_limits(known, designed), designed))
+        except DesignFailed as failure:
+            found = f"{found}; designed: {failure}"
+    raise WrongMachine(
+        f"prediction of the swing of {100 * share:.0f} %",
+        found,
+        "a whole swing of about this speed, of the robot as measured",
+        "Reduce friction: at low speed this robot moves in jerks.",
+    )
 
 
 def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:

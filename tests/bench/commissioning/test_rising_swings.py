@@ -16,7 +16,7 @@ from bench.commissioning.rising_swings import (
     deviation,
     require_as_predicted,
     require_safe,
-    slow_bench,
+    slow_swing,
 )
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.swung_robot import SimulatedRobot
@@ -30,7 +30,7 @@ from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
-TIGHT = {"backswing": (0.01, 0.01, 0.01)}
+TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )
@@ -83,26 +83,27 @@ def test_a_slow_swing_that_its_prediction_stops_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
     def design(known: Configuration, speed: float, name: str, start: Profile) -> Profile:
-        assert (speed, name, start.name) == (20.0, "commissioned-50", "default")
+        assert name == f"commissioned-{100 * speed / 40.0:.0f}"
+        if speed < slowest:
+            raise DesignFailed("the head does not pass")
         return start
 
-    def fail(*_: object) -> Profile:
-        raise DesignFailed("the head does not pass")
-
+    slowest = 20.0
     monkeypatch.setattr(rising_swings, "design_at", design)
-    assert slow_bench(configuration, default, 0.5, 40.0).profile.name != "default"
-    assert slow_bench(configuration, default, 0.5, 40.0).profile.angle.shape != default.angle.shape
-    monkeypatch.setattr(rising_swings, "_FASTER", -0.3)  # as if it came much too fast
-    assert slow_bench(configuration, default, 0.5, 40.0).profile.name == "default"
-    monkeypatch.undo()
-    monkeypatch.setattr(rising_swings, "design_at", design)
+    stretched = slow_swing(configuration, default, 0.5, 40.0)
+    assert len(stretched.bench.profile.angle) > len(default.angle)
     tight = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
-    bench = slow_bench(tight, default, 0.5, 40.0)
-    assert bench.profile.name == "default"
-    assert bench.envelope.following["backswing"] > TIGHT["backswing"], "the designed one has room"
-    monkeypatch.setattr(rising_swings, "design_at", fail)
+    found = slow_swing(tight, default, 0.5, 40.0)
+    assert (found.share, found.bench.profile) == (0.5, default)
+    assert found.bench.envelope.following["backswing"] > TIGHT["backswing"], "the designed one has room"
+    slowest = 24.0
+    assert slow_swing(tight, default, 0.5, 40.0).share == pytest.approx(0.6)
+    slowest = 30.0
     with pytest.raises(WrongMachine, match=r"prediction of the swing of 50 %(?s:.)*the head does not pass"):
-        slow_bench(tight, default, 0.5, 40.0)
+        slow_swing(tight, default, 0.5, 40.0)
+    slowest = 20.0
+    monkeypatch.setattr(rising_swings, "_FASTER", -0.3)  # as if it came much too fast
+    assert slow_swing(configuration, default, 0.5, 40.0).bench.profile is default
 
 
 @pytest.mark.parametrize(
