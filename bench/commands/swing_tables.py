@@ -23,21 +23,33 @@ _COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
 
 
 def listing(profiles: list[tuple[str, Profile]]) -> Table:
-    """Return the table of `golfbench swing list`; pairs of name and profile."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("name", "golfer", "club", "at the ball", "swing", "what it is"):
-        table.add_column(column, no_wrap=column != "what it is")
-    for name, profile in profiles:
-        speed = profile.delivery.get("head_speed_mps")
-        row = (
+    """Return the table of `golfbench swing list`; pairs of name and profile.
+
+    One line each, whatever the width: `golfbench swing show NAME` prints the whole text.
+    """
+    rows = [
+        (
             name,
-            profile.golfer,
             profile.club,
-            f"{speed:.1f} m/s" if speed else "",
-            f"{profile.duration:.2f} s",
+            _figure(profile, "head_speed_mps", ".1f"),
+            _figure(profile, "attack_angle_deg", "+.1f"),
         )
+        for name, profile in profiles
+    ]
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, expand=True)
+    table.add_column("name", no_wrap=True)
+    table.add_column("club", no_wrap=True)
+    table.add_column("m/s", no_wrap=True, justify="right")
+    table.add_column("attack °", no_wrap=True, justify="right")
+    table.add_column("what it is", no_wrap=True, overflow="ellipsis", ratio=1)  # it alone gives way
+    for row, (_, profile) in zip(rows, profiles, strict=True):
         table.add_row(*map(Text, (*row, profile.text)))
     return table
+
+
+def _figure(profile: Profile, key: str, form: str) -> str:
+    value = profile.delivery.get(key)
+    return "" if value is None else format(round(value, 1) + 0.0, form)
 
 
 def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:

@@ -104,8 +104,10 @@ def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
     assert (answer.code, "golfbench swing simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
-def test_list_shows_the_profiles(run: Run) -> None:
-    assert "slow" in run("swing", "list").out
+def test_list_shows_the_profiles_a_line_each(run: Run) -> None:
+    lines = run("swing", "list").out.splitlines()
+    (row,) = [line.split() for line in lines if line.split()[:1] == ["slow"]]
+    assert row[1] == "driver"
     (found,) = json.loads(run("swing", "list", "--json").out)
     assert (found["name"], found["club"], found["duration"]) == ("slow", "driver", 2.0)
 
