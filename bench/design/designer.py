@@ -332,7 +332,7 @@ def _problem(
         time=demand.downswing_time,
         opening=1.0 - demand.margin - _CORRECTED[demand.follow is not None],
         slew=150.0,
-        shoulder=(_furthest_back(parameters, demand), parameters.shoulder.upper),
+        shoulder=(_furthest_back(parameters, demand, float(state[0])), parameters.shoulder.upper),
         shoulder_back=_TURN_BACK if demand.follow is not None else 0.96 * speeds[0],
         stop_speed=envelope.stop_speed,
         stop_deceleration=envelope.stop_deceleration,
@@ -357,11 +357,14 @@ def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, floa
     return (-_UPRIGHT if parameters.site.surface == "none" else -_LEADING), _UPRIGHT
 
 
-def _furthest_back(parameters: PlantParameters, demand: SwingDemand) -> float:
-    """Return the min theta1 of the downswing, rad: a golfer does not swing back again from the top."""
+def _furthest_back(parameters: PlantParameters, demand: SwingDemand, top: float) -> float:
+    """Return the min theta1 of the downswing, rad: a golfer does not swing back again from the top.
+
+    `top` is the angle that the plant comes to, rad, which friction and air may leave behind the demanded one.
+    """
     if demand.follow is None:
         return parameters.shoulder.lower
-    return demand.top_shoulder - _SAG
+    return min(demand.top_shoulder, top) - _SAG
 
 
 def _concessions(parameters: PlantParameters, demand: SwingDemand) -> Concessions:

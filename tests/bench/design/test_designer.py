@@ -26,11 +26,14 @@ from bench.design.designer import (
     slope_of,
     top_pose,
 )
+from bench.design.follow import demand_near
 from bench.design.optimal_control import (
     BAR,
+    STATES,
     DownswingPlan,
     DownswingProblem,
     _radau_slopes,
+    _state_bounds,
     build_equations,
     solve_downswing,
 )
@@ -216,6 +219,18 @@ def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParame
     assert abs(theta_t - 3.5 * np.pi) <= 0.026 + 1e-6
     assert np.abs(plan.state[:, 13:]).max() <= 0.85
     assert np.array_equal(plan.state, plans[1].state)
+
+
+def test_a_plan_may_begin_where_friction_leaves_the_joints(plant: PlantParameters) -> None:
+    """A robot with much friction comes to the top some hundredths of a radian beyond it."""
+    bench = SimulatedBench(load_profile(find_profile("default")))
+    demand = demand_near(plant, bench.profile, SwingDemand(head_speed=43.2))
+    state = np.zeros(STATES)
+    state[:3] = top_pose(plant, demand)
+    state[0] -= 0.073
+    low, high = _state_bounds(plant, _problem(plant, demand, bench.envelope, state))
+    assert (low[:3] < state[:3]).all()
+    assert (state[:3] < high[:3]).all()
 
 
 def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[DownswingProblem, DownswingPlan]:
