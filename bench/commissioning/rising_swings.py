@@ -22,6 +22,7 @@ from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
 from bench.control.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
+from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
@@ -142,11 +143,14 @@ def slow_swing(known: Configuration, full: Profile, share: float, speed: float) 
     slow, found = _for_slow_swings(known), ""
     for tried in (share + more for more in _MORE):
         bench = bench_of(slow, slowed(full, tried, slow))
-        predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
-        fastest = _head_speed(bench, predicted)
-        if not predicted.cause and fastest <= (tried + _FASTER) * speed:
-            return SlowSwing(tried, bench)
-        found = f"stopped: {CAUSE_TEXT[predicted.cause]}" if predicted.cause else f"{fastest:.1f} m/s"
+        try:
+            predicted = Series(bench, bench.model).swing(bench.profile, ball=False)
+            fastest = _head_speed(bench, predicted)
+            if not predicted.cause and fastest <= (tried + _FASTER) * speed:
+                return SlowSwing(tried, bench)
+            found = f"stopped: {CAUSE_TEXT[predicted.cause]}" if predicted.cause else f"{fastest:.1f} m/s"
+        except Refused as refused:
+            found = refused.found
         try:
             designed = design_at(known, tried * speed, f"commissioned-{100 * tried:.0f}", full)
             return SlowSwing(tried, bench_of(with_following_limits(known, designed), designed))

@@ -16,6 +16,7 @@ the planned force is near its load. Once both chambers are as planned the spool 
 robot whose air leaks away faster than all three come to rest together, the spools go on swinging instead.
 Where dry friction is large beside the pneumatic stiffness a joint sticks beside its address, breaks away and
 slips past it: after some time of that its force is brought beyond its friction, and it is caught as it slips.
+A move that ends in that is taken over by the hold.
 
 The pressures are those of `bench.control.air`: sensors, or the observer where none are fitted. Planned
 pressures are in proportion to the supply.
@@ -55,6 +56,10 @@ _TRIM_RATE = 1.0
 """Rate at which the offset that keeps the difference is learned, 1/s."""
 _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
+_MISSED = 1.5
+"""s after a move's end without all joints at the address: one sticks beside it and slips past it."""
+_REACH = 0.5
+"""Share of the hold's following limit within which such a joint is left to the hold."""
 _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
 _PATIENCE = 6.0
@@ -73,6 +78,25 @@ def leave_address_air(s: Any, time: float) -> None:
     for i in range(3):
         s.air_held[i] = s.air_swung[i] = 0
     s.air_ready, s.air_good, s.air_since = False, time, time
+
+
+@compiled
+def catch_at_address(s: Any, parameters: Any, estimator: Any, time: float) -> bool:
+    """Return whether the hold takes over a robot whose move ended beside its address; note its late joints.
+
+    A PID alone lets a joint with much friction hunt there; the hold catches a late one as it slips.
+    """
+    p, following = parameters.control[0], parameters.envelope[0].following
+    if not parameters.profile[0].air_planned or time - s.move_start - s.move_time < _MISSED:
+        return False
+    for i in range(3):
+        away, speed = abs(parameters.angle[0, i] - estimator.angle[i]), abs(estimator.velocity[i])
+        if not (away <= _REACH * following[Phase.HOLD, i] and speed <= 2.0 * p.still_speed[i]):
+            return False
+    for i in range(3):
+        if not abs(parameters.angle[0, i] - estimator.angle[i]) <= p.address_tolerance[i]:
+            s.air_held[i] = LATE
+    return True
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.address_air import HELD, bring_air, charge, leave_address_air, loosen
+from bench.control.address_air import HELD, bring_air, catch_at_address, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings
 from bench.control.feed_forward import KANE, NONE
 from bench.control.gain_table import DAMPING, DERIVATIVE, MOVE, PROPORTIONAL, interpolate_gains, middle_pose
@@ -40,8 +40,11 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         if time < s.air_from:
             # Without air a vented robot may still sink while it warns: the move begins where it is by then.
             begin_move(parameters, s, e.angle, s.move_start)
-        if not follow_move(parameters, s, time) and near_address(parameters, state.estimator):
-            arrive(s, parameters, time)
+        if not follow_move(parameters, s, time):
+            if near_address(parameters, state.estimator):
+                arrive(s, parameters, time)
+            elif catch_at_address(s, parameters, e, time):
+                arrive(s, parameters, time)
     else:
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.

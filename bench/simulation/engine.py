@@ -23,8 +23,8 @@ from bench.simulation.lockstep import Lockstep
 from bench.telemetry.cycle_record import CYCLE
 from sim.plant import Plant
 
-LONGEST_ARMING = 15.0
-"""s"""
+LONGEST_ARMING = 30.0
+"""s; the bench's own time-outs are shorter"""
 LONGEST_SWAY = 10.0
 """Until the standing robot rests, s."""
 LONGEST_RETURN = 10.0

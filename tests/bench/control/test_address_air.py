@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.control.address_air import LATE
 from bench.control.air import load_force
 from bench.control.demand import actuator_forces
 from bench.control.planned_air import planned_air, swing_periods, swing_widths, with_planned_air
@@ -24,7 +25,7 @@ from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant
 from sim.pneumatics import flow
-from tests.bench.control.puppet import STILL, Puppet
+from tests.bench.control.puppet import QUICK, STILL, Puppet
 
 Array = np.ndarray[Any, Any]
 
@@ -245,6 +246,30 @@ def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
     puppet.offset[:] = 1e-3
     puppet.run(100)
     assert puppet.cause is Cause.ADDRESS_TIMEOUT
+
+
+@pytest.mark.parametrize(
+    ("miss", "planned", "phase"),
+    [(0.04, True, Phase.HOLD), (0.1, True, Phase.RETURN), (0.04, False, Phase.RETURN)],
+    ids=["near", "too far for the hold", "air as it comes"],
+)
+def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
+    miss: float, planned: bool, phase: Phase
+) -> None:
+    """A wrist with little area beside its friction never came back to its address after a swing.
+
+    Its PID alone took it from one side to the other.
+    """
+    air = (5.9e5,) * 6 if planned else ()
+    patient = replace(QUICK, move_timeout=6.0)
+    puppet = Puppet(replace(STILL, air=air, air_supply=8e5 if planned else 0.0), patient).enter(Phase.RETURN)
+    puppet.shift(2, miss)
+    puppet.run(1000)
+    assert puppet.phase is Phase.RETURN
+    puppet.run(1500)
+    assert (puppet.phase, puppet.cause) == (phase, Cause.NONE)
+    late = [bool(held & LATE) for held in puppet.control["air_held"]]
+    assert late == [False, False, phase is Phase.HOLD]
 
 
 def test_without_planned_air_nothing_of_it_happens() -> None:
