@@ -2,7 +2,7 @@
 
 A whole swing is designed at rising speeds until the design fails: collocation, refinement on the plant,
 closed loop, the cushions if the ball is missed or the bench falls silent. All are near the shipped swing's
-downswing, slower ones in as much more time.
+downswing, slower ones in as much more time; the backswing may be slower than the shipped one.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ _NEAR = "default"
 """Shipped swing whose downswing is followed."""
 _STEP, _FINE = 1.08, 1.04
 """Factors between two speeds that are tried, and between the fastest found and the slowest failed one."""
+_TEMPI = ((0.85, 0.25), (1.1, 0.25), (1.1, 0.4))
+"""Durations of backswing and top that are tried in turn, s: the first brings some robots to the top too fast."""
 _SLOWEST, _FASTEST = 20.0, 60.0
 """m/s between which speeds are tried."""
 
@@ -43,8 +45,10 @@ class FastestSwing(NamedTuple):
 def design_at(configuration: Configuration, speed: float, name: str, start: Profile | None = None) -> Profile:
     """Return a swing at `speed` (m/s) for the configured robot, beginning the search with `start`.
 
+    Where none is found a slower backswing is tried.
+
     Raises:
-        DesignFailed: no design succeeds.
+        DesignFailed: no design succeeds; the reason is that of the first.
         BenchError: the package casadi is not installed.
     """
     c, near = configuration, load_profile(find_profile(_NEAR))
@@ -52,15 +56,21 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
     slower = near.delivery["head_speed_mps"] / speed
     shortest, longest = demand.downswing_time
     demand = replace(demand, downswing_time=(shortest * slower, longest * max(slower, 1.0)))
-    return design_swing(
-        c.plant,
-        demand,
-        name,
-        control=c.control,
-        envelope=c.envelope.with_model_check("off"),  # it has no limits yet
-        estimator=c.estimator,
-        start=start or near,
-    ).profile
+    failures = list[DesignFailed]()
+    for backswing, top in _TEMPI:
+        try:
+            return design_swing(
+                c.plant,
+                replace(demand, backswing_time=backswing, top_time=top),
+                name,
+                control=c.control,
+                envelope=c.envelope.with_model_check("off"),  # it has no limits yet
+                estimator=c.estimator,
+                start=start or near,
+            ).profile
+        except DesignFailed as failure:
+            failures.append(failure)
+    raise failures[0]
 
 
 def fastest_swing(configuration: Configuration, progress: Progress = lambda what: None) -> FastestSwing:

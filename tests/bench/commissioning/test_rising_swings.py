@@ -14,6 +14,7 @@ from bench.commissioning.rising_swings import (
     SwingDeviation,
     bench_of,
     deviation,
+    nearest,
     require_as_predicted,
     require_safe,
     slow_swing,
@@ -127,6 +128,15 @@ def test_a_swing_as_predicted_goes_on() -> None:
     require_as_predicted(GOOD, Cause.NONE, "swing of 60 %")
     slower = GOOD._replace(braking=np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 4.0]]))
     require_as_predicted(slower, Cause.NONE, "swing of 60 %")
+
+
+def test_a_swing_is_compared_with_the_prediction_that_it_is_most_like() -> None:
+    """The model of a robot with wide dead bands makes a slow swing of 25 or of 23 m/s; the robot made 22."""
+    fast, slow = GOOD._replace(predicted=25.2, measured=22.0), GOOD._replace(predicted=23.0, measured=22.0)
+    astray = slow._replace(path=np.array([0.2, 0.01, 0.02]))
+    unknown = slow._replace(path=np.full(3, np.nan))
+    assert nearest([unknown, fast, astray, slow]) is slow
+    assert nearest([fast]) is fast
 
 
 def test_a_load_beyond_a_rating_ends_the_swings() -> None:

@@ -1,0 +1,34 @@
+"""The fastest swing of a found robot: a slower backswing where the shipped one's fails."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bench.commissioning import fastest_swing
+from bench.commissioning.fastest_swing import design_at
+from bench.config import load_configuration, shipped_configuration
+from bench.design.designer import DesignFailed, SwingDemand
+from sim.plant import PlantParameters
+
+
+@pytest.mark.parametrize("works_from", [0.85, 1.1, 9.0])
+def test_a_slower_backswing_is_tried(monkeypatch: pytest.MonkeyPatch, works_from: float) -> None:
+    tried = list[float]()
+
+    def design(plant: PlantParameters, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:
+        tried.append(demand.backswing_time)
+        if demand.backswing_time < works_from:
+            raise DesignFailed(f"wrist folded too far in {demand.backswing_time} s")
+        return SimpleNamespace(profile=name)
+
+    monkeypatch.setattr(fastest_swing, "design_swing", design)
+    configuration = load_configuration(shipped_configuration())
+    if works_from > 1.1:
+        with pytest.raises(DesignFailed, match=r"in 0.85 s"):
+            design_at(configuration, 40.0, "swing")
+        return
+    assert str(design_at(configuration, 40.0, "swing")) == "swing"
+    assert tried == [0.85, 1.1][: tried.index(works_from) + 1]
