@@ -25,7 +25,7 @@ _NEAR = "default"
 _STEP, _FINE = 1.08, 1.04
 """Factors between two speeds that are tried, and between the fastest found and the slowest failed one."""
 _TEMPI = ((0.85, 0.25), (1.1, 0.25), (1.1, 0.4))
-"""Durations of backswing and top that are tried in turn, s: the first brings some robots to the top too fast."""
+"""Durations of backswing and top that are tried in turn, s: the first is too fast for some robots."""
 _SLOWEST, _FASTEST = 20.0, 60.0
 """m/s between which speeds are tried."""
 
