@@ -83,7 +83,7 @@ def serve_page(
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(service, archive, downloads, program, runner)
-        plans = PlanShelf(settings.data_dir)
+        plans = PlanShelf(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
         shelf = CommissioningShelf(settings.data_dir, settings.id)
         watch = CommissioningWatch(shelf, broadcaster.publish)

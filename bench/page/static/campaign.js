@@ -53,7 +53,7 @@ function one({ progress: p, detail }) {
   if (detail?.prompt) part.append(prompt(p.campaign, detail.prompt));
   part.append(requests(p), balls(p));
   if (p.last_shot) part.append(lastShot(p.campaign, p.last_shot));
-  if (p.event) part.append(make("p", { class: "muted" }, p.event.text));
+  if (p.event) part.append(make("p", { class: "muted" }, `At ${new Date(p.event.time_utc).toLocaleTimeString()}: ${p.event.text}`));
   if (detail) part.append(make("div", { class: "plots" }, ...detail.charts.map(chart)));
   return part;
 }
