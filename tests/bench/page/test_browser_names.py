@@ -55,7 +55,7 @@ PROGRESS = {
     "next_work": {"text": "mount", "shots": 2, "seconds": 30.0},
     "balls": {"b": {"valid": 1, "planned": 2}},
     "last_shot": SHOT,
-    "event": {"text": "said"},
+    "event": {"text": "said", "time_utc": "t"},
 }
 CAMPAIGNS = [
     {
@@ -122,7 +122,7 @@ ANSWERS: dict[str, Any] = {
         "charts": [CHART],
         "landing": [LANDING],
     },
-    "/api/plans": [{"name": "p", "title": "t", "about": "a", "shipped": False}],
+    "/api/plans": [{"name": "p", "title": "t", "about": "a", "shipped": False, "lacks": ["l"]}],
     "/api/plan/*/check": {
         "plan": "p",
         "digest": "0123456789abcdef",
