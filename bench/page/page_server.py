@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import signal
 import socket
 import ssl
@@ -79,7 +80,7 @@ def serve_page(
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
-        runner = LastingCommand(program, log, broadcaster.publish, "runner")
+        runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=RUN_OUTCOME)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(service, archive, downloads, program, runner)
@@ -138,6 +139,10 @@ def _require_packages() -> None:
     except ImportError as error:
         cure = 'pip install "golfbench[page]"'
         raise BenchError("golfbench page", f"no package ({error})", "starlette and uvicorn", cure) from error
+
+
+RUN_OUTCOME = re.compile(r"[a-z]+(: .*)?; \d+ shots, \d+ valid")
+"""The line with which `golfbench campaign run` says how it ended."""
 
 
 @contextmanager

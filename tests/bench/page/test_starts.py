@@ -26,6 +26,7 @@ from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
+from bench.page.page_server import RUN_OUTCOME
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
@@ -192,6 +193,21 @@ def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> N
     os.kill(process.pid, signal.SIGKILL)
     wait_until(lambda: not said[-1]["running"], lambda: said)
     assert "exit code -9" in said[-1]["text"]
+
+
+def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
+    said = list[Any]()
+    words = (
+        "campaign x\nsuspended: bench b: no answer; 2 shots, 2 valid\nToo few valid shots to compare clubs."
+    )
+    program = CommandLine([sys.executable, "-c", f"print({words!r}); raise SystemExit(1)"])
+    log = tmp_path / "log"
+    runner = LastingCommand(
+        program, log, lambda topic, content: said.append(content), "runner", outcome=RUN_OUTCOME
+    )
+    runner.start("x", "campaign", "run")
+    wait_until(lambda: not said[-1]["running"], lambda: said)
+    assert said[-1]["text"] == "Suspended: bench b: no answer; 2 shots, 2 valid."
 
 
 def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
