@@ -53,7 +53,7 @@ function one({ progress: p, detail }) {
   ].map(pair)));
   part.append(requests(p), balls(p));
   if (p.last_shot) part.append(lastShot(p.campaign, p.last_shot));
-  if (p.event) part.append(make("p", { class: "muted" }, `At ${new Date(p.event.time_utc).toLocaleTimeString()}: ${p.event.text}`));
+  if (p.event) part.append(make("p", { class: "muted" }, `Latest event: ${p.event.text}`));
   if (detail) part.append(make("div", { class: "plots" }, ...detail.charts.map(chart)));
   return part;
 }

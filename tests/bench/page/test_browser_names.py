@@ -55,7 +55,7 @@ PROGRESS = {
     "next_work": {"text": "mount", "shots": 2, "seconds": 30.0},
     "balls": {"b": {"valid": 1, "planned": 2}},
     "last_shot": SHOT,
-    "event": {"text": "said", "time_utc": "t"},
+    "event": {"text": "said"},
 }
 CAMPAIGNS = [
     {
