@@ -38,7 +38,7 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
-from bench.processes.stall import stall_note
+from bench.processes.stall import stall_note, supervisor_note
 from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, cause_text, status_of
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
@@ -282,7 +282,8 @@ class Daemon:
         self._link.connect()
         self._timing = stack.enter_context(TimingReader(folder / TIMING_FILE))
         self._before_timing = self._timing.snapshot()
-        self._summed_up = self._advanced = time.monotonic()
+        self._summed_up = self._advanced = self._turned = time.monotonic()
+        self._turn_gap = 0.0
         self._reopening_until = -np.inf
         self._before = State.STARTING, Phase.STANDING, Reaction.NONE, Cause.NONE
         session = open_daemon(c.network)
@@ -357,6 +358,7 @@ class Daemon:
         interval, notified = watchdog_interval(os.environ, os.getpid()), -np.inf
         while not stop.wait(_TURN):
             now = time.monotonic()
+            self._turn_gap, self._turned = now - self._turned, now
             self._turn(now)
             if interval is not None and now - notified >= interval / 3 and self._advanced == now:
                 notifier.alive()
@@ -460,6 +462,9 @@ class Daemon:
             if cause is not old[3]:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
                 self._stall = stall_note(cycles[: k + 1], cause, envelope.lost_time, period)
+                gap = max(self._turn_gap, time.monotonic() - self._turned)
+                silence = self.configuration.lifecycle.supervisor_time
+                self._stall = self._stall or supervisor_note(cause, gap, silence)
                 if self._stall:
                     _log.warning("%s: %s", cause.name, self._stall)
             if state is State.SWINGING and old[0] is not State.SWINGING:

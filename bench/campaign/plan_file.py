@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, get_args
 from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
-from bench.config import Configuration
+from bench.config import Configuration, variants_with
 from bench.errors import BenchError, did_you_mean
 from bench.from_toml import Builder, Leaf, Tree, as_tree, format_value, laid_over, place_of, read_toml
 from sim.ball import Ball
@@ -145,6 +145,18 @@ class Mistake(NamedTuple):
     cure: str
 
 
+_SECTIONS = {"design.balls": "balls", "control.ball": "balls", "design.clubs": "clubs"}
+"""Section of the configuration that has the names of a key."""
+
+
+def _unknown_cure(section: str, name: str, known: Mapping[str, Any]) -> str:
+    """Return what to do about the `name` that `section` of plan and configuration lacks."""
+    if variants := variants_with(section, name):
+        use = " or ".join(f"golfbench --config {one}" for one in variants)
+        return f"Use a shipped variant that has it: {use}; or add it to [{section}]."
+    return did_you_mean(name, known, f"Add [{section}.{name}].")
+
+
 def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
     d = plan.design
     if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
@@ -161,7 +173,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     ):
         for name in names:
             if name not in known:
-                cure = did_you_mean(name, known, f"Add [{key.split('.')[1]}.{name}].")
+                cure = _unknown_cure(_SECTIONS[key], name, known)
                 yield Mistake(key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure)
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         for name in names:

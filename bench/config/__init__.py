@@ -6,6 +6,7 @@ from bench.config.files import (
     find_configuration,
     load_configuration,
     shipped_configuration,
+    variants_with,
 )
 from bench.config.renamed import with_new_names
 from bench.config.rules import (
@@ -41,5 +42,6 @@ __all__ = [
     "load_configuration",
     "shipped_configuration",
     "unheard_phases",
+    "variants_with",
     "with_new_names",
 ]

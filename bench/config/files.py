@@ -10,6 +10,7 @@ or `[balls]` that says `like = "driver"` gives only what differs from that one.
 from __future__ import annotations
 
 import logging
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,6 +66,16 @@ def _named(name: str) -> Path | None:
 
 def _names() -> list[str]:
     return [SHIPPED, *sorted(path.stem for path in VARIANTS.glob("*.toml"))]
+
+
+def variants_with(section: str, name: str) -> list[str]:
+    """Return the variants that come with golfbench whose own file has the table [`section`.`name`]."""
+    found = []
+    for variant in sorted(VARIANTS.glob("*.toml")):
+        table = tomllib.loads(variant.read_text(encoding="utf-8")).get(section)
+        if isinstance(table, dict) and name in table:
+            found.append(variant.stem)
+    return found
 
 
 def load_configuration(path: Path | None = None) -> Configuration:

@@ -119,8 +119,12 @@ def fault_of(place: str, code: int, text: str) -> BenchError:
     if len(faults) == 1:
         return faults[0]
     if faults:
+        cure = _cut(" ".join(dict.fromkeys(one.cure for one in faults)))
+        if len({(one.place, one.expected) for one in faults}) == 1:
+            found = _cut("; ".join(one.found for one in faults))
+            return BenchError(faults[0].place, found, faults[0].expected, cure)
         found = "; ".join(f"{one.place}: {one.found}, expected {one.expected}" for one in faults)
-        return BenchError(place, _cut(found), "a valid input", _cut(" ".join(one.cure for one in faults)))
+        return BenchError(place, _cut(found), "a valid input", cure)
     lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
     said = next((line for line in reversed(lines) if line), "")
     cure = "See it at the command line."

@@ -8,6 +8,7 @@ same reason. It ends as at the command line: when it is done, by its own stop, o
 
 from __future__ import annotations
 
+import re
 import subprocess
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -32,13 +33,15 @@ class LastingCommand:
         topic: str,
         *,
         expected: Collection[int] = (0,),
+        outcome: re.Pattern[str] | None = None,
     ) -> None:
         """`log` is the file for what a command prints; `publish` gets `topic` and content.
 
-        An end with one of the `expected` exit codes is said in words only if an error was printed.
+        An end with one of the `expected` exit codes is said in words only if an error was printed. Another
+        end without one is said by the last line that `outcome` matches.
         """
         self._golfbench, self._log, self._publish = golfbench, log, publish
-        self._topic, self._expected = topic, frozenset(expected)
+        self._topic, self._expected, self._outcome = topic, frozenset(expected), outcome
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = Lock()
 
@@ -95,5 +98,9 @@ class LastingCommand:
             return f"{what} ended with {code}; its log cannot be read: {error.strerror}"
         if code in self._expected and not names_fault(text):
             return ""
+        if self._outcome is not None and not names_fault(text):
+            lines = [line for line in text.splitlines() if self._outcome.fullmatch(line)]
+            if lines:
+                return f"{lines[-1][:1].upper()}{lines[-1][1:]}."
         fault = fault_of(what, code, text)
         return f"{fault.place}: {fault.found}; expected {fault.expected}. {fault.cure}"

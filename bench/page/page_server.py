@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import signal
 import socket
 import ssl
@@ -79,11 +80,11 @@ def serve_page(
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
-        runner = LastingCommand(program, log, broadcaster.publish, "runner")
+        runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=RUN_OUTCOME)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(service, archive, downloads, program, runner)
-        plans = PlanShelf(settings.data_dir)
+        plans = PlanShelf(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
         shelf = CommissioningShelf(settings.data_dir, settings.id)
         watch = CommissioningWatch(shelf, broadcaster.publish)
@@ -140,10 +141,15 @@ def _require_packages() -> None:
         raise BenchError("golfbench page", f"no package ({error})", "starlette and uvicorn", cure) from error
 
 
+RUN_OUTCOME = re.compile(r"[a-z]+(: .*)?; \d+ shots, \d+ valid")
+"""The line with which `golfbench campaign run` says how it ended."""
+
+
 @contextmanager
 def _listening(address: PageAddress) -> Iterator[socket.socket]:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # asyncio sends small parts at once only on sockets that name their protocol: else each file takes 40 ms.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # Connections inherit it: a peer that takes nothing is cut off by the kernel, too.

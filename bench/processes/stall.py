@@ -1,4 +1,4 @@
-"""A stall of the machine behind a stop for lost encoders, seen in the loop's records."""
+"""A stall of the machine behind a stop for lost encoders or a silent supervisor."""
 
 from __future__ import annotations
 
@@ -36,3 +36,17 @@ def stall_note(cycles: np.ndarray[Any, Any], cause: Cause, lost_time: float, per
             "process stood still, a stall of this machine: golfbench run --time paced waits for it"
         )
     return ""
+
+
+def supervisor_note(cause: Cause, gap: float, silence: float) -> str:
+    """Return what explains a stop with `cause` after a supervisor's pause of `gap` s; empty if none.
+
+    The loop stops after `silence` (s) without a heartbeat. A supervisor that goes on afterwards was not
+    broken: the machine did not run it.
+    """
+    if cause is not Cause.SUPERVISOR or gap < silence / 2:
+        return ""
+    return (
+        f"the supervisor stood still for {gap:.1f} s, a stall of this machine: run golfbench doctor, and end "
+        "what else keeps its processors busy"
+    )

@@ -35,7 +35,7 @@ function redraw() {
 
 function campaigns() {
   if (!content.campaigns.length) return make("p", { class: "muted" }, "No campaigns yet.");
-  const head = ["Campaign", "begun", "state", "shots", "valid", ""].map((text) => make("th", { scope: "col" }, text));
+  const head = ["Campaign", "begun", "state", "shots", "valid"].map((text) => make("th", { scope: "col" }, text));
   const body = content.campaigns.map((one) => make("tr", {},
     make("td", {}, one.title, make("br"), make("span", { class: "muted" }, one.id)),
     make("td", {}, new Date(one.date).toLocaleString()), make("td", {}, one.state), make("td", {}, one.shots), make("td", {}, one.valid),
@@ -43,7 +43,7 @@ function campaigns() {
       one.report ? make("a", { href: `/report/${encodeURIComponent(one.id)}`, target: "_blank", rel: "noopener" }, "Report") : "",
       one.ended && !one.report && one.shots ? action("Write report", one.id, writeReport) : "",
       one.ended || one.runner ? "" : action("Resume", one.id, resume))));
-  return make("div", { class: "scroll" }, make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body)));
+  return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Campaigns of before" }, make("table", {}, make("thead", {}, make("tr", {}, ...head, make("td", {}))), make("tbody", {}, ...body)));
 }
 
 const action = (label, id, act) => make("button", { type: "button", "aria-label": `${label} of ${id}`, on: { click: (event) => act(id, event.target) } }, label);

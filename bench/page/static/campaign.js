@@ -42,6 +42,7 @@ function redraw() {
 function one({ progress: p, detail }) {
   const part = make("div", {});
   part.append(make("p", {}, make("strong", {}, p.campaign), ` ${p.state}${p.reason && !detail?.prompt ? `: ${p.reason}` : ""}`),
+    detail?.prompt ? prompt(p.campaign, detail.prompt) : "",
     make("progress", { max: p.planned, value: p.done, "aria-label": "Shots done" }));
   part.append(make("dl", { class: "big" }, ...[
     ["Shots", `${p.done} of ${p.planned}`],
@@ -50,10 +51,9 @@ function one({ progress: p, detail }) {
     ["Left", duration(p.seconds_left)],
     ["Next work by hand", p.next_work ? `${p.next_work.text}, in ${p.next_work.shots} shots${p.next_work.seconds === null ? "" : ` (${duration(p.next_work.seconds)})`}` : "none"],
   ].map(pair)));
-  if (detail?.prompt) part.append(prompt(p.campaign, detail.prompt));
   part.append(requests(p), balls(p));
   if (p.last_shot) part.append(lastShot(p.campaign, p.last_shot));
-  if (p.event) part.append(make("p", { class: "muted" }, p.event.text));
+  if (p.event) part.append(make("p", { class: "muted" }, `Latest event: ${p.event.text}`));
   if (detail) part.append(make("div", { class: "plots" }, ...detail.charts.map(chart)));
   return part;
 }

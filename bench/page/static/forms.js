@@ -46,7 +46,7 @@ function inForce() {
     make("td", {}, one.kind === "club" ? `club ${content.club}` : one.kind), make("td", { class: "left" }, one.words),
     make("td", { class: "left" }, one.version === null ? "" : `${day(one.date)} by ${one.by}, version ${one.version}`),
     make("td", { class: one.expired ? "left bad" : "left" }, one.expired ? `expired ${day(one.expires)}` : day(one.expires))));
-  return make("div", { class: "scroll" }, make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body)));
+  return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Calibrations in force" }, make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...body)));
 }
 
 function air() {

@@ -28,7 +28,7 @@ export async function loadPlans() {
   if (!response?.ok) return;
   plans = await response.json();
   const chosen = by("plan").value;
-  by("plan").replaceChildren(...plans.map((one) => make("option", { value: one.name }, `${one.title} (${one.name}${one.shipped ? "" : ", of this bench"})`)));
+  by("plan").replaceChildren(...plans.map((one) => make("option", { value: one.name }, `${one.title} (${one.name}${one.shipped ? "" : ", of this bench"}${one.lacks.length ? ", not with this configuration" : ""})`)));
   if (plans.some((one) => one.name === chosen)) by("plan").value = chosen;
   by("plans-card").hidden = running || plans.length === 0;
   choose();
@@ -53,7 +53,9 @@ export function showRunner(content) {
 }
 
 function choose() {
-  set("plan-about", plans.find((one) => one.name === by("plan").value)?.about ?? "");
+  const plan = plans.find((one) => one.name === by("plan").value);
+  const lacks = plan?.lacks.length ? `The configuration of this bench lacks ${plan.lacks.join(", ")}.` : "";
+  set("plan-about", [lacks, plan?.about].filter(Boolean).join(" "));
   if (preview?.plan !== by("plan").value) show(null);
 }
 
@@ -64,7 +66,7 @@ function refresh() {
   by("runner").classList.toggle("bad", Boolean(runner?.text));
   set("runner", runner === null ? "" : runner.running
     ? `Runner of ${runner.what}: running. It goes on without this page.`
-    : runner.text ? `Runner of ${runner.what} has ended. ${runner.text}` : `Runner of ${runner.what} has ended: done.`);
+    : runner.text ? `Runner of ${runner.what} has ended. ${runner.text}` : `Runner of ${runner.what} has ended: done. Figures and report: Campaigns and records, below.`);
 }
 
 async function check() {
@@ -138,6 +140,6 @@ async function start() {
   if (!(await releaseLease())) return;
   const body = { number: randomNumber(), seen: bench.seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
   const answer = await send(`/api/plan/${encodeURIComponent(plan)}/start`, body);
-  outcome(say(answer, answer.note), !answer.ok);
+  outcome(answer.ok ? "" : say(answer, ""), !answer.ok); // its runner is said in the plan's card, its campaign in a card of its own
   if (answer.ok) show(null);
 }

@@ -4,8 +4,8 @@ import { draw } from "./dom.js";
 import { number } from "./units.js";
 
 const W = 420;
-const LEFT = 46;
-const BOTTOM = 30;
+const LEFT = 50;
+const BOTTOM = 36;
 const TOP = 10;
 const RIGHT = 10;
 
@@ -23,7 +23,7 @@ export function frame({ x, y, height = 230, equal = false, label, xName, yName }
   for (const tick of ticks(x0, x1, 5)) {
     const [px] = at(tick.value, y0);
     plot.append(draw("path", { class: "axis", d: `M${px} ${TOP}V${TOP + inner[1]}` }),
-      draw("text", { x: px, y: TOP + inner[1] + 14, "text-anchor": "middle" }, tick.text));
+      draw("text", { x: px, y: TOP + inner[1] + 16, "text-anchor": "middle" }, tick.text));
   }
   for (const tick of ticks(y0, y1, 4)) {
     const [, py] = at(x0, tick.value);

@@ -282,3 +282,12 @@ def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
     assert record["shots"] == len(record["sequence"]) == 3 * 20 * 13
     previewed = preview_record(load_plan(Path("ten-balls"), load_configuration(Path("shipped"))), {})
     assert record == json.loads(json.dumps(previewed))
+
+
+def test_a_club_of_a_shipped_variant_is_unknown_with_that_variant(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    faults = _faults(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["wood3"]'))
+    assert "golfbench --config bag" in faults["design.clubs"].cure
+    faults = _faults(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["dirver"]'))
+    assert faults["design.clubs"].cure == "Did you mean driver?"

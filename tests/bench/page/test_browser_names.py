@@ -122,7 +122,7 @@ ANSWERS: dict[str, Any] = {
         "charts": [CHART],
         "landing": [LANDING],
     },
-    "/api/plans": [{"name": "p", "title": "t", "about": "a", "shipped": False}],
+    "/api/plans": [{"name": "p", "title": "t", "about": "a", "shipped": False, "lacks": ["l"]}],
     "/api/plan/*/check": {
         "plan": "p",
         "digest": "0123456789abcdef",

@@ -26,6 +26,7 @@ from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
+from bench.page.page_server import RUN_OUTCOME
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
@@ -71,6 +72,11 @@ def test_the_words_of_a_refused_command_are_kept() -> None:
     both = fault_of("golfbench campaign", 2, f"{one}\n{one.replace('bench b', 'bench c')}")
     assert "bench b" in both.found
     assert "bench c" in both.found
+    names = [one.replace("found:    ", f"found:    {name} ") for name in ("a", "b")]
+    merged = fault_of("golfbench campaign", 2, "\n".join(names))
+    assert merged.found.startswith("a ")
+    assert "; b " in merged.found
+    assert (merged.place, merged.expected, merged.cure) == (fault.place, fault.expected, fault.cure)
     usage = fault_of("golfbench calibrate", 2, "Usage: ...\n╭─ Error ─╮\n│ No such option: --z │\n╰────╯")
     assert "No such option: --z" in usage.found
     assert fault_of("x", 70, "").found == "exit code 70"
@@ -117,14 +123,24 @@ def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> No
     (folder / "--help.toml").write_text("")
     (folder / "linked.toml").symlink_to("/etc/passwd")
     (folder / "deep.toml").mkdir()
-    shelf = PlanShelf(tmp_path)
+    (folder / "own.toml").write_text(
+        '[design]\nclubs = ["driver", "mine", "other"]\n[clubs.mine]\nlike = "driver"\n'
+    )
+    (folder / "odd.toml").write_text('clubs = 3\n[design]\nclubs = "driver"\nballs = [1, 2]\n')
+    shelf = PlanShelf(tmp_path, {"balls": ["tour", "range"], "clubs": ["driver"]})
     listed = {one["name"]: one for one in shelf.listed()}
     assert listed["mine"] == {
         "name": "mine",
         "title": f"Mine {SCRIPT}",
         "about": "About mine",
         "shipped": False,
+        "lacks": [],
     }
+    assert listed["own"]["lacks"] == ["other"]
+    assert listed["odd"]["lacks"] == []
+    assert "wedge56_wet" in listed["wedge"]["lacks"]
+    lacking = [bool(one["lacks"]) for one in shelf.listed()]
+    assert lacking == sorted(lacking)  # what cannot run here stands last
     assert listed["symmetry"]["shipped"]
     assert not listed["two-balls"]["shipped"]
     assert not {"--help", "linked", "deep"} & set(listed)
@@ -177,6 +193,21 @@ def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> N
     os.kill(process.pid, signal.SIGKILL)
     wait_until(lambda: not said[-1]["running"], lambda: said)
     assert "exit code -9" in said[-1]["text"]
+
+
+def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
+    said = list[Any]()
+    words = (
+        "campaign x\nsuspended: bench b: no answer; 2 shots, 2 valid\nToo few valid shots to compare clubs."
+    )
+    program = CommandLine([sys.executable, "-c", f"print({words!r}); raise SystemExit(1)"])
+    log = tmp_path / "log"
+    runner = LastingCommand(
+        program, log, lambda topic, content: said.append(content), "runner", outcome=RUN_OUTCOME
+    )
+    runner.start("x", "campaign", "run")
+    wait_until(lambda: not said[-1]["running"], lambda: said)
+    assert said[-1]["text"] == "Suspended: bench b: no answer; 2 shots, 2 valid."
 
 
 def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import CAUSE_TEXT, Cause
-from bench.processes.stall import stall_note
+from bench.processes.stall import stall_note, supervisor_note
 from bench.processes.status import cause_text
 from bench.telemetry.cycle_record import CYCLE
 
@@ -53,3 +53,15 @@ def test_other_causes_keep_their_own_text() -> None:
 def test_the_stall_replaces_the_cure_and_keeps_the_cause() -> None:
     text = cause_text(Cause.SHOULDER_ENCODER, "the loop stood still")
     assert text == "shoulder encoder R1 without a valid reading: the loop stood still"
+
+
+def test_a_supervisor_that_stood_still_is_named_with_its_time() -> None:
+    found = supervisor_note(Cause.SUPERVISOR, 0.62, 0.5)
+    assert "the supervisor stood still for 0.6 s" in found
+    text = cause_text(Cause.SUPERVISOR, found)
+    assert text.startswith("no heartbeat from the supervisor: the supervisor stood still")
+
+
+def test_a_supervisor_in_step_explains_nothing() -> None:
+    assert not supervisor_note(Cause.SUPERVISOR, 0.02, 0.5)
+    assert not supervisor_note(Cause.GUARD, 0.62, 0.5)
