@@ -1,7 +1,8 @@
 """List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started.
 
 A stopped node, as a bench leaves the valve node, answers no question. It is made pre-operational, in which it
-moves nothing, for as long as it is read.
+moves nothing, for as long as it is read. While a bench is heard on the bus, which alone may command nodes,
+none is woken, and a node that it has started meanwhile is not stopped.
 """
 
 from __future__ import annotations
@@ -26,8 +27,12 @@ _ALL_NODES = range(1, 128)
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 _STOP, _ENTER_PRE_OPERATIONAL = 2, 128
 """NMT commands."""
-_STOPPED = 4
-"""State in a heartbeat."""
+_STOPPED, _OPERATIONAL = 4, 5
+"""States in a heartbeat."""
+_PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
+"""Abort codes of a dialogue that went wrong, as another client's questions in between make it."""
+_ATTEMPTS = 3
+"""Attempts to read one node."""
 _GAP = 0.002
 """Time between two questions, s: an interface queues few frames."""
 
@@ -84,33 +89,47 @@ class _Scanner:
         joints = zip(settings.encoders.nodes, JOINTS, strict=True)
         self._roles = {number: f"encoder of the {joint}" for number, joint in joints}
         self._roles[settings.valve_node.node] = "valves and interlocks"
-        self._stopped: set[int] = set()
-        """Nodes that say so in their heartbeat."""
+        self._states: dict[int, int] = {}
+        """Last state of each participant that sends a heartbeat."""
 
     def run(self) -> list[ScannedNode]:
         found = self._answering(_ALL_NODES)
-        stopped = sorted(self._stopped - found)
+        silent = sorted(number for number in self._stopped() if number not in found)
+        woken = [] if self._has_bench() else silent
         try:
-            for number in stopped:
+            for number in woken:
                 self._send(frame(NMT, bytes([_ENTER_PRE_OPERATIONAL, number])))
-            found |= self._answering(stopped) if stopped else set()
+            found |= self._answering(woken) if woken else set()
             return [
                 self._judge(number) if number in found else self._missing(number)
                 for number in sorted(found | self._roles.keys())
             ]
         finally:
-            for number in stopped:
-                self._send(frame(NMT, bytes([_STOP, number])))
+            if woken:
+                self._listen(2.0 * self._settings.heartbeat)
+            for number in woken:
+                if self._states.get(number) != _OPERATIONAL and not self._has_bench():
+                    self._send(frame(NMT, bytes([_STOP, number])))
+
+    def _stopped(self) -> list[int]:
+        """Return the nodes that say so in their heartbeat."""
+        return [number for number, state in self._states.items() if state == _STOPPED]
+
+    def _has_bench(self) -> bool:
+        """Whether a bench is heard on the bus."""
+        return self._settings.master in self._states
 
     def _answering(self, numbers: Iterable[int]) -> set[int]:
         """Return the nodes among `numbers` that answer a question for their device type."""
         found = set()
         for number in numbers:
             self._send(frame(SDO_REQUEST + number, _READ_DEVICE_TYPE))
-            answer = self._take(_GAP)
-            if answer is not None:
-                found.add(answer[0] - SDO_RESPONSE)
-        end = self._clock() + self._settings.service_time
+            found |= self._listen(_GAP)
+        return found | self._listen(self._settings.service_time)
+
+    def _listen(self, duration: float) -> set[int]:
+        """Listen for `duration` s; return the nodes that answered a question."""
+        found, end = set(), self._clock() + duration
         while (left := end - self._clock()) > 0.0:
             answer = self._take(left)
             if answer is not None:
@@ -126,15 +145,30 @@ class _Scanner:
         if whole is None:
             return None
         identifier, length, data = FRAME.unpack(whole)
-        if HEARTBEAT < identifier <= HEARTBEAT + _ALL_NODES[-1] and length == 1 and data[0] == _STOPPED:
-            self._stopped.add(identifier - HEARTBEAT)
+        if HEARTBEAT < identifier <= HEARTBEAT + _ALL_NODES[-1] and length == 1:
+            self._states[identifier - HEARTBEAT] = data[0] & 0x7F
         return (identifier, data[:length]) if SDO_RESPONSE < identifier < SDO_REQUEST else None
 
     def _missing(self, number: int) -> ScannedNode:
         cure = "no answer; check its power and number, and the bit rate and terminators of the bus"
+        if number in self._stopped():
+            cure = (
+                "stopped, while a bench is on this bus, which alone may command it; reset or end the bench, "
+                "then scan again"
+            )
         return ScannedNode(number, self._roles[number], "", "", False, cure)
 
     def _judge(self, number: int) -> ScannedNode:
+        """Read and judge a node; again if another client has come in between."""
+        judged, disturbed = self._judge_once(number)
+        for _ in range(_ATTEMPTS - 1):
+            if not disturbed:
+                break
+            judged, disturbed = self._judge_once(number)
+        return judged
+
+    def _judge_once(self, number: int) -> tuple[ScannedNode, bool]:
+        """Read and judge a node; return also whether a dialogue has failed that may succeed next time."""
         role = self._roles.get(number, "")
         node = Node(
             number,
@@ -156,14 +190,16 @@ class _Scanner:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:
                 cure = "in no role: correct the numbers in [canopen]"
-                return ScannedNode(number, role, device, properties, False, cure, shift)
+                return ScannedNode(number, role, device, properties, False, cure, shift), False
             chosen = self._settings.valve_node if "valves" in role else self._settings.encoders
             wanted = IO_PROFILE if "valves" in role else ENCODER_PROFILE
             identify(node, wanted, chosen.vendor, chosen.product)
         except DriverError as error:
-            return ScannedNode(number, role, device, properties, False, f"{error}", shift)
+            code = getattr(error, "code", None)
+            refused = ScannedNode(number, role, device, properties, False, f"{error}", shift)
+            return refused, code == 0 or code in _PROTOCOL_ABORTS
         verdict = verdict and f"after setting {verdict}"
-        return ScannedNode(number, role, device, properties, True, verdict, shift)
+        return ScannedNode(number, role, device, properties, True, verdict, shift), False
 
 
 def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
