@@ -18,9 +18,16 @@ from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, fr
 from drivers.canopen.link import FrameLink, open_link
 from drivers.canopen.polarity import wrong_settings
 from drivers.canopen.scaling import describe_scale, describe_settings, read_scale, wanted_settings
-from drivers.canopen.services import Node, ServiceError
+from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings
-from drivers.canopen.setup import ENCODER_PROFILE, ERROR_BEHAVIOUR, IO_PROFILE, OUTPUT_ERRORS, identify
+from drivers.canopen.setup import (
+    ENCODER_PROFILE,
+    ERROR_BEHAVIOUR,
+    IO_PROFILE,
+    OUTPUT_ERRORS,
+    identify,
+    without_fallback,
+)
 from drivers.canopen.zero_shift import read_zero_shift
 
 _ALL_NODES = range(1, 128)
@@ -31,6 +38,8 @@ _STOPPED, _OPERATIONAL = 4, 5
 """States in a heartbeat."""
 _PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
 """Abort codes of a dialogue that went wrong, as another client's questions in between make it."""
+_ENCODER_OBJECTS = (0x1017, 0, "heartbeat"), (0x1801, 1, "identifier of the PDO")
+"""Objects of an encoder that the startup needs, beside its position."""
 _ATTEMPTS = 3
 """Attempts to read one node."""
 _GAP = 0.002
@@ -186,6 +195,7 @@ class _Scanner:
                 scale = read_scale(node)
                 properties, shift = describe_scale(scale), read_zero_shift(node)
                 verdict = describe_settings(wanted_settings(node, scale, self._counts))
+                _need(node, (*_ENCODER_OBJECTS, (self._settings.encoders.position, 0, "position")))
             elif profile == IO_PROFILE:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:
@@ -210,13 +220,17 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
     """
     chosen = settings.valve_node
     needed = [(0x6000, 1, "inputs"), (0x6200, 1, "outputs"), (0x1800, 5, "event timer of the inputs")]
+    needed += [(0x1017, 0, "heartbeat")]
     needed += [(0x6411, channel, "analogue output of a valve") for channel in chosen.valves]
     needed += [(0x6401, channel, "analogue input of a pressure") for channel in chosen.analogue_inputs]
+    _need(node, needed)
     if not chosen.watchdog_relay:
-        needed += [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]
-        needed += [(0x6444, channel, "error value of a valve") for channel in chosen.valves]
-    for index, subindex, name in needed:
-        node.read_bytes(index, subindex, name)
+        fallback = [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]
+        fallback += [(0x6444, channel, "error value of a valve") for channel in chosen.valves]
+        try:
+            _need(node, fallback)
+        except ServiceError as error:
+            raise without_fallback(error) if error.code in MISSING else error from None
     watchdogs = [
         f"{index:04X}h:{subindex}"
         for index, subindex in ((0x1400, 5), (0x1016, 1))
@@ -240,6 +254,16 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
     parts += [f"error values of {8 * len(size)} bits"] if size is not None else []
     parts += [f"error behaviour in {behaviour[0]}"] if behaviour else []
     return ", ".join(parts), ", ".join(changes)
+
+
+def _need(node: Node, objects: Iterable[tuple[int, int, str]]) -> None:
+    """Read objects (index, sub-index, name) that the startup needs.
+
+    Raises:
+        ServiceError: the device does not have one, or does not answer.
+    """
+    for index, subindex, name in objects:
+        node.read_bytes(index, subindex, name)
 
 
 def _describe_device(node: Node, profile: int) -> str:

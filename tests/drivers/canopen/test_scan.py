@@ -99,7 +99,7 @@ def test_missing_and_misnumbered_nodes_are_listed() -> None:
 @pytest.mark.parametrize(
     ("absent", "told"),
     [
-        ((0x6444, None), r"object 6444h:1 .*06020000h"),
+        ((0x6444, None), r"object 6444h:1 .*06020000h.*0 V is full stroke.*watchdog_relay"),
         ((0x1800, 5), r"object 1800h:5 \(event timer of the inputs\)"),
         ((0x6206, None), r"found no error mode of the outputs"),
     ],
@@ -109,6 +109,19 @@ def test_an_unfit_io_node_is_named(absent: tuple[int, int | None], told: str) ->
     found = scanned(io=io)[10]
     assert not found.taken
     assert re.search(told, found.verdict), found.verdict
+
+
+@pytest.mark.parametrize("role", [ENCODER, IO])
+def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> None:
+    """Older devices answer node guarding only."""
+    number, family = (1, "reversed-17") if role == ENCODER else (10, "inverted-io")
+    older = replace(find_personality(family, role), absent=frozenset({(0x1017, None)}))
+    plan = replace(nodes_plan(), **{f"{role}_personality": older})
+    found = scanned(**{role: older})[number]
+    assert not found.taken
+    assert "object 1017h:0 (heartbeat)" in found.verdict
+    with pytest.raises(DriverError, match=rf"node {number} .*, object 1017h:0 \(heartbeat\)"):
+        DriverInStep(Wire(plan), SETTINGS).open()
 
 
 def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -> None:
