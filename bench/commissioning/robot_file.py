@@ -27,7 +27,7 @@ NO_CALIBRATION = (
     "hardware arms only with calibrations in force (golfbench calibrate list), of which the encoders' stores "
     "the presets that the running bench has read, for comparison at each start."
 )
-"""What robot.toml is not, and what is to be done before it is used on hardware."""
+"""Why robot.toml does not replace a calibration, for its reader."""
 
 _WIDTH = 108
 _LEAST = 0.001

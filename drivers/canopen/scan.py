@@ -1,8 +1,8 @@
 """List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started.
 
 A stopped node, as a bench leaves the valve node, answers no question. It is made pre-operational, in which it
-moves nothing, for as long as it is read. While a bench is heard on the bus, which alone may command nodes,
-none is woken, and a node that it has started meanwhile is not stopped.
+moves nothing, for as long as it is read. While a bench is active on the bus, which alone may command nodes,
+they stay stopped, and a node that it has started meanwhile is not stopped.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
 _ENCODER_OBJECTS = (0x1017, 0, "heartbeat"), (0x1801, 1, "identifier of the PDO")
 """Objects of an encoder that the startup needs, beside its position."""
 _ATTEMPTS = 3
-"""Attempts to read one node."""
+"""Attempts to reach or read one node."""
 _GAP = 0.002
 """Time between two questions, s: an interface queues few frames."""
 
@@ -103,6 +103,10 @@ class _Scanner:
 
     def run(self) -> list[ScannedNode]:
         found = self._answering(_ALL_NODES)
+        for _ in range(_ATTEMPTS - 1):  # a participant that the machine holds up loses frames
+            if not (missing := self._roles.keys() - found - set(self._stopped())):
+                break
+            found |= self._answering(sorted(missing))
         silent = sorted(number for number in self._stopped() if number not in found)
         woken = [] if self._has_bench() else silent
         try:
@@ -125,7 +129,7 @@ class _Scanner:
         return [number for number, state in self._states.items() if state == _STOPPED]
 
     def _has_bench(self) -> bool:
-        """Whether a bench is heard on the bus."""
+        """Whether a bench sends its heartbeat on the bus."""
         return self._settings.master in self._states
 
     def _answering(self, numbers: Iterable[int]) -> set[int]:

@@ -113,7 +113,7 @@ def _excused(chosen: ValveNodeSettings) -> Iterator[None]:
     """Let the device lack an object of its own fallback if an external relay is there instead.
 
     Raises:
-        DriverError: there is none, or the device refuses an object that it has.
+        DriverError: no relay is named, or the device refuses an object that it has.
     """
     try:
         yield
@@ -239,7 +239,7 @@ def _set_pdo(
 ) -> bool:
     """Configure one PDO in the order required by CiA 301: disable, map, set timer, enable.
 
-    What is right already is not written: some devices have a fixed mapping or fixed identifiers, and refuse
+    Settings that are right already are not written: some devices have a fixed mapping or fixed identifiers, and refuse
     with whatever abort code. Returns whether the device has the requested event timer (ms).
     """
     fits = _mapping(node, mapping) == mapped

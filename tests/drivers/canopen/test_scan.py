@@ -149,6 +149,21 @@ def stopped_by_a_bench() -> Wire:
     return wire
 
 
+def test_an_answer_that_is_lost_is_asked_for_again() -> None:
+    wire, lost = Wire(nodes_plan()), [0]
+
+    def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        """Lose the first two answers of node 2, as a participant that the machine holds up does."""
+        if identifier == 0x582 and lost[0] < 2:
+            lost[0] += 1
+            return []
+        return [(identifier, data)]
+
+    wire.meddle = meddle
+    found = scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [(node.number, node.taken) for node in found] == [(1, True), (2, True), (3, True), (10, True)]
+
+
 def test_beside_a_bench_a_stopped_node_is_not_commanded() -> None:
     wire = stopped_by_a_bench()
     wire.meddle = lambda identifier, data: [(0x77F, b"\x05"), (identifier, data)]
