@@ -3,9 +3,9 @@
 The caller receives frames from the bus until the response arrives. Errors name node, object, abort code and
 action.
 
-A node has one pair of identifiers for all clients: a bench that starts and a scan, or a vendor's tool, hear
-each other's responses. Only those that belong to the own request count: an abort of another client's would otherwise
-read as "no such object", and a late response as one to the next question.
+A node has one pair of identifiers for all clients: a bench that starts and a scan, or a vendor's tool, get
+each other's responses. Only those that belong to the own request count: an abort for another client would
+otherwise read as "no such object", and a late response as one to the next question.
 """
 
 from __future__ import annotations
