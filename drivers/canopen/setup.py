@@ -240,7 +240,8 @@ def _set_pdo(
     """Configure one PDO in the order required by CiA 301: disable, map, set timer, enable.
 
     Settings that are right already are not written: some devices have a fixed mapping or fixed
-    identifiers, and refuse with whatever abort code. Returns whether the device has the requested event timer (ms).
+    identifiers, and refuse with whatever abort code. Returns whether the device has the requested event
+    timer (ms).
     """
     fits = _mapping(node, mapping) == mapped
     if fits and _is_on(node, index, identifier, kind):
