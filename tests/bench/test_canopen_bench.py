@@ -158,8 +158,9 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
         running_bench(file, clock="wall") as bench,
         bench.client.lease("test", 60.0),
     ):
-        bench.recover()
         assert said(file, "nodes", "--scan")[0] == 0
+        assert bench.client.status()["device"]["trouble"] == ""
+        bench.recover()
         bench.take_address()
         bench.swing()
         bench.wait_phase(Phase.FOLLOW_THROUGH)
