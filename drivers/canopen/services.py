@@ -260,7 +260,7 @@ class _PolledClient(SdoClient):
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Send an abort to the node; the caller gets the exception."""
-        self.send_request(struct.pack("<B3xL", _ABORT, abort_code))  # type: ignore[no-untyped-call]
+        self.send_request(struct.pack("<B3xL", _ABORT, abort_code))
 
 
 class _Sender(canopen.Network):

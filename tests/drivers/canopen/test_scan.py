@@ -116,8 +116,9 @@ def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> Non
     """Older devices answer node guarding only."""
     number, family = (1, "reversed-17") if role == ENCODER else (10, "inverted-io")
     older = replace(find_personality(family, role), absent=frozenset({(0x1017, None)}))
-    plan = replace(nodes_plan(), **{f"{role}_personality": older})
-    found = scanned(**{role: older})[number]
+    encoder, io = (older, None) if role == ENCODER else (None, older)
+    plan = replace(nodes_plan(), encoder_personality=encoder, io_personality=io)
+    found = scanned(encoder, io)[number]
     assert not found.taken
     assert "object 1017h:0 (heartbeat)" in found.verdict
     with pytest.raises(DriverError, match=rf"node {number} .*, object 1017h:0 \(heartbeat\)"):

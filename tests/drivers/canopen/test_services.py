@@ -115,7 +115,11 @@ def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
         return [*late[:1], (identifier, data)] if identifier == 0x581 else [(identifier, data)]
 
     wire.meddle = meddle
-    node = Node(1, "encoder", wire.send_frame, take_from(wire), lambda: wire.now, 0.1)
+
+    def send(frame: bytes) -> None:
+        wire.send_frame(frame)
+
+    node = Node(1, "encoder", send, take_from(wire), lambda: wire.now, 0.1)
     with pytest.raises(ServiceError, match=r"1000h:0 .* no answer within 0.1 s; check"):
         node.read(0x1000, 0, "device type")
     assert node.read(0x6501, 0, "resolution") == 2**17
