@@ -9,7 +9,7 @@ import jinja2
 
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
 from bench.commissioning.known_robot import KnownRobot, value_at
-from bench.commissioning.robot_file import GUESSES
+from bench.commissioning.robot_file import GUESSES, NO_CALIBRATION
 from bench.commissioning.steps import NamedStep
 from sim.plant import PlantParameters
 
@@ -31,6 +31,7 @@ def commissioning_report(state: Commissioning, nominal: PlantParameters, made: d
         configured=lambda key: f"{value_at(known.nominal, key):.6g}",
         left=_titles([step for step in ALL_STEPS if step.name not in done]),
         guesses=GUESSES,
+        no_calibration=NO_CALIBRATION,
         steps=len(ALL_STEPS),
     )
 

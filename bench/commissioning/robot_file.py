@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from datetime import date
+from textwrap import wrap
 
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
 from bench.control.settings import EnvelopeSettings
@@ -21,8 +22,17 @@ GUESSES = (
 )
 """Parts of the plant that no step measures yet: they stay as configured."""
 
+NO_CALIBRATION = (
+    "The zeros of the encoders hold for the presets that these have now, which no file holds. A bench with "
+    "hardware arms only with calibrations in force (golfbench calibrate list), of which the encoders' stores "
+    "the presets that the running bench has read, for comparison at each start."
+)
+"""Why robot.toml does not replace a calibration, for its reader."""
 
-_CLUB, _SUPPLY = "robot.club", "supply.pressure"
+_WIDTH = 108
+_LEAST = 0.001
+"""Smallest standard uncertainty that is entered for a zero, deg."""
+_CLUB, _SUPPLY, _ENCODERS = "robot.club", "supply.pressure", "encoders"
 
 
 def robot_file(
@@ -53,7 +63,9 @@ def robot_file(
         tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
     for table in sorted(tables):
         place = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
-        lines += ["", f"[{place}]", *tables[table]]
+        lines += [""]
+        lines += _calibration(known) if table == _ENCODERS else []
+        lines += [f"[{place}]", *tables[table]]
     if envelope is not None and _SUPPLY in known.found:
         share = known.plant.supply.pressure / known.nominal.supply.pressure
         low, high = share * envelope.min_supply_pressure, share * envelope.max_supply_pressure
@@ -63,6 +75,21 @@ def robot_file(
         lines += ["", "[envelope.following]"]
         lines += [f"{phase} = {list(limits)}" for phase, limits in following.items()]
     return "\n".join(lines) + "\n"
+
+
+def _calibration(known: KnownRobot) -> list[str]:
+    """Return comments that say how the encoders' zeros are stored as a calibration."""
+    encoders = known.plant.encoders
+    errors = [
+        known.found[key].error for i in range(3) if (key := f"{_ENCODERS}.zero_count.{i}") in known.found
+    ]
+    uncertainty = max(errors, default=0.0) * 360.0 / encoders.counts_per_revolution
+    zeros, signs = (" ".join(map(str, values)) for values in (encoders.zero_count, encoders.sign))
+    return [
+        *(f"# {line}" for line in wrap(NO_CALIBRATION, _WIDTH)),
+        f"# golfbench --config robot.toml calibrate encoders --zero-counts {zeros} --sign {signs} "
+        f"--uncertainty-deg {max(uncertainty, _LEAST):.2g}",
+    ]
 
 
 def _keys(found: Iterable[FoundValue]) -> dict[str, list[FoundValue]]:

@@ -1,7 +1,8 @@
 """List the nodes on a bus and whether the startup would take them. Reads only: nothing is set or started.
 
 A stopped node, as a bench leaves the valve node, answers no question. It is made pre-operational, in which it
-moves nothing, for as long as it is read.
+moves nothing, for as long as it is read. While a bench is active on the bus, which alone may command nodes,
+they stay stopped, and a node that it has started meanwhile is not stopped.
 """
 
 from __future__ import annotations
@@ -17,17 +18,30 @@ from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, fr
 from drivers.canopen.link import FrameLink, open_link
 from drivers.canopen.polarity import wrong_settings
 from drivers.canopen.scaling import describe_scale, describe_settings, read_scale, wanted_settings
-from drivers.canopen.services import Node, ServiceError
+from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings
-from drivers.canopen.setup import ENCODER_PROFILE, ERROR_BEHAVIOUR, IO_PROFILE, OUTPUT_ERRORS, identify
+from drivers.canopen.setup import (
+    ENCODER_PROFILE,
+    ERROR_BEHAVIOUR,
+    IO_PROFILE,
+    OUTPUT_ERRORS,
+    identify,
+    without_fallback,
+)
 from drivers.canopen.zero_shift import read_zero_shift
 
 _ALL_NODES = range(1, 128)
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 _STOP, _ENTER_PRE_OPERATIONAL = 2, 128
 """NMT commands."""
-_STOPPED = 4
-"""State in a heartbeat."""
+_STOPPED, _OPERATIONAL = 4, 5
+"""States in a heartbeat."""
+_PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
+"""Abort codes of a dialogue that went wrong, as another client's questions in between make it."""
+_ENCODER_OBJECTS = (0x1017, 0, "heartbeat"), (0x1801, 1, "identifier of the PDO")
+"""Objects of an encoder that the startup needs, beside its position."""
+_ATTEMPTS = 3
+"""Attempts to reach or read one node."""
 _GAP = 0.002
 """Time between two questions, s: an interface queues few frames."""
 
@@ -84,33 +98,51 @@ class _Scanner:
         joints = zip(settings.encoders.nodes, JOINTS, strict=True)
         self._roles = {number: f"encoder of the {joint}" for number, joint in joints}
         self._roles[settings.valve_node.node] = "valves and interlocks"
-        self._stopped: set[int] = set()
-        """Nodes that say so in their heartbeat."""
+        self._states: dict[int, int] = {}
+        """Last state of each participant that sends a heartbeat."""
 
     def run(self) -> list[ScannedNode]:
         found = self._answering(_ALL_NODES)
-        stopped = sorted(self._stopped - found)
+        for _ in range(_ATTEMPTS - 1):  # a participant that the machine holds up loses frames
+            if not (missing := self._roles.keys() - found - set(self._stopped())):
+                break
+            found |= self._answering(sorted(missing))
+        silent = sorted(number for number in self._stopped() if number not in found)
+        woken = [] if self._has_bench() else silent
         try:
-            for number in stopped:
+            for number in woken:
                 self._send(frame(NMT, bytes([_ENTER_PRE_OPERATIONAL, number])))
-            found |= self._answering(stopped) if stopped else set()
+            found |= self._answering(woken) if woken else set()
             return [
                 self._judge(number) if number in found else self._missing(number)
                 for number in sorted(found | self._roles.keys())
             ]
         finally:
-            for number in stopped:
-                self._send(frame(NMT, bytes([_STOP, number])))
+            if woken:
+                self._listen(2.0 * self._settings.heartbeat)
+            for number in woken:
+                if self._states.get(number) != _OPERATIONAL and not self._has_bench():
+                    self._send(frame(NMT, bytes([_STOP, number])))
+
+    def _stopped(self) -> list[int]:
+        """Return the nodes that say so in their heartbeat."""
+        return [number for number, state in self._states.items() if state == _STOPPED]
+
+    def _has_bench(self) -> bool:
+        """Whether a bench sends its heartbeat on the bus."""
+        return self._settings.master in self._states
 
     def _answering(self, numbers: Iterable[int]) -> set[int]:
         """Return the nodes among `numbers` that answer a question for their device type."""
         found = set()
         for number in numbers:
             self._send(frame(SDO_REQUEST + number, _READ_DEVICE_TYPE))
-            answer = self._take(_GAP)
-            if answer is not None:
-                found.add(answer[0] - SDO_RESPONSE)
-        end = self._clock() + self._settings.service_time
+            found |= self._listen(_GAP)
+        return found | self._listen(self._settings.service_time)
+
+    def _listen(self, duration: float) -> set[int]:
+        """Listen for `duration` s; return the nodes that answered a question."""
+        found, end = set(), self._clock() + duration
         while (left := end - self._clock()) > 0.0:
             answer = self._take(left)
             if answer is not None:
@@ -126,15 +158,30 @@ class _Scanner:
         if whole is None:
             return None
         identifier, length, data = FRAME.unpack(whole)
-        if HEARTBEAT < identifier <= HEARTBEAT + _ALL_NODES[-1] and length == 1 and data[0] == _STOPPED:
-            self._stopped.add(identifier - HEARTBEAT)
+        if HEARTBEAT < identifier <= HEARTBEAT + _ALL_NODES[-1] and length == 1:
+            self._states[identifier - HEARTBEAT] = data[0] & 0x7F
         return (identifier, data[:length]) if SDO_RESPONSE < identifier < SDO_REQUEST else None
 
     def _missing(self, number: int) -> ScannedNode:
         cure = "no answer; check its power and number, and the bit rate and terminators of the bus"
+        if number in self._stopped():
+            cure = (
+                "stopped, while a bench is on this bus, which alone may command it; reset or end the bench, "
+                "then scan again"
+            )
         return ScannedNode(number, self._roles[number], "", "", False, cure)
 
     def _judge(self, number: int) -> ScannedNode:
+        """Read and judge a node; again if another client has come in between."""
+        judged, disturbed = self._judge_once(number)
+        for _ in range(_ATTEMPTS - 1):
+            if not disturbed:
+                break
+            judged, disturbed = self._judge_once(number)
+        return judged
+
+    def _judge_once(self, number: int) -> tuple[ScannedNode, bool]:
+        """Read and judge a node; return also whether a dialogue has failed that may succeed next time."""
         role = self._roles.get(number, "")
         node = Node(
             number,
@@ -152,18 +199,21 @@ class _Scanner:
                 scale = read_scale(node)
                 properties, shift = describe_scale(scale), read_zero_shift(node)
                 verdict = describe_settings(wanted_settings(node, scale, self._counts))
+                _need(node, (*_ENCODER_OBJECTS, (self._settings.encoders.position, 0, "position")))
             elif profile == IO_PROFILE:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:
                 cure = "in no role: correct the numbers in [canopen]"
-                return ScannedNode(number, role, device, properties, False, cure, shift)
+                return ScannedNode(number, role, device, properties, False, cure, shift), False
             chosen = self._settings.valve_node if "valves" in role else self._settings.encoders
             wanted = IO_PROFILE if "valves" in role else ENCODER_PROFILE
             identify(node, wanted, chosen.vendor, chosen.product)
         except DriverError as error:
-            return ScannedNode(number, role, device, properties, False, f"{error}", shift)
+            code = getattr(error, "code", None)
+            refused = ScannedNode(number, role, device, properties, False, f"{error}", shift)
+            return refused, code == 0 or code in _PROTOCOL_ABORTS
         verdict = verdict and f"after setting {verdict}"
-        return ScannedNode(number, role, device, properties, True, verdict, shift)
+        return ScannedNode(number, role, device, properties, True, verdict, shift), False
 
 
 def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
@@ -174,13 +224,17 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
     """
     chosen = settings.valve_node
     needed = [(0x6000, 1, "inputs"), (0x6200, 1, "outputs"), (0x1800, 5, "event timer of the inputs")]
+    needed += [(0x1017, 0, "heartbeat")]
     needed += [(0x6411, channel, "analogue output of a valve") for channel in chosen.valves]
     needed += [(0x6401, channel, "analogue input of a pressure") for channel in chosen.analogue_inputs]
+    _need(node, needed)
     if not chosen.watchdog_relay:
-        needed += [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]
-        needed += [(0x6444, channel, "error value of a valve") for channel in chosen.valves]
-    for index, subindex, name in needed:
-        node.read_bytes(index, subindex, name)
+        fallback = [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]
+        fallback += [(0x6444, channel, "error value of a valve") for channel in chosen.valves]
+        try:
+            _need(node, fallback)
+        except ServiceError as error:
+            raise without_fallback(error) if error.code in MISSING else error from None
     watchdogs = [
         f"{index:04X}h:{subindex}"
         for index, subindex in ((0x1400, 5), (0x1016, 1))
@@ -204,6 +258,16 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
     parts += [f"error values of {8 * len(size)} bits"] if size is not None else []
     parts += [f"error behaviour in {behaviour[0]}"] if behaviour else []
     return ", ".join(parts), ", ".join(changes)
+
+
+def _need(node: Node, objects: Iterable[tuple[int, int, str]]) -> None:
+    """Read objects (index, sub-index, name) that the startup needs.
+
+    Raises:
+        ServiceError: the device does not have one, or does not answer.
+    """
+    for index, subindex, name in objects:
+        node.read_bytes(index, subindex, name)
 
 
 def _describe_device(node: Node, profile: int) -> str:

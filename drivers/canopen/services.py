@@ -2,6 +2,10 @@
 
 The caller receives frames from the bus until the response arrives. Errors name node, object, abort code and
 action.
+
+A node has one pair of identifiers for all clients: a bench that starts and a scan, or a vendor's tool, get
+each other's responses. Only those that belong to the own request count: an abort for another client would
+otherwise read as "no such object", and a late response as one to the next question.
 """
 
 from __future__ import annotations
@@ -39,6 +43,14 @@ _MAX_RESPONSES = 64
 """Responses to one request: a text of 440 characters; a node that never ends must not hold the startup."""
 _ABORT = 0x80
 """Command specifier."""
+_RESPONSES = {0x20: 0x60, 0x00: 0x20, 0x40: 0x40, 0x60: 0x00}
+"""Command specifiers of downloads and uploads: request -> response."""
+_SPECIFIER, _TOGGLE = 0xE0, 0x10
+"""Bits of a command."""
+_SEGMENTS = frozenset({0x00, 0x60})
+"""Specifiers of requests that name no object."""
+_NO_OBJECT = bytes(3)
+"""What some devices name in every abort."""
 
 
 class ServiceError(DriverError):
@@ -190,6 +202,8 @@ class _PolledClient(SdoClient):
         self._take, self._clock, self._timeout = take, clock, timeout
         self._left = 0
         """Responses that the present dialogue may still have."""
+        self._request, self._object = bytes(8), _NO_OBJECT
+        """The last request, and index and sub-index of its dialogue."""
 
     @contextmanager
     def patience(self, timeout: float | None) -> Iterator[None]:
@@ -201,24 +215,52 @@ class _PolledClient(SdoClient):
         finally:
             self._timeout = usual
 
+    def send_request(self, request: bytes) -> None:
+        """Send a request and remember what its response must look like."""
+        self._request = bytes(request)
+        if request[0] & _SPECIFIER not in _SEGMENTS:
+            self._object = self._request[1:4]
+        super().send_request(request)  # type: ignore[no-untyped-call]
+
     def read_response(self) -> bytes:
-        """Wait for the node's response."""
+        """Wait for the node's response to the last request; others are ignored."""
         self._left -= 1
+        foreign = 0
         if self._left < 0:
             raise SdoCommunicationError(f"no end after {_MAX_RESPONSES} segments")
         end = self._clock() + self._timeout
         while self.responses.empty():
             left = end - self._clock()
             if left <= 0.0:
-                raise SdoCommunicationError(f"no answer within {self._timeout:g} s")
+                text = f"no answer within {self._timeout:g} s"
+                if foreign:
+                    text += f", but {foreign} to other questions; another client asks this node"
+                raise SdoCommunicationError(text)
             received = self._take(left)
-            if received is not None and received[0] == self.tx_cobid:
+            if received is None or received[0] != self.tx_cobid:
+                continue
+            if self._is_answer(received[1]):
                 self.on_response(received[0], received[1], 0.0)  # type: ignore[no-untyped-call]
+            else:
+                foreign += 1
         return super().read_response()  # type: ignore[no-any-return, no-untyped-call]
+
+    def _is_answer(self, response: bytes) -> bool:
+        """Whether `response` belongs to the last request; a fragment does, to be refused."""
+        if len(response) < len(self._request):
+            return True
+        if response[0] == _ABORT:
+            return response[1:4] in {self._object, _NO_OBJECT}
+        asked = self._request[0] & _SPECIFIER
+        if response[0] & _SPECIFIER != _RESPONSES.get(asked, -1):
+            return False
+        if asked in _SEGMENTS:
+            return (response[0] ^ self._request[0]) & _TOGGLE == 0
+        return response[1:4] == self._object
 
     def abort(self, abort_code: int = 0x08000000) -> None:
         """Send an abort to the node; the caller gets the exception."""
-        self.send_request(struct.pack("<B3xL", _ABORT, abort_code))  # type: ignore[no-untyped-call]
+        self.send_request(struct.pack("<B3xL", _ABORT, abort_code))
 
 
 class _Sender(canopen.Network):

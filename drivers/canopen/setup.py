@@ -5,12 +5,15 @@ Every setting is read back. Nothing moves: the nodes are pre-operational.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from drivers.base import ACTUATORS, DriverError
 from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, TPDO3, pressure_groups, valve_counts
 from drivers.canopen.polarity import check_stored, set_polarity
 from drivers.canopen.scaling import set_scale
 from drivers.canopen.services import MISSING, Node, ServiceError
-from drivers.canopen.settings import CanopenSettings
+from drivers.canopen.settings import CanopenSettings, ValveNodeSettings
 
 ENCODER_PROFILE, IO_PROFILE = 406, 401
 _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
@@ -37,7 +40,7 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
     chosen = settings.encoders
     identify(node, ENCODER_PROFILE, chosen.vendor, chosen.product)
     total = set_scale(node, counts, chosen.position)
-    _silence(node, _TPDO, keep=1)
+    _silence(node, _TPDO, {1})
     _set_pdo(node, _TPDO + 1, _TPDO_MAP + 1, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
     _set_heartbeat(node, settings)
     return total
@@ -51,8 +54,9 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     """
     chosen = settings.valve_node
     identify(node, IO_PROFILE, chosen.vendor, chosen.product)
-    _silence(node, _RPDO)
-    _silence(node, _TPDO)
+    groups = pressure_groups(chosen)
+    _silence(node, _RPDO, {0})
+    _silence(node, _TPDO, {0, *range(1, len(groups) + 1)})
     _set_fallback(node, settings)
     valves = [0x6411 << 16 | channel << 8 | 16 for channel in chosen.valves]
     silence = round(1e3 * watchdog)
@@ -62,7 +66,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     entry = settings.master << 16 | silence
     watches_heartbeat = _offer(node, 0x1016, 1, entry, 4, "consumer of the bench's heartbeat")
     if not (watches_commands or watches_heartbeat or chosen.watchdog_relay):
-        raise _without_fallback(
+        raise without_fallback(
             f"canopen: node {node.number} ({node.role}) has neither object 1400h:5 (event timer of the "
             "command) nor 1016h:1 (consumer of the bench's heartbeat)"
         )
@@ -72,7 +76,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
             f"{node.place(_TPDO, 5, 'event timer of the inputs')}: missing in the device, so a broken "
             "line would go undetected; use another device"
         )
-    for n, group in enumerate(pressure_groups(chosen), start=1):
+    for n, group in enumerate(groups, start=1):
         base = (TPDO2, TPDO3)[n - 1]
         mapped = [0x6401 << 16 | channel << 8 | 16 for channel in group]
         _set_pdo(node, _TPDO + n, _TPDO_MAP + n, base + node.number, settings.pressure_ticks, mapped)
@@ -90,20 +94,34 @@ def _set_fallback(node: Node, settings: CanopenSettings) -> None:
     """
     chosen = settings.valve_node
     new, inverted = set_polarity(node)
-    try:
-        for channel, centre, actuator in zip(chosen.valves, chosen.centre, ACTUATORS, strict=True):
-            count = valve_counts(centre, chosen)
+    for channel, centre, actuator in zip(chosen.valves, chosen.centre, ACTUATORS, strict=True):
+        count = valve_counts(centre, chosen)
+        with _excused(chosen):
             mode = f"error mode of the valve of the {actuator}"
             new |= node.set_if_different(0x6443, channel, 1, mode)
             new |= _set_error_value(node, channel, count, chosen.error_value_shift, actuator)
-            node.set(0x6411, channel, count, 2, f"valve of the {actuator}")
+        node.set(0x6411, channel, count, 2, f"valve of the {actuator}")
+    with _excused(chosen):
         new |= _set_output_errors(node)
-        node.set(0x6200, 1, 0, 1, "outputs")
-        new |= _set_error_behaviour(node)
-    except ServiceError as error:
-        if error.code not in MISSING or not chosen.watchdog_relay:
-            raise _without_fallback(error) if error.code in MISSING else error from None
+    node.set(0x6200, 1, 0, 1, "outputs")
+    new |= _set_error_behaviour(node)
     check_stored(node, inverted, new and _store(node, settings.store_time))
+
+
+@contextmanager
+def _excused(chosen: ValveNodeSettings) -> Iterator[None]:
+    """Let the device lack an object of its own fallback if an external relay is there instead.
+
+    Raises:
+        DriverError: no relay is named, or the device refuses an object that it has.
+    """
+    try:
+        yield
+    except ServiceError as error:
+        if error.code not in MISSING:
+            raise
+        if not chosen.watchdog_relay:
+            raise without_fallback(error) from None
 
 
 def _set_error_value(node: Node, channel: int, count: int, shift: int, actuator: str) -> bool:
@@ -167,7 +185,8 @@ def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: s
     return True
 
 
-def _without_fallback(what: object) -> DriverError:
+def without_fallback(what: object) -> DriverError:
+    """Return the refusal of a node that does not go passive by itself, for the reason `what`."""
     return DriverError(
         f"{what}. A node that does not centre the valves by itself when the bench is silent is refused: "
         "0 V is full stroke. Use another node, or fit an external watchdog relay that centres the valves and "
@@ -195,10 +214,10 @@ def identify(node: Node, profile: int, vendor: int, product: int) -> None:
             node.expect(0x1018, subindex, wanted, name, cure)
 
 
-def _silence(node: Node, communication: int, keep: int = -1) -> None:
-    """Disable every PDO of one direction except number `keep`."""
+def _silence(node: Node, communication: int, keep: set[int]) -> None:
+    """Disable every PDO of one direction except the numbers in `keep`, which are set afterwards."""
     for number in range(_MAX_PDOS):
-        if number == keep:
+        if number in keep:
             continue
         try:
             _invalidate(node, communication + number)
@@ -220,16 +239,33 @@ def _set_pdo(
 ) -> bool:
     """Configure one PDO in the order required by CiA 301: disable, map, set timer, enable.
 
-    A mapping that is right already is not written: some devices have a fixed one, and refuse with
-    whatever abort code. Returns whether the device has the requested event timer (ms).
+    Settings that are right already are not written: some devices have a fixed mapping or fixed
+    identifiers, and refuse with whatever abort code. Returns whether the device has the requested event
+    timer (ms).
     """
+    fits = _mapping(node, mapping) == mapped
+    if fits and _is_on(node, index, identifier, kind):
+        found = node.find(index, 5, "event timer") if event_timer else None
+        if found is None or int.from_bytes(found, "little") == event_timer:
+            return found is not None
+        try:
+            return _offer(node, index, 5, event_timer, 2, "event timer")
+        except ServiceError as error:
+            if not error.code:
+                raise  # else it wants the PDO disabled for that
     _invalidate(node, index)
-    node.set(index, 2, kind, 1, "transmission type")
-    if _mapping(node, mapping) != mapped:
+    node.set_if_different(index, 2, kind, "transmission type")
+    if not fits:
         _map(node, mapping, mapped)
     has_timer = bool(event_timer) and _offer(node, index, 5, event_timer, 2, "event timer")
     node.set(index, 1, identifier | _NO_REMOTE, 4, "identifier of the PDO", _COB_ID_MASK)
     return has_timer
+
+
+def _is_on(node: Node, index: int, identifier: int, kind: int) -> bool:
+    """Return whether a PDO is enabled with this identifier and transmission type."""
+    found = node.read(index, 1, "identifier of the PDO")
+    return (found ^ identifier) & _COB_ID_MASK == 0 and node.read(index, 2, "transmission type") == kind
 
 
 def _mapping(node: Node, mapping: int) -> list[int]:

@@ -380,7 +380,9 @@ class CanopenDevice:
         if self.state == OPERATIONAL:
             self._start_timers()
         self._sync = self.number_at(_SYNC_COB_ID) & 0x7FF
-        heartbeat = 1e-3 * self.number_at(_PRODUCER_HEARTBEAT) or math.inf
+        heartbeat = math.inf
+        if (_PRODUCER_HEARTBEAT, 0) in self:  # older devices answer node guarding only
+            heartbeat = 1e-3 * self.number_at(_PRODUCER_HEARTBEAT) or math.inf
         if heartbeat != self._heartbeat:
             self._heartbeat, self._heartbeat_due = heartbeat, self._now + heartbeat
         watched = {}

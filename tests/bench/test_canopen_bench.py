@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from bench.errors import ExitCode
-from bench.lifecycle import Cause, State
+from bench.lifecycle import Cause, Phase, State
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
+from bench.shot.recorded_shot import recorded_shot
+from bench.telemetry.recorder import read_swing
 from drivers.base import PASSIVE, Command, unpack_command
 from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
@@ -140,3 +142,34 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
         with running_bench(file, "--read-only", clock="wall"):
             assert said(file, *calibrate) == (0, "")
         assert said(file, "nodes", "--scan")[0] == 0
+
+
+@pytest.mark.timeout(600)
+def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) -> None:
+    """Encoders reversed and scaled, inputs and outputs inverted; a scan beside the running bench."""
+    file = write_configuration(
+        tmp_path,
+        "sold",
+        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )
+    with (
+        played_nodes(file, "--encoder", "reversed-17", "--io", "inverted-io"),
+        running_bench(file, clock="wall") as bench,
+        bench.client.lease("test", 60.0),
+    ):
+        assert said(file, "nodes", "--scan")[0] == 0
+        assert bench.client.status()["device"]["trouble"] == ""
+        bench.recover()
+        bench.take_address()
+        bench.swing()
+        bench.wait_phase(Phase.FOLLOW_THROUGH)
+        bench.wait_until(lambda record: record["state"] == State.READY)
+        deadline = time.monotonic() + 30.0
+        while not bench.records:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        cycles, metadata = read_swing(bench.records[0])
+    speed = recorded_shot(cycles, metadata, "").record.shot.club_speed_mps
+    assert speed is not None
+    assert 40.0 < speed < 46.0

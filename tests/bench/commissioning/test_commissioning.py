@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.calibration.archive import calibration_of
+from bench.calibration.values import CalibrationKind, EncoderZeros
 from bench.cli import main
 from bench.commissioning.commissioning import (
     ALL_STEPS,
@@ -178,6 +181,26 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
     assert loaded.envelope.following == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
     assert "guess" in path.read_text()
+
+
+def test_robot_file_says_how_its_zeros_are_calibrated(tmp_path: Path, configuration: Configuration) -> None:
+    known = KnownRobot(configuration.plant)
+    zeros = {f"encoders.zero_count.{i}": 1234.5 + i for i in range(3)}
+    known.add([FoundValue(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
+    known.add([FoundValue("encoders.sign.2", -1.0, 0.0, "", "wiring")])
+    base, path = tmp_path / "bench.toml", tmp_path / "robot.toml"
+    base.write_text(f'base = "shipped"\n[bench]\nid = "robot-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
+    path.write_text(robot_file(known, str(base), DAY.date()))
+    (command,) = re.findall(r"^# golfbench --config robot.toml (.*)$", path.read_text(), re.MULTILINE)
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(path), *command.split()])
+    assert ended.value.code == 0
+    entry = calibration_of(load_configuration(path), datetime.now(UTC)).of(CalibrationKind.ENCODERS)
+    assert entry is not None
+    assert isinstance(entry.values, EncoderZeros)
+    assert entry.values.zero_count == tuple(zeros.values())
+    assert entry.values.sign == (1, 1, -1)
+    assert command.endswith("--uncertainty-deg 0.05")
 
 
 def test_a_passed_bound_makes_the_machine_passive() -> None:

@@ -16,6 +16,7 @@ from drivers.base import Command, Readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
+from sim.nodes.device import CanopenDevice
 from sim.nodes.plan import NodesPlan
 from sim.nodes.process import BenchNodes
 from sim.plant import PlantParameters
@@ -199,3 +200,9 @@ def make(settings: CanopenSettings = SETTINGS, **changes: object) -> tuple[Canop
     """Return a closed driver and its wire."""
     wire = Wire()
     return DriverInStep(wire, replace(settings, **changes)), wire  # type: ignore[arg-type]
+
+
+def settings_of(device: CanopenDevice) -> dict[tuple[int, int], bytes]:
+    """Return what a master has written."""
+    values, objects = device._values.items(), device._objects
+    return {key: value for key, value in values if objects[key].writable and not objects[key].pdo_mappable}

@@ -10,7 +10,14 @@ import pytest
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.nodes.personality import ENCODER, IO, Personality, find_personality, personalities
+from sim.nodes.personality import (
+    ENCODER,
+    IO,
+    ObjectChange,
+    Personality,
+    find_personality,
+    personalities,
+)
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
 
 ENCODERS = {name: one for name, one in personalities().items() if one.role == ENCODER}
@@ -75,6 +82,29 @@ def test_another_resolution_is_refused_with_the_value_to_configure(name: str) ->
     told = rf"node 1 .*6501h:0.*found {counts},.* expected 131072; set plant.* = {counts} if"
     with pytest.raises(DriverError, match=told):
         driver.open()
+
+
+FINER = {
+    "24 bit": (2**24, 1, False, 2**24),
+    "24 bit, last position": (2**24, 1, True, 2**24),
+    "25 bit": (2**25, 1, False, 2**24),
+    "12 bit, 4096 turns": (2**12, 2**12, True, 2**12),
+    "18 bit, 2^14 turns, 2^32 in all": (2**18, 2**14, False, 2**18),
+    "18 bit, 2^14 turns, last position": (2**18, 2**14, True, 2**18),
+    "no power of two": (360_000, 1, False, 360_000),
+}
+"""Counts of the disc, revolutions, whether 6002h is the last position, counts of the bench."""
+
+
+@pytest.mark.parametrize("case", FINER.values(), ids=FINER)
+def test_an_encoder_of_no_known_family_is_taken_by_what_it_says(case: tuple[int, int, bool, int]) -> None:
+    disc, revolutions, is_last, counts = case
+    plain = replace(ENCODERS["reversed-17"], counts=disc, revolutions=revolutions, range_is_last=is_last)
+    objects = [ObjectChange(0x6000, 0, 4, None, None)] if disc != counts else []
+    objects += [ObjectChange(index, 0, counts, None, None) for index in (0x6001, 0x6002) if disc != counts]
+    driver, wire = bus(encoder=replace(plain, objects=tuple(objects)), counts=counts)
+    driver.open()
+    assert_counts_are_the_shafts(driver, wire, counts)
 
 
 @pytest.mark.parametrize(

@@ -15,15 +15,8 @@ from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.scan import ScannedNode, scan
 from drivers.canopen.settings import CanopenSettings
-from sim.nodes.device import CanopenDevice
 from sim.nodes.personality import ENCODER, IO, Personality, find_personality, personalities
-from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
-
-
-def settings_of(device: CanopenDevice) -> dict[tuple[int, int], bytes]:
-    """Return what a master has written."""
-    values, objects = device._values.items(), device._objects
-    return {key: value for key, value in values if objects[key].writable and not objects[key].pdo_mappable}
+from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan, settings_of
 
 
 def scanned(
@@ -106,7 +99,7 @@ def test_missing_and_misnumbered_nodes_are_listed() -> None:
 @pytest.mark.parametrize(
     ("absent", "told"),
     [
-        ((0x6444, None), r"object 6444h:1 .*06020000h"),
+        ((0x6444, None), r"object 6444h:1 .*06020000h.*0 V is full stroke.*watchdog_relay"),
         ((0x1800, 5), r"object 1800h:5 \(event timer of the inputs\)"),
         ((0x6206, None), r"found no error mode of the outputs"),
     ],
@@ -116,6 +109,20 @@ def test_an_unfit_io_node_is_named(absent: tuple[int, int | None], told: str) ->
     found = scanned(io=io)[10]
     assert not found.taken
     assert re.search(told, found.verdict), found.verdict
+
+
+@pytest.mark.parametrize("role", [ENCODER, IO])
+def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> None:
+    """Older devices answer node guarding only."""
+    number, family = (1, "reversed-17") if role == ENCODER else (10, "inverted-io")
+    older = replace(find_personality(family, role), absent=frozenset({(0x1017, None)}))
+    encoder, io = (older, None) if role == ENCODER else (None, older)
+    plan = replace(nodes_plan(), encoder_personality=encoder, io_personality=io)
+    found = scanned(encoder, io)[number]
+    assert not found.taken
+    assert "object 1017h:0 (heartbeat)" in found.verdict
+    with pytest.raises(DriverError, match=rf"node {number} .*, object 1017h:0 \(heartbeat\)"):
+        DriverInStep(Wire(plan), SETTINGS).open()
 
 
 def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -> None:
@@ -132,3 +139,51 @@ def test_the_command_refuses_an_unknown_family() -> None:
     result = CliRunner().invoke(app, ["--config", "local_can", "nodes", "--io", "posital-16"], obj=Session())
     assert result.exit_code != 0
     assert "wago-750" in f"{result.output}{result.exception}"
+
+
+def stopped_by_a_bench() -> Wire:
+    wire = Wire(nodes_plan())
+    driver = DriverInStep(wire, SETTINGS)
+    driver.open()
+    driver.close()
+    wire.sent.clear()
+    return wire
+
+
+def test_an_answer_that_is_lost_is_asked_for_again() -> None:
+    wire, lost = Wire(nodes_plan()), [0]
+
+    def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        """Lose the first two answers of node 2, as a participant that the machine holds up does."""
+        if identifier == 0x582 and lost[0] < 2:
+            lost[0] += 1
+            return []
+        return [(identifier, data)]
+
+    wire.meddle = meddle
+    found = scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [(node.number, node.taken) for node in found] == [(1, True), (2, True), (3, True), (10, True)]
+
+
+def test_beside_a_bench_a_stopped_node_is_not_commanded() -> None:
+    wire = stopped_by_a_bench()
+    wire.meddle = lambda identifier, data: [(0x77F, b"\x05"), (identifier, data)]
+    found = scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [(node.number, node.taken) for node in found] == [(1, True), (2, True), (3, True), (10, False)]
+    assert "stopped, while a bench is on this bus" in found[3].verdict
+    assert not [data for identifier, data in wire.sent if identifier == 0]
+
+
+def test_a_node_that_a_bench_has_started_during_the_scan_is_not_stopped() -> None:
+    wire = stopped_by_a_bench()
+
+    def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        """Let a bench start the node once its name is read."""
+        if identifier == 0x58A and data[1:4] == b"\x08\x10\x00":
+            wire.order(1, 10)
+        return [(identifier, data)]
+
+    wire.meddle = meddle
+    scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
+    assert [data for identifier, data in wire.sent if identifier == 0] == [b"\x80\x0a"]
+    assert wire.nodes.valve_node.state == 5

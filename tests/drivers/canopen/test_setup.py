@@ -183,6 +183,44 @@ def test_an_external_relay_stands_in_for_what_the_node_lacks(spoil: Callable[[Wi
     assert driver.operational
 
 
+def test_beside_a_relay_all_that_the_node_has_is_set_before_it_starts() -> None:
+    driver, wire = make(replace(SETTINGS, valve_node=RELAY))
+    without(valve_node, *((index, n) for index in (0x6443, 0x6444) for n in range(4)))(wire)
+    node, values = wire.nodes.valve_node, list[tuple[int, ...]]()
+    places = [(0x6411, 1), (0x6411, 2), (0x6411, 3), (0x6200, 1), (0x6206, 1), (0x6207, 1), (0x1029, 1)]
+    node.put(0x6200, 1, 0xFF)
+
+    def note(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
+        if identifier == 0x581 and not values:  # the valve node comes before the encoders
+            values.append(tuple(node.number_at(*place) for place in places))
+        return [(identifier, data)]
+
+    wire.meddle = note
+    driver.open()
+    assert values == [(16384, 16384, 16384, 0, 0xFF, 0, 0)]
+
+
+@pytest.mark.parametrize("which", [(0x1800, 0x1A00), (0x1800, 0x1801, 0x1802, 0x1400, 0x1A00, 0x1600)])
+def test_communication_parameters_that_are_fixed_and_right_are_taken(which: tuple[int, ...]) -> None:
+    """A device that a predecessor has set up for this bench and then locked."""
+    driver, wire = make()
+    driver.open()
+    driver.close()
+    for (index, subindex), found in wire.nodes.valve_node._objects.items():
+        if index in which and subindex != 5:
+            found.access_type = "const"
+    driver.open()
+    assert driver.operational
+
+
+def test_a_fixed_identifier_that_is_another_is_refused() -> None:
+    driver, wire = make()
+    wire.nodes.valve_node._objects[0x1800, 1].access_type = "const"
+    wire.nodes.valve_node._objects[0x1800, 1].default = 0x40000285
+    with pytest.raises(DriverError, match=r"object 1800h:1 \(identifier of the PDO\).* 06010002h"):
+        driver.open()
+
+
 @pytest.mark.parametrize(
     "missing", [[(0x1400, 5)], [(0x1016, 0), (0x1016, 1), (0x1016, 2)]], ids=["heartbeat only", "timer only"]
 )
