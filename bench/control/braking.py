@@ -19,7 +19,7 @@ _ABOVE = 0.005
 
 
 def lifted_angle(plant: PlantParameters) -> float:
-    """Return the angle of the right arm's joint (rad) at which a straight club just passes above the ground."""
+    """Return the angle of the right arm's joint, rad, at which a straight club passes above the ground."""
     robot, site = plant.robot, plant.site
     reach, below = -(site.ground + site.sole_depth) - _ABOVE, robot.l23 + robot.club.length_to_face
     cosine = (reach**2 - robot.l12**2 - below**2) / (2 * robot.l12 * below)

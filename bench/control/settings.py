@@ -114,8 +114,8 @@ class ControlSettings:
     brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
     follow_through_lift: NotNegative = 6.0
-    """Opening per rad by which the right arm is pulled in after a ball on turf or a mat, until a straight club
-    passes above the ground; found with `golfbench --config bag swing check`."""
+    """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
+    club passes above the ground; found with `golfbench --config bag swing check`."""
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05
