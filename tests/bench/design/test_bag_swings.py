@@ -8,25 +8,13 @@ import numba
 import numpy as np
 import pytest
 
-from bench.config import Configuration, load_configuration
+from bench.config import load_configuration
 from bench.control.braking import lifted_angle
 from bench.design.check import TRIALS, SwingCheck
-from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
-from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.simulation.simulated_bench import simulate_swing
 from sim.kinematics import forward_kinematics
+from tests.bench.design.bag_demands import DEMANDS, mounted
 
-DEMANDS = {
-    "wood3-92mph": (41.1, -0.8),
-    "hybrid-87mph": (38.9, -1.9),
-    "iron5-81mph": (36.2, -2.0),
-    "iron7-78mph": (34.9, -2.5),
-    "iron8-76mph": (34.0, -2.8),
-    "iron9-74mph": (33.1, -3.2),
-    "pitching-72mph": (32.2, -3.2),
-    "wedge56-55yd": (26.75, -4.5),
-}
-"""Head speed (m/s) and attack angle (deg) for which each was designed."""
 AROUND_THE_BALL = range(-80, 121, 20)
 """Ticks from the ball at which the bench falls silent."""
 
@@ -36,28 +24,22 @@ needs_speed = pytest.mark.skipif(
 )
 
 
-def mounted(name: str) -> tuple[Configuration, Profile]:
-    profile = load_profile(find_profile(name))
-    return load_configuration(Path("bag")).with_club(profile.club), profile
-
-
 @each_swing
 @needs_speed
 def test_a_swing_of_the_bag_delivers_as_demanded(name: str) -> None:
-    c, profile = mounted(name)
-    speed, attack = DEMANDS[name]
-    delivery = simulate_swing(SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)).delivery
+    demand, delivery = DEMANDS[name], simulate_swing(mounted(name)).delivery
     assert delivery is not None
-    assert delivery.speed == pytest.approx(speed, rel=0.002)
-    assert np.degrees(delivery.attack_angle) == pytest.approx(attack, abs=0.1)
+    assert delivery.speed == pytest.approx(demand.speed, rel=0.002)
+    assert np.degrees(delivery.attack_angle) == pytest.approx(demand.attack, abs=0.1)
     assert abs(delivery.in_plane_error) < 0.5e-3
 
 
 @each_swing
 @needs_speed
 def test_a_silent_bench_throws_no_head_deep_into_the_turf(name: str) -> None:
-    c, profile = mounted(name)
-    check = SwingCheck(c.plant, profile, c.control, c.envelope.with_model_check("off"), c.estimator)
+    bench = mounted(name)
+    profile, unwatched = bench.profile, bench.envelope.with_model_check("off")
+    check = SwingCheck(bench.plant, profile, bench.control, unwatched, bench.estimator)
     silent = [trial for trial in TRIALS if trial.name.startswith("bench silent")]
     contact = round(profile.impact_time / profile.period)
     instants = [contact + ticks for ticks in AROUND_THE_BALL]
