@@ -18,7 +18,7 @@ from sim.plant import build_plant
 BAG = ("wood1", "wood3", "hybrid", "iron5", "iron7", "iron8", "iron9", "pitching", "wedge56")
 TEES = {"wood1": 0.0387, "wood3": 0.0239, "hybrid": 0.0233}
 """How far the ball stands above turf in the swing plane, m."""
-HANDS = {"wood1": 0.47, "wood3": 0.476, "hybrid": 0.476, "pitching": 0.449, "wedge56": 0.449}
+HANDS = {"wood1": 0.47, "wood3": 0.476, "hybrid": 0.476, "iron5": 0.449, "pitching": 0.449, "wedge56": 0.449}
 """How far the ball lies below the shoulder beyond the club's length, m; the irons' is between."""
 IRON7 = """
 [sites.iron7]
