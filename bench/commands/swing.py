@@ -359,8 +359,7 @@ def design(
     if whose is not None:
         rows = [golfer_row(plant, whose, swing)]
         Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
-    mounted = "" if club is None else f" --club {club}"
-    typer.echo(f"Next: golfbench swing check {path}{mounted}")
+    typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
 
 
 def _with_motion(
