@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 app = typer.Typer(invoke_without_command=True)
 
 Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
+ClubName = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Club of the configuration.", show_default="the mounted one"),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
@@ -107,6 +111,7 @@ def simulate(
             metavar="DIR", help="Folder for pictures and records.", show_default="DATA_DIR/simulations/NAME"
         ),
     ] = None,
+    club: ClubName = None,
     ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
     json_: Json = False,
 ) -> None:
@@ -116,7 +121,7 @@ def simulate(
     """
     from bench.swing.library import THESIS
 
-    configuration = context.ensure_object(Session).configuration()
+    configuration = context.ensure_object(Session).configuration().with_club(club)
     if output is None:
         output = configuration.bench.data_dir / "simulations" / Path(profile).stem
     if profile == THESIS:
@@ -171,6 +176,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
 def check(
     context: typer.Context,
     profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")] = "default",
+    club: ClubName = None,
     spacing: Annotated[int, typer.Option(min=1, help="Ticks between tested instants.")] = 20,
     json_: Json = False,
 ) -> None:
@@ -187,13 +193,16 @@ def check(
     from bench.commands.check_table import check_record, check_table
     from bench.commands.progress import progress_bar
     from bench.design.check import SwingCheck, summarise
+    from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     path = find_profile(profile)
     swing = load_profile(path)
-    configuration = context.ensure_object(Session).configuration().for_profile(swing, path)
+    configuration = context.ensure_object(Session).configuration().with_club(club)
+    require_possible(swing, configuration.plant, configuration.envelope, str(path))
+    configuration = configuration.for_profile(swing, path)
     bench = SwingCheck(
         configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
     )
@@ -218,7 +227,6 @@ Output = Annotated[
         show_default="CLUB-SPEEDmps.toml",
     ),
 ]
-ClubName = Annotated[str | None, typer.Option(metavar="NAME", help="Club of the configuration.")]
 GolferName = Annotated[str | None, typer.Option(metavar="NAME", help="Golfer to imitate.")]
 HeadSpeed = Annotated[
     float | None,
@@ -351,7 +359,7 @@ def design(
     if whose is not None:
         rows = [golfer_row(plant, whose, swing)]
         Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
-    typer.echo(f"Next: golfbench swing check {path}")
+    typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
 
 
 def _with_motion(
@@ -486,6 +494,7 @@ def limits(
             show_default="beside the profile; of one that comes with golfbench DATA_DIR/limits",
         ),
     ] = None,
+    club: ClubName = None,
     draws: Annotated[int, typer.Option(min=30, help="Robots drawn; half as many more to learn on.")] = 300,
     processes: Processes = 0,
     cluster: ClusterAddress = "",
@@ -500,13 +509,15 @@ def limits(
     from bench.commands.progress import progress_bar
     from bench.control.model_limits import save_limits
     from bench.design.model_limits import make_limits
+    from bench.design.validate import require_possible
     from bench.simulation.series import Bench
     from bench.swing.library import PROFILES, find_profile
     from bench.swing.profile import load_profile
 
-    c = context.ensure_object(Session).configuration()
+    c = context.ensure_object(Session).configuration().with_club(club)
     path = find_profile(profile)
     swing = load_profile(path)
+    require_possible(swing, c.plant, c.envelope, str(path))
     beside, stored = c.limits_files(path)
     file = output or (stored if path.parent == PROFILES else beside)
     with sweep_engine(c, processes, cluster, draws) as engine, progress_bar() as bar:
@@ -523,6 +534,7 @@ def address(
     context: typer.Context,
     profile: Name,
     output: Annotated[Path, typer.Option(metavar="FILE", help="Profile to write; its table goes beside it.")],
+    club: ClubName = None,
 ) -> None:
     """Plan the chamber pressures at the address of a profile, for the configured plant.
 
@@ -534,7 +546,7 @@ def address(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
-    plant = context.ensure_object(Session).configuration().plant
+    plant = context.ensure_object(Session).configuration().with_club(club).plant
     path = find_profile(profile)
     try:
         planned = with_planned_air(load_profile(path), plant)

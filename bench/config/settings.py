@@ -171,6 +171,16 @@ class Configuration:
             plant = self.plant_of(club, _choice(self, "clubs", club))
         return plant if ball is None else replace(plant, ball=_choice(self, "balls", ball))
 
+    def with_club(self, name: str | None) -> Configuration:
+        """Return the configuration with the club called `name` mounted, on its site; None keeps the club.
+
+        Raises:
+            BenchError: none has that name.
+        """
+        if name is None:
+            return self
+        return replace(self, plant=self.plant_with(club=name), swing=replace(self.swing, club=name))
+
     def plant_of(self, name: str, club: Club) -> PlantParameters:
         """Return the plant with `club` on the site of the club called `name`."""
         plant = replace(self.plant, robot=replace(self.plant.robot, club=club))

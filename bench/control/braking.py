@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from math import acos, pi
 from typing import Any
 
 import numpy as np
 
 from bench.control.states import is_still, stand
 from drivers.base.compiled import compiled
+from sim.plant import PlantParameters
+
+RIGHT_ARM = 1
+"""Index of the right arm's joint in drivers.base.JOINTS."""
+
+_ABOVE = 0.005
+"""Height at which a club thrown back passes above the turf, m."""
+
+
+def lifted_angle(plant: PlantParameters) -> float:
+    """Return the angle of the right arm's joint, rad, at which a straight club passes above the ground."""
+    robot, site = plant.robot, plant.site
+    reach, below = -(site.ground + site.sole_depth) - _ABOVE, robot.l23 + robot.club.length_to_face
+    cosine = (reach**2 - robot.l12**2 - below**2) / (2 * robot.l12 * below)
+    return 2 * pi - acos(min(max(cosine, -1.0), 1.0))
 
 
 @compiled
@@ -28,6 +44,17 @@ def brake_openings(s: Any, p: Any, e: Any) -> None:
         s.desired[i] = brake_opening(
             p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
         )
+
+
+@compiled
+def lift(s: Any, p: Any, e: Any) -> None:
+    """Pull the right arm in as far as lets a straight club pass above the turf, on top of the braking law.
+
+    The air that brakes a follow-through is a spring: should the bench fall silent, it throws the club back
+    along the arc of arms and club stretched out, which on turf lies below the ground.
+    """
+    if p.lift_gain > 0.0:
+        s.desired[RIGHT_ARM] -= p.lift_gain * max(e.angle[RIGHT_ARM] - p.lift_angle, 0.0)
 
 
 @compiled

@@ -87,7 +87,7 @@ class MadeFor(NamedTuple):
         return cls(
             digest_of(profile),
             _digest(machine),
-            _digest([_as_acting(control), asdict(estimator), bounds]),
+            _digest([_as_acting(control, plant), asdict(estimator), bounds]),
         )
 
 
@@ -117,9 +117,14 @@ class LimitsInUse(NamedTuple):
     """Whether there is a file that could not be used."""
 
 
-def _as_acting(control: ControlSettings) -> dict[str, Any]:
-    """Return `control` without what does not act: gains by hand beside those from the machine, a factor 1."""
+def _as_acting(control: ControlSettings, plant: PlantParameters) -> dict[str, Any]:
+    """Return `control` without what does not act on `plant`.
+
+    Gains by hand beside those from the machine, a factor 1, a lift where there is no turf.
+    """
     values = asdict(control)
+    if plant.site.surface == "none":
+        del values["follow_through_lift"]
     if values["downswing_stiffness"] == 1.0:
         del values["downswing_stiffness"]
     if values.pop("gains") == "machine":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bench.control.address_air import HELD, bring_air, catch_at_address, charge, leave_address_air, loosen
-from bench.control.braking import brake_openings
+from bench.control.braking import brake_openings, lift
 from bench.control.feed_forward import KANE, NONE
 from bench.control.gain_table import DAMPING, DERIVATIVE, MOVE, PROPORTIONAL, interpolate_gains, middle_pose
 from bench.control.homing import search
@@ -54,6 +54,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == Phase.FOLLOW_THROUGH:
         brake_openings(s, p, e)
+        lift(s, p, e)
     else:
         _control_openings(state, parameters, time, measured_step)
 

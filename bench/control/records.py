@@ -25,6 +25,8 @@ CONTROL_PARAMETERS = np.dtype(
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
         ("brake_fade", "f8", (3,)),
+        ("lift_gain", "f8"),
+        ("lift_angle", "f8"),
         ("feed_forward", "u1"),
         ("force_gain", "f8", (3,)),
         ("rate_opening", "f8", (3,)),

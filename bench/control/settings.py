@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from bench.control.braking import lifted_angle
 from bench.control.demand import demand_for
 from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
@@ -112,6 +113,9 @@ class ControlSettings:
     """Opening per rad/s2 against the motion in BRAKE."""
     brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
+    follow_through_lift: NotNegative = 6.0
+    """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
+    club passes above the ground; found with `golfbench --config bag swing check`."""
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05
@@ -530,6 +534,8 @@ def _control_record(
             if setting.name in (CONTROL_PARAMETERS.names or ()):
                 value = getattr(settings, setting.name)
                 record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
+    if plant.site.surface != "none":
+        record["lift_gain"], record["lift_angle"] = control.follow_through_lift, lifted_angle(plant)
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     for setting in fields(homing):
         if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":

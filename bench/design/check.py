@@ -9,7 +9,7 @@ stand higher than the bench believes, so that the head meets the turf first (a f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -113,39 +113,45 @@ class SwingCheck:
         self.parameters = build_controller(parameters, profile, control, envelope, estimator)
         self.watched = round(_WATCHED / parameters.tick)
 
-    def _bases(self, spacing: int, *, ball: bool) -> Iterator[tuple[int, LockstepEngine]]:
-        """Yield the bench every `spacing` ticks of a nominal swing: (tick of the swing, bench)."""
+    def _bases(self, ticks: Sequence[int], *, ball: bool) -> Iterator[tuple[int, LockstepEngine]]:
+        """Yield the bench at rising `ticks` of a nominal swing, which is swung to its end: (tick, bench)."""
         stepper = Lockstep(self.plant, self.parameters, self.profile.angle[0])
         bench = LockstepEngine(stepper, name=self.profile.name)
         bench.arm()
         bench.await_air()
         bench.control["tee"] = ball
-        for tick in range(0, len(self.profile.angle), spacing):
-            yield tick, bench
-            bench.advance(min(spacing, len(self.profile.angle) - tick), Request.SWING if tick == 0 else 0)
+        now = 0
+        for tick in (*ticks, len(self.profile.angle)):
+            if tick > now:
+                bench.advance(tick - now, Request.SWING if now == 0 else 0)
+            now = tick
             if bench.cause:
                 raise Refused(
                     f"checking profile {self.profile.name!r}",
-                    f"the undisturbed swing stopped at tick {tick}: {CAUSE_TEXT[bench.cause]}",
+                    f"the undisturbed swing stopped by tick {tick}: {CAUSE_TEXT[bench.cause]}",
                     "an undisturbed swing that runs to its end",
                     "Try it with `golfbench swing simulate`.",
                 )
+            if tick < len(self.profile.angle):
+                yield tick, bench
 
     def outcomes(
         self,
         trials: tuple[FaultTrial, ...] = TRIALS,
         spacing: int = 10,
         progress: Callable[[float], None] = lambda part: None,
+        *,
+        ticks: Sequence[int] | None = None,
     ) -> list[TrialOutcome]:
-        """Return how each of `trials` ends from every `spacing`-th tick of the swing.
+        """Return how each of `trials` ends from every `spacing`-th tick of the swing, or from rising `ticks`.
 
         Raises:
             Refused: the undisturbed swing does not run.
         """
-        found = []
+        found, every = [], range(0, len(self.profile.angle), spacing)
         for part, ball in enumerate((True, False)):
             wanted = [trial for trial in trials if trial.ball == ball]
-            for tick, bench in self._bases(spacing, ball=ball) if wanted else ():
+            for tick, bench in self._bases(every if ticks is None else ticks, ball=ball) if wanted else ():
                 found += [
                     self._outcome(trial, tick, bench) for trial in wanted if not (trial.raised and tick)
                 ]

@@ -258,7 +258,7 @@ _SETTINGS: Mapping[str, type[Any]] = {
 
 _BEFORE: Mapping[str, Any] = {
     "plant": {"vent_feedback": False},
-    "control": {"gains": "hand", "downswing_stiffness": 1.0},
+    "control": {"gains": "hand", "downswing_stiffness": 1.0, "follow_through_lift": 0.0},
 }
 """Values of settings for records of before they existed: what the machine was then, not today's default."""
 

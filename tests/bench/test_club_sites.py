@@ -16,6 +16,10 @@ from sim.impact import face_axes, impact_parameters
 from sim.plant import build_plant
 
 BAG = ("wood1", "wood3", "hybrid", "iron5", "iron7", "iron8", "iron9", "pitching", "wedge56")
+TEES = {"wood1": 0.0387, "wood3": 0.0239, "hybrid": 0.0233}
+"""How far the ball stands above turf in the swing plane, m."""
+HANDS = {"wood1": 0.47, "wood3": 0.476, "hybrid": 0.476, "iron5": 0.449, "pitching": 0.449, "wedge56": 0.449}
+"""How far the ball lies below the shoulder beyond the club's length, m; the irons' is between."""
 IRON7 = """
 [sites.iron7]
 plane_deg = 62.5
@@ -60,7 +64,7 @@ def test_a_club_brings_its_site(bag: Configuration) -> None:
     assert plant.robot.club == bag.clubs["iron7"]
     assert plant.robot.lie == pytest.approx(radians(62.0))
     assert plant.robot.in_plane_gravity == pytest.approx(plant.robot.gravity * sin(radians(62.0)))
-    assert (plant.site.ball_x, plant.site.ground) == (0.07, -1.3574)
+    assert (plant.site.ball_x, plant.site.ground) == (0.07, -1.3694)
     assert type(plant.site) is type(bag.plant.site)
     assert build_plant(plant).plant["lie"][0] == plant.robot.lie
 
@@ -86,9 +90,9 @@ def test_clubs_of_the_bag_meet_their_balls_level(name: str, bag: Configuration) 
     assert toe[1] == pytest.approx(0.0, abs=1e-9)
     assert degrees(asin(n[1])) == pytest.approx(degrees(club.loft))
     lifted = site.ball_y - site.ground - plant.ball.radius
-    assert lifted == pytest.approx(0.0387 if name == "wood1" else 0.0, abs=1e-4)
-    # The arms stand alike whatever the club's length, on turf higher than at a tee.
-    assert site.ball_y + club.length_to_face == pytest.approx(-0.47 if name == "wood1" else -0.449, abs=1e-9)
+    assert lifted == pytest.approx(TEES.get(name, 0.0), abs=1e-4)
+    # The arms stand alike whatever the club's length, lower for irons, wood and hybrid than for wedges.
+    assert site.ball_y + club.length_to_face == pytest.approx(-HANDS.get(name, 0.461), abs=1e-9)
     assert (site.surface, site.divot > 0.0) == (("none", False) if name == "wood1" else ("turf", True))
 
 

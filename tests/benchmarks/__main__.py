@@ -33,6 +33,7 @@ BENCHMARKS = (
 )
 LONG = (
     "impact",
+    "bag_swings",
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",

@@ -29,6 +29,7 @@ class Answer(NamedTuple):
 Run = Callable[..., Answer]
 
 SHIPPED = load_profile(find_profile("driver-85mph"))
+IRON = find_profile("iron7-78mph")
 
 
 @pytest.fixture
@@ -91,6 +92,24 @@ def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> Non
     assert answer.code == ExitCode.BAD_INPUT
     assert "the mounted one" in answer.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "limits"])
+def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: str, run: Run) -> None:
+    answer = run("swing", command, "wrong.toml")
+    assert answer.code == ExitCode.BAD_INPUT
+    assert '"putter"' in answer.err
+    assert '"driver", the mounted one' in answer.err
+    assert answer.out == ""
+
+
+def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
+    path = str(IRON)
+    assert run("--config", "bag", "swing", "simulate", path, "--output", "one").code == ExitCode.BAD_INPUT
+    answer = run("--config", "bag", "swing", "simulate", path, "--club", "iron7", "--output", "two", "--json")
+    assert answer.code == ExitCode.OK, answer.err
+    answer = run("--config", "bag", "swing", "check", path, "--club", "putter")
+    assert (answer.code, "one of driver" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
 def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:

@@ -167,6 +167,13 @@ def test_ball_and_seed_do_not_make_limits_stale(default_profile: Profile, file: 
     assert not limits_in_use(ModelSettings(), made_for(default_profile, plant=plant), [file]).stale
 
 
+def test_a_lift_counts_only_where_it_acts(default_profile: Profile) -> None:
+    turf = replace(PLANT, site=replace(PLANT.site, surface="turf"))
+    without = ControlSettings(follow_through_lift=0.0)
+    assert made_for(default_profile, control=without) == made_for(default_profile)
+    assert made_for(default_profile, plant=turf, control=without) != made_for(default_profile, plant=turf)
+
+
 def test_the_first_file_that_fits_is_used(limits: ModelLimits, file: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.limits.toml"
     save_limits(other, replace(limits, made_for=limits.made_for._replace(plant="0")))

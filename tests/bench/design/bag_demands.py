@@ -1,0 +1,43 @@
+"""What the shipped swings of the bag were designed for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from bench.config import Configuration, load_configuration
+from bench.simulation.simulated_bench import SimulatedBench
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+
+
+class Demand(NamedTuple):
+    """A delivery, and the row of the LPGA Tour's averages that it follows."""
+
+    speed: float
+    """m/s"""
+    attack: float
+    """deg"""
+    average: str = ""
+    """Club of that row; empty for a partial swing."""
+
+
+DEMANDS = {
+    "wood3-92mph": Demand(41.1, -0.8, "3-wood"),
+    "hybrid-87mph": Demand(38.9, -1.9, "Hybrid"),
+    "iron5-81mph": Demand(36.2, -2.0, "5-iron"),
+    "iron7-78mph": Demand(34.9, -2.5, "7-iron"),
+    "iron8-76mph": Demand(34.0, -2.8, "8-iron"),
+    "iron9-74mph": Demand(33.1, -3.2, "9-iron"),
+    "pitching-72mph": Demand(32.2, -3.2, "PW"),
+    "wedge56-55yd": Demand(26.75, -4.5),
+}
+"""By profile."""
+
+
+def mounted(name: str) -> SimulatedBench:
+    """Return the bench of the variant `bag` with profile `name` and its club, on the club's site."""
+    path = find_profile(name)
+    profile = load_profile(path)
+    c: Configuration = load_configuration(Path("bag")).with_club(profile.club).for_profile(profile, path)
+    return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
