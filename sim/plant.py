@@ -147,7 +147,7 @@ def _wrist() -> Actuator:
         upper=2 * pi,
         clearance=0.12,
         friction=Friction(viscous=20.0, coulomb=45.0, static=60.0),
-        stop=EndStop(energy=90.0, travel=0.174, damping_speed=4.0),
+        stop=EndStop(energy=90.0, travel=0.174, damping_speed=4.0, rated=120.0),
     )
 
 

@@ -96,18 +96,26 @@ class Friction:
 
 @dataclass(frozen=True)
 class EndStop:
-    """An end stop with a cushion: `travel` beyond the working range absorbs up to `energy`."""
+    """An end stop with a cushion: `travel` beyond the working range absorbs up to `rating`."""
 
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
-    """Rated energy, J."""
+    """Energy at which the spring fills the travel, J; the rated one unless `rated` is larger."""
     travel: Annotated[float, Range(1e-4, 1.0, "rad, rod m")]
     """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
     damping_speed: Annotated[float, Range(0.01, 1000.0, "rod m/s, else rad/s")] = 2.0
     """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
+    rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
+    """Rated energy of a stroke where it is larger than `energy`, J: what damping takes is heat for the body,
+    not travel. It does not change the force."""
+
+    @property
+    def rating(self) -> float:
+        """Rated energy of a stroke, J."""
+        return max(self.energy, self.rated)
 
     @property
     def stiffness(self) -> float:
-        """Spring rate at which the rated energy just fills the travel (N/m or N m/rad)."""
+        """Spring rate at which `energy` just fills the travel (N/m or N m/rad)."""
         return 2 * self.energy / self.travel**2
 
 

@@ -82,6 +82,8 @@ class MadeFor(NamedTuple):
         machine["robot"]["club"] = {
             k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v and k not in _NOT_FELT_OF_CLUBS
         }
+        for name in ("shoulder", "right_arm", "wrist"):
+            del machine[name]["stop"]["rated"]  # no force depends on it
         machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(

@@ -52,6 +52,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("vent_time", "f8"),
         ("vented_still", "f8"),
         ("vented_blind", "f8"),
+        ("vented_sinking", "f8"),
         ("vent_delay", "f8"),
         ("lowest_pressure", "f8"),
         ("highest_pressure", "f8"),
@@ -124,6 +125,8 @@ CONTROL_STATE = np.dtype(
         ("home_at", "f8"),
         ("zero_shift", "f8", (3,)),
         ("vented", "?"),
+        ("emptied", "?"),
+        ("empty_since", "f8"),
         ("vent_start", "f8"),
         ("air", "?"),
         ("air_from", "f8"),
@@ -302,6 +305,6 @@ def new_control_state(state: State = State.READY) -> ControlState:
         control[name] = begun
     control["device_operational"] = True
     control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
-    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since"):
+    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since", "empty_since"):
         control[name] = -np.inf
     return made

@@ -183,7 +183,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         waiting = _not_at_address(s, parameters, state.estimator)
         if waiting != 0:
             return waiting
-    if not s.vented:
+    if not s.emptied:
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:
             return _not_vented(p, s, readings)

@@ -154,6 +154,8 @@ class LifecycleSettings:
     """For which the robot must rest with empty chambers until they count as vented, s."""
     vented_blind: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
+    vented_sinking: NotNegative = 7.0
+    """For which chambers must show no pressure before people are let in, whatever the encoders show, s."""
     air_tolerance: Positive = 1.0e4
     """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
     air_timeout: Positive = 20.0

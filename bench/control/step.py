@@ -166,7 +166,7 @@ def limit_tick(
     s, p, c = state.control[0], parameters.control[0], command[0]
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
-        s.air, s.vented = True, False
+        s.air, s.vented, s.emptied = True, False, False
     powered = s.air and s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
     for i in range(3):
         if not powered:

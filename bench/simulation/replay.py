@@ -259,6 +259,7 @@ _SETTINGS: Mapping[str, type[Any]] = {
 _BEFORE: Mapping[str, Any] = {
     "plant": {"vent_feedback": False},
     "control": {"gains": "hand", "downswing_stiffness": 1.0},
+    "lifecycle": {"vented_sinking": 0.0},
 }
 """Values of settings for records of before they existed: what the machine was then, not today's default."""
 

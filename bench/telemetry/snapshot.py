@@ -80,6 +80,8 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "air_ready",
             "move_gain",
             "low_head",
+            "emptied",
+            "empty_since",
         }
     ),
     "pid": frozenset({"gains", "supply_factor"}),

@@ -76,6 +76,8 @@ SITES = frozenset(f"plant.site.{name}" for name in ADDED_TO_SITES)
 """Settings of the ground that the references do not have; their defaults do nothing."""
 CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
 """Settings that the references do not have: in their time the cushion's travel, today's default."""
+RATINGS = frozenset(f"plant.{name}.stop.rated" for name in ("shoulder", "right_arm", "wrist"))
+"""Settings that the references do not have; no force and no decision depends on them."""
 
 
 @pytest.mark.parametrize("name", ["shoulder", "right_arm", "wrist"])
@@ -96,7 +98,7 @@ def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | FACES | SITES}
+    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | RATINGS | FACES | SITES}
     assert not since, "the record is older than these settings: make reference"
 
 
