@@ -98,6 +98,7 @@ ORIGINS: Mapping[str, str] = {
     "supply.soft_start_time": "assumption",
     "supply.vent_conductance": "assumption",
     "supply.vent_delay": "assumption",
+    "supply.shut_off_delay": "assumption: twice what a supply valve that stays open takes to show",
     "supply.polytropic_exponent": "assumption: usual compromise",
     "encoders": "assumption: the thesis only recommends encoders",
     "encoders.counts_per_revolution": "assumption: usual for absolute encoders on a bus",

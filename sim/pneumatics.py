@@ -155,7 +155,13 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Supply:
-    """Regulator, manifold, dump valve, and the chambers' throttles behind two normally open vents."""
+    """Regulator, supply and shut-off valve in series, manifold, and the chambers' throttles behind two vents.
+
+    Supply valve and shut-off valve are 3/2 valves: either one shut cuts the supply and exhausts the manifold. The
+    supply valve follows its command. The shut-off valve is held open by the output that holds the vents shut, over
+    a contact of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve
+    that stays open shows in the manifold's pressure before. Vents are normally open.
+    """
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
     """Regulated pressure, Pa absolute."""
@@ -171,6 +177,8 @@ class Supply:
     """Conductance of one chamber's throttle behind the two vents, either of which opens it, m3/(s Pa)."""
     vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
     """Delay from loss of power to open vents (pneumatic timer), s."""
+    shut_off_delay: Annotated[float, Range(0.0, 30.0, "s")] = field(default=0.8, metadata={"optional": True})
+    """Delay from loss of power to a shut shut-off valve (pneumatic timer), s."""
     relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6
     """Opening pressure of the relief valve of each chamber, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7

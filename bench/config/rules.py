@@ -173,8 +173,8 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield f"{key}.stop.travel", found, most, "Shorten the cushion or give more clearance."
         stop, chosen, known = actuator.stop, _leaf(tree, f"{key}.stop.energy"), _leaf(tree, f"{key}.stop.rated")
         if stop.rated > stop.energy and _is_below(known, chosen, c.files):
-            found = f"{short(stop.rated)} J from below, beside an energy of {short(stop.energy)} J"
-            yield f"{key}.stop.rated", found, "the rated energy beside `energy`", "Give both, or 0 for `rated`."
+            found = f"{short(stop.energy)} J, without `rated` beside it: that of below is {short(stop.rated)} J"
+            yield f"{key}.stop.energy", found, "both in one file", "Give `rated`, too, or 0 if it is `energy`."
         travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
         if name != "right_arm" and travel >= 2 * pi:
             found = f"{short(travel)} rad of travel with twice the cushions"

@@ -547,6 +547,7 @@ def _control_record(
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
     record["vent_delay"] = plant.supply.vent_delay
+    record["shut_off_delay"] = plant.supply.shut_off_delay
     # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.
     record["lowest_pressure"] = 0.1 * plant.supply.atmosphere
     # Weather, height and a sensor's tolerance stay above it.

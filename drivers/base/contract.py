@@ -56,6 +56,8 @@ class Readings(NamedTuple):
     `Command.search_index` rises."""
     vent_open: tuple[float, float] = (ABSENT, ABSENT)
     """Feedback of the two vents: 1 open, 0 shut; ABSENT when not fitted, INVALID when not believable."""
+    shut_off_open: float = ABSENT
+    """Feedback of the shut-off valve before the manifold, as of a vent; shut it exhausts the manifold."""
 
 
 class Command(NamedTuple):
@@ -66,7 +68,8 @@ class Command(NamedTuple):
     supply_enable: bool = False
     """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
     exhaust_closed: bool = False
-    """True closes both of the normally open chamber vents."""
+    """True closes both of the normally open chamber vents, and opens the shut-off valve while the guard's lock is
+    not released."""
     guard_lock: bool = True
     """True leaves the guard to its locking spring; False energises the release."""
     beacon: bool = False
@@ -111,6 +114,7 @@ READINGS = np.dtype(
         ("chamber_pressure", "f8", (6,)),
         ("encoder_indexed", "u1", (3,)),
         ("vent_open", "f8", (2,)),
+        ("shut_off_open", "f8"),
     ],
     align=True,
 )

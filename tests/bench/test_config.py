@@ -424,7 +424,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.6127 m"),
         ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),
         ("[plant.right_arm.stop]\ntravel = 0.03", "plant.right_arm.stop.travel", "dead volume", "less than"),
-        ("[plant.wrist.stop]\nenergy = 60.0", "plant.wrist.stop.rated", "120 J", "beside `energy`"),
+        ("[plant.wrist.stop]\nenergy = 60.0", "plant.wrist.stop.energy", "120 J", "both in one file"),
         ("[plant.wrist]\npressure_rating = 5e5", "plant.wrist.pressure_rating", "500000", "800000 Pa"),
     ],
 )
