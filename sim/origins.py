@@ -80,7 +80,7 @@ ORIGINS: Mapping[str, str] = {
     "wrist.friction.static": "assumption: a third above coulomb",
     "wrist.friction.stribeck_speed": "assumption",
     "wrist.stop.energy": "assumption: the club arrives at its stop near the ball, a valve may stick open",
-    "wrist.stop.rated": "assumption: valve stuck open before the ball, 108 J; a body of 120 J, set to the force",
+    "wrist.stop.rated": "assumption: a valve stuck open before the ball brings 108 J; a size of 120 J",
     "wrist.stop.travel": "assumption",
     "wrist.stop.damping_speed": "assumption",
     "wrist.valve.conductance": "assumption: 2000 l/min nominal",

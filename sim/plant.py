@@ -191,7 +191,7 @@ class PlantParameters:
 
 
 OPEN, SHUT = 1, 2
-"""Where a vent or the shut-off valve is stuck, in `vent_stuck` and `shut_off_stuck` of PLANT_PARAMETERS; 0: it
+"""Where a vent or the shut-off valve is stuck, in `vent_stuck`, `shut_off_stuck` of PLANT_PARAMETERS; 0: it
 obeys."""
 
 PLANT_PARAMETERS = np.dtype(

@@ -5,8 +5,8 @@ believable value for a while is dead: nothing is armed, homed or reset, and what
 proven in another way. One lost frame is no death: until then its last value counts.
 
 The chambers vent through either of two valves. Each may report its position; one that does not follow its
-command is named at that switching, while the other still vents. The shut-off valve, which keeps the manifold empty
-while people are inside, is watched in the same way.
+command is named at that switching, while the other still vents. The shut-off valve, which keeps the manifold
+empty while people are inside, is watched in the same way.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
 
 @compiled
 def _watch_shut_off(s: Any, p: Any, position: float, powered: bool, opened: bool, time: float) -> None:
-    """Judge the shut-off valve's `position`; it is held open while `powered`, unless the vents have `opened`."""
+    """Judge the shut-off valve's `position`; open while `powered`, unless the vents `opened` by themselves."""
     if s.tick <= 1:
         s.shut_off_agreed = time
     s.shut_off_fitted = s.shut_off_fitted or not np.isnan(position)
@@ -164,8 +164,8 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     even then, or jumped, may be stuck: by the time for venting, too. For a dead one, by a vent that reports
     open and the longest time; without that feedback it may as well be full. Without sensors, by a vent that
     reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
-    is proven by nothing, and none is behind a shut-off valve that does not follow its command: the supply valve
-    alone would keep it empty. A doubt refuses access, and does not end it.
+    is proven by nothing. So is one behind a shut-off valve that does not follow its command, as the supply
+    valve alone keeps it empty. A doubt refuses access, and does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):

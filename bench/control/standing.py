@@ -31,8 +31,8 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
 
     Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
     on what little air is left and then sinks: it has to rest for a while with empty chambers. Without trusted
-    encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that long
-    in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. At
+    encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that
+    long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. At
     power-up no air was seen that could hold it.
     """
     blind = s.lost != 0 or s.distrusted

@@ -224,7 +224,7 @@ def _range(plan: MachineSwing) -> Check:
             faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
         elif energy > stop.rating:
             found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.rating:g} J"
-            cure = f"Arrive more slowly; the rating is the larger of energy and rated in plant.{_KEYS[i]}.stop."
+            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop has the cushion's rating."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
         texts.append(f"{energy:.0f}")
         ratings.append(f"{stop.rating:g}")

@@ -231,7 +231,10 @@ HARDWARE: tuple[tuple[str, str], ...] = (
     ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply by itself"),
     ("guard closed", "guard switches of two channels, wired into the same circuit"),
     ("guard locked", "guard switches of two channels, wired into the same circuit"),
-    ("supply", "relief valve at the manifold; the shut-off valve in series keeps it empty while people are inside"),
+    (
+        "supply",
+        "relief valve at the manifold; the shut-off valve in series keeps it empty while people are inside",
+    ),
     ("shut-off", "the supply valve; the position switch names one that sticks, and access is refused"),
     ("vents", "each vent's coil on an output of its own, both through the emergency stop; a gauge"),
     ("vent", "the other vent; the position switch names the one that sticks"),

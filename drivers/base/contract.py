@@ -68,8 +68,8 @@ class Command(NamedTuple):
     supply_enable: bool = False
     """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
     exhaust_closed: bool = False
-    """True closes both of the normally open chamber vents, and opens the shut-off valve while the guard's lock is
-    not released."""
+    """True closes both of the normally open chamber vents, and opens the shut-off valve unless the guard's lock
+    is released."""
     guard_lock: bool = True
     """True leaves the guard to its locking spring; False energises the release."""
     beacon: bool = False

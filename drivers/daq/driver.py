@@ -465,4 +465,5 @@ class DaqDriver:
             (p1, p2, p3, p4, p5, p6),
             (self._indexed[0], self._indexed[1], self._indexed[2]),
             (one, two),
+            shut_off,
         )

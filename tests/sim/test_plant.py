@@ -183,6 +183,32 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
         assert (pressures[1] > 1.5 * pressures[0]).all()
 
 
+@pytest.mark.parametrize(
+    ("command", "stuck", "cut"),
+    [
+        ({}, 0, False),
+        ({"supply_enable": False}, 0, True),
+        ({"exhaust_closed": False}, 0, True),
+        ({"guard_lock": False}, 0, True),
+        ({"guard_lock": False}, OPEN, False),
+        ({}, SHUT, True),
+    ],
+)
+def test_supply_and_shut_off_valve_each_empty_the_manifold(
+    command: dict[str, bool], stuck: int, cut: bool
+) -> None:
+    plant = build_plant(PlantParameters())
+    plant.plant["shut_off_stuck"] = stuck
+    state = initial_state(plant, POSE, pressurised=True)
+    states = history(plant, state, 1500, command_of(**POWERED | command))
+    supply = plant.parameters.supply
+    late = "supply_enable" not in command and stuck == 0 and cut  # by its timer
+    assert (
+        states["supply_pressure"][round(900 * supply.shut_off_delay), 0] > 0.9 * supply.pressure or not late
+    )
+    assert (states["supply_pressure"][-1, 0] < 1.1 * supply.atmosphere) is cut
+
+
 def test_equal_inputs_give_equal_bits() -> None:
     rng = np.random.default_rng(8)
     valves = rng.uniform(-1, 1, (40, 3))

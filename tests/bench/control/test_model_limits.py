@@ -164,7 +164,9 @@ def test_limits_of_a_changed_profile_are_stale(default_profile: Profile, file: P
 
 def test_ball_seed_and_ratings_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
     stop = replace(PLANT.wrist.stop, rated=PLANT.wrist.stop.rated + 10.0)
-    plant = replace(PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77, wrist=replace(PLANT.wrist, stop=stop))
+    plant = replace(
+        PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77, wrist=replace(PLANT.wrist, stop=stop)
+    )
     assert not limits_in_use(ModelSettings(), made_for(default_profile, plant=plant), [file]).stale
 
 
