@@ -92,7 +92,7 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
 
 @compiled
 def _watch_shut_off(s: Any, p: Any, position: float, powered: bool, opened: bool, time: float) -> None:
-    """Judge the shut-off valve's `position`; open while `powered`, unless the vents `opened` by themselves."""
+    """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`."""
     if s.tick <= 1:
         s.shut_off_agreed = time
     s.shut_off_fitted = s.shut_off_fitted or not np.isnan(position)

@@ -26,7 +26,6 @@ from bench.lifecycle import (
 )
 from drivers.base.compiled import compiled
 
-
 _LOST_SUPPLY = 0.5
 """Share of the least supply pressure of a swing below which a manifold is not fed."""
 

@@ -68,8 +68,8 @@ class Command(NamedTuple):
     supply_enable: bool = False
     """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
     exhaust_closed: bool = False
-    """True closes both of the normally open chamber vents, and opens the shut-off valve unless the guard's lock
-    is released."""
+    """True closes both of the normally open chamber vents, and opens the shut-off valve unless the guard's
+    lock is released."""
     guard_lock: bool = True
     """True leaves the guard to its locking spring; False energises the release."""
     beacon: bool = False
@@ -175,6 +175,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         chamber,
         indexed,
         vents,
+        shut_off,
     ) = record.item()
     v1, v2, v3 = valid.tolist()
     i1, i2, i3 = indexed.tolist()
@@ -193,6 +194,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         tuple(chamber.tolist()),
         (i1 != 0, i2 != 0, i3 != 0),
         tuple(vents.tolist()),
+        shut_off,
     )
 
 

@@ -27,8 +27,9 @@ class ValveNode401(CanopenDevice):
     """Valve node; `obey` applies the command given by its outputs.
 
     Wiring. Digital inputs from bit 0: emergency stop clear, guard closed, guard locked, local reset, ball
-    present, vents 1 and 2 open, shut-off valve open. Digital outputs from bit 0: supply, exhaust closed, release
-    of the guard's lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the chambers.
+    present, vents 1 and 2 open, shut-off valve open. Digital outputs from bit 0: supply, exhaust closed,
+    release of the guard's lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the
+    chambers.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import COMMAND
 from drivers.base.compiled import new_record
-from sim.plant import SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
+from sim.plant import OPEN, SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
 
 POSE = np.array([-0.2, 4.1, 5.6])
@@ -204,9 +204,9 @@ def test_supply_and_shut_off_valve_each_empty_the_manifold(
     supply = plant.parameters.supply
     late = "supply_enable" not in command and stuck == 0 and cut  # by its timer
     assert (
-        states["supply_pressure"][round(900 * supply.shut_off_delay), 0] > 0.9 * supply.pressure or not late
+        states["supply_pressure"][round(900 * supply.shut_off_delay)] > 0.9 * supply.pressure or not late
     )
-    assert (states["supply_pressure"][-1, 0] < 1.1 * supply.atmosphere) is cut
+    assert (states["supply_pressure"][-1] < 1.1 * supply.atmosphere) is cut
 
 
 def test_equal_inputs_give_equal_bits() -> None:
