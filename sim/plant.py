@@ -503,7 +503,7 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     s.guard_locked = s.guard_closed and c.guard_lock
     s.supply_level = min(s.supply_level + p.tick / p.soft_start_time, 1.0) if c.supply_enable else 0.0
     s.vent_timer = 0.0 if c.exhaust_closed else s.vent_timer + p.tick
-    s.shut_off_timer = 0.0 if c.exhaust_closed and c.guard_lock else s.shut_off_timer + p.tick
+    s.shut_off_timer = 0.0 if c.supply_enable and c.guard_lock else s.shut_off_timer + p.tick
     holds = s.shut_off_timer <= p.shut_off_delay
     s.shut_off_open = p.shut_off_stuck == OPEN or (holds and p.shut_off_stuck != SHUT)
     feed = p.feed_conductance * s.supply_level if s.shut_off_open else 0.0

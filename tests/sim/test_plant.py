@@ -48,7 +48,7 @@ def history(plant: Plant, state: Any, ticks: int, command: Any) -> Any:
     return np.concatenate(states)
 
 
-POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True}
+POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True, "guard_lock": True}
 
 
 @compiled_only
@@ -188,7 +188,7 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
     [
         ({}, 0, False),
         ({"supply_enable": False}, 0, True),
-        ({"exhaust_closed": False}, 0, True),
+        ({"exhaust_closed": False}, 0, False),
         ({"guard_lock": False}, 0, True),
         ({"guard_lock": False}, OPEN, False),
         ({}, SHUT, True),
@@ -202,11 +202,10 @@ def test_supply_and_shut_off_valve_each_empty_the_manifold(
     state = initial_state(plant, POSE, pressurised=True)
     states = history(plant, state, 1500, command_of(**POWERED | command))
     supply = plant.parameters.supply
-    late = "supply_enable" not in command and stuck == 0 and cut  # by its timer
-    assert (
-        states["supply_pressure"][round(900 * supply.shut_off_delay)] > 0.9 * supply.pressure or not late
-    )
-    assert (states["supply_pressure"][-1] < 1.1 * supply.atmosphere) is cut
+    pressure = states["supply_pressure"]
+    if "supply_enable" not in command and stuck == 0:  # a shut-off valve that shuts does so by its timer
+        assert pressure[round(900 * supply.shut_off_delay)] > 0.9 * supply.pressure
+    assert bool(pressure[-1] < 1.1 * supply.atmosphere) is cut
 
 
 def test_equal_inputs_give_equal_bits() -> None:
