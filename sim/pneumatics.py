@@ -158,8 +158,8 @@ class Supply:
     """Regulator, supply and shut-off valve in series, manifold, and the chambers' throttles behind two vents.
 
     Supply valve and shut-off valve are 3/2 valves: either one shut cuts the supply and exhausts the manifold.
-    The supply valve follows its command. The shut-off valve is held open by the same output, over a contact of
-    the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that stays
+    The supply valve follows its command. The shut-off valve is held open by the same output, over a contact
+    of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that stays
     open shows in the manifold's pressure before. Vents are normally open.
     """
 

@@ -66,8 +66,8 @@ class Command(NamedTuple):
     valve: Triple = (0.0, 0.0, 0.0)
     """Spool openings -1..1; 0 is the centre (closed), +1 fills chamber A and exhausts B."""
     supply_enable: bool = False
-    """True opens the soft-start supply valve, and the shut-off valve unless the guard's lock is released; False
-    shuts both and exhausts the manifold."""
+    """True opens the soft-start supply valve, and the shut-off valve unless the guard's lock is released;
+    False shuts both and exhausts the manifold."""
     exhaust_closed: bool = False
     """True closes both of the normally open chamber vents."""
     guard_lock: bool = True
