@@ -159,8 +159,8 @@ class Supply:
 
     Supply valve and shut-off valve are 3/2 valves: either one shut cuts the supply and exhausts the manifold.
     The supply valve follows its command. The shut-off valve is held open by the same output, over a contact
-    of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that stays
-    open shows in the manifold's pressure before. Vents are normally open.
+    of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that
+    stays open shows in the manifold's pressure before. Vents are normally open.
     """
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
