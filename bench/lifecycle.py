@@ -106,7 +106,7 @@ REFUSAL_TEXT = {
     Refusal.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then ask again",
     Refusal.DEVICE: "the device went passive by itself: reset first",
     Refusal.SENSOR: "a fitted pressure sensor gives no believable value: `golfbench status` names it",
-    Refusal.VENT: "a vent does not follow its command: `golfbench status` names it",
+    Refusal.VENT: "a vent or the shut-off valve does not follow its command: `golfbench status` names it",
     Refusal.LOCK: "the guard read locked while released or open: check lock and switches, release it again",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
@@ -233,6 +233,7 @@ class Cause(IntEnum):
     ARM_B_AIR = 74
     WRIST_A_AIR = 75
     WRIST_B_AIR = 76
+    SHUT_OFF = 77
 
 
 CAUSE_TEXT = {
@@ -313,6 +314,7 @@ CAUSE_TEXT = {
     Cause.ARM_B_AIR: "arm chamber B is not at its planned pressure in time: check supply and leaks",
     Cause.WRIST_A_AIR: "wrist chamber A is not at its planned pressure in time: check supply and leaks",
     Cause.WRIST_B_AIR: "wrist chamber B is not at its planned pressure in time: check supply and leaks",
+    Cause.SHUT_OFF: "shut-off valve does not follow its command: check valve and position switch",
 }
 """Text for the operator, with the cure where one is known."""
 

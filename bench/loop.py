@@ -197,7 +197,8 @@ class Cycle:
         for name in ("emergency_stop_clear", "guard_closed", "guard_locked", "ball_present"):
             r[name] = False
         r["encoder_valid"] = r["encoder_indexed"] = 0
-        r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = r["vent_open"] = ABSENT
+        r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = ABSENT
+        r["vent_open"] = r["shut_off_open"] = ABSENT
         # A driver that raises is no single lost sample: the stopping table is not to wait for more.
         self.state.estimator["without_sample"] = np.inf
         return False

@@ -62,6 +62,8 @@ SIGNALS = (
     "vent 2",
     "vent 1 feedback",
     "vent 2 feedback",
+    "shut-off",
+    "shut-off feedback",
 )
 """Signals and parts that can fail."""
 
@@ -119,6 +121,9 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     },
     "vent": {
         "stuck": "this one of the two stays shut (`value` 1) or open (0)",
+    },
+    "shut-off": {
+        "stuck": "stays open (`value` 1), or shut with the manifold exhausted (0)",
     },
     "switch": {
         "off": "reads as de-energised",
@@ -180,6 +185,7 @@ _SORTS = dict.fromkeys(
         "ball sensor",
         "vent 1 feedback",
         "vent 2 feedback",
+        "shut-off feedback",
     ),
     "switch",
 ) | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
@@ -244,7 +250,7 @@ class Fault:
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
             raise ValueError("value: at least 0 s")
         if (
-            self.signal in ("supply", "vents", "vent 1", "vent 2")
+            self.signal in ("supply", "vents", "vent 1", "vent 2", "shut-off")
             and self.kind == "stuck"
             and isnan(self.value)
         ):
@@ -327,7 +333,7 @@ _CHAMBER = 15
 _HEAD, _LINK, _CLOCK, _LOOP = 21, 22, 23, 24
 SUPERVISOR, RECORDER, LEASE = 25, 26, 27
 """Numbers of the signals whose faults the bench applies."""
-_VENT, _VENT_FEEDBACK = 29, 31
+_VENT, _VENT_FEEDBACK, _SHUT_OFF, _SHUT_OFF_FEEDBACK = 29, 31, 33, 34
 
 _INTERLOCKS_LOST = 0.06
 """Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
@@ -564,6 +570,8 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
             i = f.signal - _VENT_FEEDBACK
             if np.isfinite(r.vent_open[i]):
                 r.vent_open[i] = 1.0 if _switched(f, m, r.vent_open[i] > 0.5, now, p.tick) else 0.0
+        elif f.signal == _SHUT_OFF_FEEDBACK and np.isfinite(r.shut_off_open):
+            r.shut_off_open = 1.0 if _switched(f, m, r.shut_off_open > 0.5, now, p.tick) else 0.0
 
 
 @compiled
@@ -582,6 +590,7 @@ def _copy_readings(source: Any, target: Any) -> None:
     )
     for k in range(2):
         b.vent_open[k] = a.vent_open[k]
+    b.shut_off_open = a.shut_off_open
     b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
     for i in range(6):
         b.chamber_pressure[i] = a.chamber_pressure[i]
@@ -705,6 +714,8 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
             p.leakage[i] = f.value if m.active else h.leakage[i]
         elif _VENT <= f.signal < _VENT + 2:
             p.vent_stuck[f.signal - _VENT] = 0 if not m.active else SHUT if f.value > 0.5 else OPEN
+        elif f.signal == _SHUT_OFF:
+            p.shut_off_stuck = 0 if not m.active else OPEN if f.value > 0.5 else SHUT
         elif f.signal == _SUPPLY and f.kind == _OFF:
             p.regulated = h.atmosphere if m.active else h.regulated
         elif f.signal == _SUPPLY and f.kind == _SCALE:

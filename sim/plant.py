@@ -147,7 +147,7 @@ def _wrist() -> Actuator:
         upper=2 * pi,
         clearance=0.12,
         friction=Friction(viscous=20.0, coulomb=45.0, static=60.0),
-        stop=EndStop(energy=90.0, travel=0.174, damping_speed=4.0),
+        stop=EndStop(energy=90.0, travel=0.174, damping_speed=4.0, rated=120.0),
     )
 
 
@@ -167,6 +167,8 @@ class PlantParameters:
     """Whether the chambers have pressure sensors; the supply always has one."""
     vent_feedback: bool = True
     """Whether each of the two vents reports its position."""
+    shut_off_feedback: bool = field(default=True, metadata={"optional": True})
+    """Whether the shut-off valve reports its position."""
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
@@ -189,7 +191,8 @@ class PlantParameters:
 
 
 OPEN, SHUT = 1, 2
-"""Where a vent is stuck, in `vent_stuck` of PLANT_PARAMETERS; 0: it obeys."""
+"""Where a vent or the shut-off valve is stuck, in `vent_stuck`, `shut_off_stuck` of PLANT_PARAMETERS; 0: it
+obeys."""
 
 PLANT_PARAMETERS = np.dtype(
     [
@@ -224,6 +227,7 @@ PLANT_PARAMETERS = np.dtype(
         ("soft_start_time", "f8"),
         ("vent_conductance", "f8"),
         ("vent_delay", "f8"),
+        ("shut_off_delay", "f8"),
         ("atmosphere", "f8"),
         ("exponent", "f8"),
         ("encoder_scale", "f8", (3,)),
@@ -236,6 +240,8 @@ PLANT_PARAMETERS = np.dtype(
         ("pressure_sensors", "?"),
         ("vent_feedback", "?"),
         ("vent_stuck", "i8", (2,)),
+        ("shut_off_feedback", "?"),
+        ("shut_off_stuck", "i8"),
         ("flexible", "?"),
         ("head_mass", "f8"),
         ("head_stiffness", "f8"),
@@ -270,6 +276,8 @@ PLANT_STATE = np.dtype(
         ("supply_level", "f8"),
         ("vent_timer", "f8"),
         ("vent_open", "u1", (2,)),
+        ("shut_off_timer", "f8"),
+        ("shut_off_open", "u1"),
         ("effort", "f8", (3,)),
         ("head", "f8", (6,)),
         ("stop_work", "f8", (3,)),
@@ -397,6 +405,7 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
         "soft_start_time": supply.soft_start_time,
         "vent_conductance": supply.vent_conductance,
         "vent_delay": supply.vent_delay,
+        "shut_off_delay": supply.shut_off_delay,
         "atmosphere": supply.atmosphere,
         "exponent": supply.polytropic_exponent,
         "encoder_counts": encoders.counts_per_revolution,
@@ -406,6 +415,7 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
         "noise": encoders.noise,
         "pressure_sensors": parameters.pressure_sensors,
         "vent_feedback": parameters.vent_feedback,
+        "shut_off_feedback": parameters.shut_off_feedback,
         "flexible": shaft.flexible,
         "head_mass": club.head_mass,
         "head_stiffness": club.head_mass * omega**2,
@@ -433,6 +443,7 @@ def initial_state(plant: Plant, angle: np.ndarray, *, pressurised: bool = False)
     state["pressure"] = (supply.pressure + supply.atmosphere) / 2 if pressurised else supply.atmosphere
     state["supply_pressure"] = supply.pressure if pressurised else supply.atmosphere
     state["supply_level"] = 1.0 if pressurised else 0.0
+    state["shut_off_timer"] = 0.0 if pressurised else np.inf
     state["emergency_stop_clear"] = state["guard_closed"] = state["guard_locked"] = True
     state["encoder_valid"] = state["index_fitted"] = 1
     if plant.parameters.encoders.incremental:
@@ -492,7 +503,10 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     s.guard_locked = s.guard_closed and c.guard_lock
     s.supply_level = min(s.supply_level + p.tick / p.soft_start_time, 1.0) if c.supply_enable else 0.0
     s.vent_timer = 0.0 if c.exhaust_closed else s.vent_timer + p.tick
-    feed = p.feed_conductance * s.supply_level
+    s.shut_off_timer = 0.0 if c.supply_enable and c.guard_lock else s.shut_off_timer + p.tick
+    holds = s.shut_off_timer <= p.shut_off_delay
+    s.shut_off_open = p.shut_off_stuck == OPEN or (holds and p.shut_off_stuck != SHUT)
+    feed = p.feed_conductance * s.supply_level if s.shut_off_open else 0.0
     opens = s.vent_timer > p.vent_delay
     for k in range(2):
         s.vent_open[k] = p.vent_stuck[k] == OPEN or (opens and p.vent_stuck[k] != SHUT)

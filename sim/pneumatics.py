@@ -96,18 +96,26 @@ class Friction:
 
 @dataclass(frozen=True)
 class EndStop:
-    """An end stop with a cushion: `travel` beyond the working range absorbs up to `energy`."""
+    """An end stop with a cushion: `travel` beyond the working range absorbs up to `rating`."""
 
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
-    """Rated energy, J."""
+    """Energy at which the spring fills the travel, J; the rated one unless `rated` is larger."""
     travel: Annotated[float, Range(1e-4, 1.0, "rad, rod m")]
     """Cushion travel beyond the range (m, or rad at shoulder and wrist)."""
     damping_speed: Annotated[float, Range(0.01, 1000.0, "rod m/s, else rad/s")] = 2.0
     """Speed at which damping doubles the spring force, and rebound force vanishes (m/s or rad/s)."""
+    rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
+    """Rated energy of a stroke where it is larger than `energy`, J: what damping takes is heat for the body,
+    not travel. It does not change the force."""
+
+    @property
+    def rating(self) -> float:
+        """Rated energy of a stroke, J."""
+        return max(self.energy, self.rated)
 
     @property
     def stiffness(self) -> float:
-        """Spring rate at which the rated energy just fills the travel (N/m or N m/rad)."""
+        """Spring rate at which `energy` just fills the travel (N/m or N m/rad)."""
         return 2 * self.energy / self.travel**2
 
 
@@ -147,7 +155,13 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Supply:
-    """Regulator, manifold, dump valve, and the chambers' throttles behind two normally open vents."""
+    """Regulator, supply and shut-off valve in series, manifold, and the chambers' throttles behind two vents.
+
+    Supply valve and shut-off valve are 3/2 valves: either one shut cuts the supply and exhausts the manifold.
+    The supply valve follows its command. The shut-off valve is held open by the same output, over a contact
+    of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that
+    stays open shows in the manifold's pressure before. Vents are normally open.
+    """
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
     """Regulated pressure, Pa absolute."""
@@ -163,6 +177,8 @@ class Supply:
     """Conductance of one chamber's throttle behind the two vents, either of which opens it, m3/(s Pa)."""
     vent_delay: Annotated[float, Range(0.0, 30.0, "s")] = 0.5
     """Delay from loss of power to open vents (pneumatic timer), s."""
+    shut_off_delay: Annotated[float, Range(0.0, 30.0, "s")] = field(default=0.8, metadata={"optional": True})
+    """Delay from loss of power to a shut shut-off valve (pneumatic timer), s."""
     relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = 1.05e6
     """Opening pressure of the relief valve of each chamber, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7

@@ -53,5 +53,6 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
     out.ball_present = s.ball_present
     for k in range(2):
         out.vent_open[k] = float(s.vent_open[k]) if p.vent_feedback else ABSENT
+    out.shut_off_open = float(s.shut_off_open) if p.shut_off_feedback else ABSENT
     for i in range(6):
         out.chamber_pressure[i] = s.pressure[i] if p.pressure_sensors else ABSENT

@@ -171,6 +171,11 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             found = f"{short(actuator.stop.travel)}, which takes {short(taken)} m3 of a chamber's dead volume"
             most = f"less than {short(0.8 * actuator.dead_volume)} m3"
             yield f"{key}.stop.travel", found, most, "Shorten the cushion or give more clearance."
+        stop, energy = actuator.stop, f"{key}.stop.energy"
+        rated = _leaf(tree, f"{key}.stop.rated")
+        if stop.rated > stop.energy and _is_below(rated, _leaf(tree, energy), c.files):
+            found = f"{short(stop.energy)} J without `rated`, which stays {short(stop.rated)} J"
+            yield energy, found, "both in one file", "Give `rated`, too; 0 if it is `energy`."
         travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
         if name != "right_arm" and travel >= 2 * pi:
             found = f"{short(travel)} rad of travel with twice the cushions"

@@ -60,6 +60,10 @@ BOUNDS = (
         "where encoders cannot tell, only time shows that a raised arm has sunk",
     ),
     Bound(
+        "lifecycle", "vented_sinking", (0.0, inf), (5.0, 120.0), "s",
+        "an encoder that is stuck shows rest while a raised arm sinks",
+    ),
+    Bound(
         "lifecycle", "local_reset_time", (0.0, inf), (0.5, 30.0), "s",
         "an older press does not speak for who stands beside the robot now",
     ),

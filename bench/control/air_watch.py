@@ -5,7 +5,8 @@ believable value for a while is dead: nothing is armed, homed or reset, and what
 proven in another way. One lost frame is no death: until then its last value counts.
 
 The chambers vent through either of two valves. Each may report its position; one that does not follow its
-command is named at that switching, while the other still vents.
+command is named at that switching, while the other still vents. The shut-off valve, which keeps the manifold
+empty while people are inside, is watched in the same way.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ FAULTS = (
     Cause.SUPPLY_VALVE,
     Cause.SUPPLY_DECAY,
     Cause.GUARD_LOCK,
+    Cause.SHUT_OFF,
 )
 """What `air_fault` names, by bit; the manifold by `bench.control.manifold_watch`, the lock by
 `bench.control.lock_watch`."""
@@ -85,6 +87,19 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
         if not fitted or position == wanted or (exhaust_closed and opened):
             s.vent_agreed[k] = time
         s.vent_wrong[k] = fitted and time - s.vent_agreed[k] > allowed
+    _watch_shut_off(s, p, r.shut_off_open, exhaust_closed, opened, time)
+
+
+@compiled
+def _watch_shut_off(s: Any, p: Any, position: float, powered: bool, opened: bool, time: float) -> None:
+    """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`."""
+    if s.tick <= 1:
+        s.shut_off_agreed = time
+    s.shut_off_fitted = s.shut_off_fitted or not np.isnan(position)
+    if not s.shut_off_fitted or position == (1.0 if powered else 0.0) or (powered and opened):
+        s.shut_off_agreed = time
+    allowed = SWITCHING + (0.0 if powered else p.shut_off_delay)
+    s.shut_off_wrong = s.shut_off_fitted and time - s.shut_off_agreed > allowed
 
 
 @compiled
@@ -96,6 +111,8 @@ def air_cause(s: Any) -> int:
     for k in range(VENTS):
         if s.vent_wrong[k] != 0:
             return Cause.VENT_1 + k
+    if s.shut_off_wrong:
+        return Cause.SHUT_OFF
     if s.supply_wrong:
         return Cause.SUPPLY_VALVE
     if s.supply_unproven and not s.supply_excused:
@@ -119,6 +136,8 @@ def air_fault(s: Any) -> int:
         bits |= 2 << (SENSORS + VENTS)
     if s.lock_wrong:
         bits |= 4 << (SENSORS + VENTS)
+    if s.shut_off_wrong:
+        bits |= 8 << (SENSORS + VENTS)
     return bits
 
 
@@ -145,7 +164,8 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     even then, or jumped, may be stuck: by the time for venting, too. For a dead one, by a vent that reports
     open and the longest time; without that feedback it may as well be full. Without sensors, by a vent that
     reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
-    is proven by nothing. A doubt refuses access, and does not end it.
+    is proven by nothing. So is one behind a shut-off valve that does not follow its command, as the supply
+    valve alone keeps it empty. A doubt refuses access, and does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):
@@ -158,7 +178,7 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     fitted = s.vent_fitted[0] != 0 or s.vent_fitted[1] != 0
     opened = readings[0].vent_open[0] == 1.0 or readings[0].vent_open[1] == 1.0
     passed = time - s.vent_start
-    if s.sensor_dead[0] != 0:
+    if s.sensor_dead[0] != 0 or s.shut_off_wrong:
         return False
     if dead:
         return bool(opened and passed >= p.vent_time + p.vented_blind)

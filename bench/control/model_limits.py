@@ -43,7 +43,7 @@ _KEPT = FROM_SETTINGS | {"arming"}
 REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 """Rows that each table of a file has."""
 
-NOT_FELT = frozenset({"ball", "seed", "vent_feedback"})
+NOT_FELT = frozenset({"ball", "seed", "vent_feedback", "shut_off_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
 
 _NOT_FELT_OF_CLUBS = frozenset({"tee_shift"})
@@ -82,6 +82,9 @@ class MadeFor(NamedTuple):
         machine["robot"]["club"] = {
             k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v and k not in _NOT_FELT_OF_CLUBS
         }
+        del machine["supply"]["shut_off_delay"]  # it acts at rest
+        for name in ("shoulder", "right_arm", "wrist"):
+            del machine[name]["stop"]["rated"]  # no force depends on it
         machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(

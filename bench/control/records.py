@@ -54,7 +54,9 @@ CONTROL_PARAMETERS = np.dtype(
         ("vent_time", "f8"),
         ("vented_still", "f8"),
         ("vented_blind", "f8"),
+        ("vented_sinking", "f8"),
         ("vent_delay", "f8"),
+        ("shut_off_delay", "f8"),
         ("lowest_pressure", "f8"),
         ("highest_pressure", "f8"),
         ("rest_pressure", "f8"),
@@ -126,6 +128,8 @@ CONTROL_STATE = np.dtype(
         ("home_at", "f8"),
         ("zero_shift", "f8", (3,)),
         ("vented", "?"),
+        ("emptied", "?"),
+        ("empty_since", "f8"),
         ("vent_start", "f8"),
         ("air", "?"),
         ("air_from", "f8"),
@@ -172,6 +176,9 @@ CONTROL_STATE = np.dtype(
         ("vent_fitted", "u1", (2,)),
         ("vent_agreed", "f8", (2,)),
         ("vent_wrong", "u1", (2,)),
+        ("shut_off_fitted", "?"),
+        ("shut_off_agreed", "f8"),
+        ("shut_off_wrong", "?"),
         ("supply_shut", "f8"),
         ("supply_from", "f8"),
         ("supply_slow", "f8"),
@@ -304,6 +311,6 @@ def new_control_state(state: State = State.READY) -> ControlState:
         control[name] = begun
     control["device_operational"] = True
     control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
-    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since"):
+    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since", "empty_since"):
         control[name] = -np.inf
     return made

@@ -79,9 +79,11 @@ def manifold_is_full(p: Any, readings: Any) -> bool:
 
 @compiled
 def _not_vented(p: Any, s: Any, readings: Any) -> int:
-    """Return the refusal that names where the pressure may be, or that its sensor is dead."""
+    """Return the refusal that names where the pressure may be, or the sensor or valve that proves nothing."""
     if Cause.SUPPLY_SENSOR <= air_cause(s) < Cause.VENT_1:
         return Refusal.SENSOR.value
+    if s.shut_off_wrong:
+        return Refusal.VENT.value
     return Refusal.MANIFOLD.value if manifold_is_full(p, readings) else Refusal.NOT_VENTED.value
 
 
@@ -94,7 +96,7 @@ def _failing(s: Any, request: int) -> int:
     # A sensor that fell too fast proves itself at the next venting, which takes a reset and air.
     if cause == 0 or (request == Request.RESET and cause == Cause.SUPPLY_DECAY):
         return 0
-    if cause in (Cause.VENT_1, Cause.VENT_2):
+    if cause in (Cause.VENT_1, Cause.VENT_2, Cause.SHUT_OFF):
         return Refusal.VENT.value
     return Refusal.MANIFOLD.value if cause == Cause.SUPPLY_VALVE else Refusal.SENSOR.value
 
@@ -183,7 +185,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         waiting = _not_at_address(s, parameters, state.estimator)
         if waiting != 0:
             return waiting
-    if not s.vented:
+    if not s.emptied:
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:
             return _not_vented(p, s, readings)

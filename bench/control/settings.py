@@ -158,6 +158,8 @@ class LifecycleSettings:
     """For which the robot must rest with empty chambers until they count as vented, s."""
     vented_blind: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
+    vented_sinking: NotNegative = 7.0
+    """For which chambers must show no pressure before people are let in, whatever the encoders show, s."""
     air_tolerance: Positive = 1.0e4
     """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
     air_timeout: Positive = 20.0
@@ -551,6 +553,7 @@ def _control_record(
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
     record["vent_delay"] = plant.supply.vent_delay
+    record["shut_off_delay"] = plant.supply.shut_off_delay
     # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.
     record["lowest_pressure"] = 0.1 * plant.supply.atmosphere
     # Weather, height and a sensor's tolerance stay above it.

@@ -30,8 +30,10 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     """Judge whether chambers and manifold are empty; return the cause if they should be and are not.
 
     Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
-    on what little air is left and then sinks: before anybody goes near, it has to rest for a while with empty
-    chambers. Without trusted encoders: for as long as sinking may take.
+    on what little air is left and then sinks: it has to rest for a while with empty chambers. Without trusted
+    encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that
+    long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. At
+    power-up no air was seen that could hold it.
     """
     blind = s.lost != 0 or s.distrusted
     empty = not chambers_show_pressure(s, p)
@@ -40,9 +42,13 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
+    if not (empty and shut):
+        s.empty_since = time
+    sunk = time - s.empty_since >= p.vented_sinking or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time
-    s.vented = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
-    if s.vented and s.cause == 0:
+    s.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
+    s.vented = s.emptied and sunk
+    if s.emptied and s.cause == 0:
         s.distrusted = False  # not by the reset: chambers may still be full then
     if not late or (empty and shut):
         return Cause.NONE.value

@@ -100,8 +100,9 @@ def resting_state(s: Any) -> State:
 @compiled
 def stand(s: Any, parameters: Any, time: float) -> None:
     """Stand: end whatever was under way, vent, and latch the state of a cause."""
-    s.swinging = s.moving = s.disarming = s.air = s.vented = False
+    s.swinging = s.moving = s.disarming = s.air = s.vented = s.emptied = False
     s.phase, s.vent_start = Phase.STANDING, time
+    s.empty_since = time
     s.reaction = Reaction.VENT if s.cause != 0 else Reaction.NONE
     change_state(s, parameters, resting_state(s), time)
 
@@ -176,7 +177,8 @@ def arrive(s: Any, parameters: Any, time: float) -> None:
 def give_up(control: Any, parameters: Any, time: float) -> None:
     """Latch a tick that failed, in the records `control`: the driver is passive, nothing is under way."""
     s = control[0]
-    s.swinging = s.moving = s.disarming = s.air = s.vented = s.tee = False
+    s.swinging = s.moving = s.disarming = s.air = s.vented = s.emptied = s.tee = False
     s.phase, s.vent_start = Phase.STANDING, time
+    s.empty_since = time
     latch(s, parameters, Cause.EXCEPTION.value, time)
     s.reaction = Reaction.PASSIVE

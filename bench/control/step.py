@@ -166,7 +166,7 @@ def limit_tick(
     s, p, c = state.control[0], parameters.control[0], command[0]
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
-        s.air, s.vented = True, False
+        s.air, s.vented, s.emptied = True, False, False
     powered = s.air and s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
     for i in range(3):
         if not powered:
@@ -276,6 +276,7 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
     out.air_fault = air_fault(s)
     for k in range(VENTS):
         out.vent_open[k] = r.vent_open[k]
+    out.shut_off_open = r.shut_off_open
     for i in range(6):
         out.chamber_pressure[i] = r.chamber_pressure[i]
     out.head_position[0], out.head_position[1], out.head_orientation = s.head[0], s.head[1], s.head[2]

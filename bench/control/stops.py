@@ -26,6 +26,9 @@ from bench.lifecycle import (
 )
 from drivers.base.compiled import compiled
 
+_LOST_SUPPLY = 0.5
+"""Share of the least supply pressure of a swing below which a manifold is not fed."""
+
 
 @compiled
 def table_column(cause: int) -> int:
@@ -72,7 +75,7 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
             react(state, parameters, int(s.index_wrong), TRUSTED, time)  # from here on the count is right
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
-            _watch_braking(state, parameters, time)
+            _watch_braking(state, parameters, readings, time)
         elif s.phase == Phase.HOMING:
             _watch_search(state, parameters, time)
         else:
@@ -80,14 +83,18 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
 
 
 @compiled
-def _watch_braking(state: Any, parameters: Any, time: float) -> None:
-    """Escalate a BRAKE that does not fit the model.
+def _watch_braking(state: Any, parameters: Any, readings: Any, time: float) -> None:
+    """Escalate a BRAKE that does not fit the model, and name one that has lost its supply.
 
     The envelope has nothing to add: without a reference no following error exists, and for its other limits
-    the stopping table has nothing more severe than BRAKE.
+    the stopping table has nothing more severe than BRAKE. A manifold that was emptied is below all that
+    braking draws from one that is fed.
     """
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
+        lost = readings[0].supply_pressure < _LOST_SUPPLY * parameters.envelope[0].min_supply_pressure
+        if lost and s.sensor_doubt[0] <= 0.0:
+            react(state, parameters, Cause.SUPPLY_PRESSURE, TRUSTED, time)
         # The estimated velocity as reference: a brake has none.
         broken = model_cause(parameters.model, state.model[0], state.estimator, e.velocity, BRAKING + s.phase)
         if broken != 0:

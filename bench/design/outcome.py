@@ -69,7 +69,7 @@ def outcome_table(result: SwingResult, plant: PlantParameters, record: Mapping[s
     for actuator, energy, name in zip(
         plant.actuators, result.loads.stop_energy.max(axis=1), ACTUATORS, strict=True
     ):
-        table.add_row(f"end stop, {name}", f"{energy:.1f} of {actuator.stop.energy:g} J")
+        table.add_row(f"end stop, {name}", f"{energy:.1f} of {actuator.stop.rating:g} J")
     table.add_row("highest pressure", f"{result.loads.peak_pressure.max() / 1e5:.2f} bar absolute")
     table.add_row("sole over ground", f"at least {1e3 * result.loads.lowest_clearance:.1f} mm")
     for danger in result.unsafe:

@@ -222,12 +222,12 @@ def _range(plan: MachineSwing) -> Check:
             wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{_KEYS[i]} with {share:.0%} of its cushions"
             cure = "Choose a profile made for these stops, or correct the range."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
-        elif energy > stop.energy:
-            found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.energy:g} J"
-            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop.energy is the cushion's rating."
+        elif energy > stop.rating:
+            found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.rating:g} J"
+            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop has the cushion's rating."
             faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
         texts.append(f"{energy:.0f}")
-        ratings.append(f"{stop.energy:g}")
+        ratings.append(f"{stop.rating:g}")
     return Check("end stops", " · ".join(texts) + " J", " · ".join(ratings) + " J", faults)
 
 

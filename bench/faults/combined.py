@@ -109,6 +109,7 @@ FROM_THE_START: tuple[Breakage, ...] = tuple(
         _fault("supply", "scale", 0.7, "supply sagging to 70 %"),
         _fault("supply", "scale", 1.4, "supply surging to 140 %"),
         _fault("vents", "stuck", 1.0, "vents stuck shut"),
+        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
         _fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
         _fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
         _fault("clock", "scale", 1.05, "clock 5 % fast"),
@@ -150,6 +151,16 @@ LATENT_PAIRS: tuple[Breakage, ...] = (
         "stop",
     ),
     *_behind(
+        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        (_fault("supply", "stuck", 1.0, "supply valve stuck open"),),
+        "stop",
+    ),
+    *_behind(
+        _fault("shut-off feedback", "stuck", 0.0, "shut-off feedback stuck at shut"),
+        (_fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),),
+        "stop",
+    ),
+    *_behind(
         _fault("supply sensor", "off"),
         _in_the_swing(_fault("supply", "scale", 0.7, "supply sagging to 70 %")),
     ),
@@ -184,6 +195,8 @@ AROUND_ACCESS: tuple[Breakage, ...] = tuple(
         *_AIR,
         _fault("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
         _fault("vents", "off", text="vents without energy"),
+        _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        _fault("shut-off feedback", "off"),
         *(_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
         *(
             _fault(f"{chamber} sensor", "stuck", 1.0e5, f"{chamber} sensor stuck at 1 bar")

@@ -52,8 +52,8 @@ class WatchedRun:
     vented_tick: int
     """Tick at which the chambers were reported empty after a fault; -1: never."""
     access_pressure: float
-    """Max pressure in a chamber, or in the manifold, at a release of the guard, and in a chamber while people
-    may be inside, Pa absolute; NaN if it never was released."""
+    """Max pressure in a chamber or in the manifold from a release of the guard for as long as people may be
+    inside, Pa absolute; NaN if it never was released. The manifold is looked at every 0.1 s."""
     access_motion: float
     """Max movement of a joint while people may be inside, rad."""
     armed_again: bool
@@ -131,13 +131,13 @@ class Watch:
         if self._inside is None and len(released):
             first = released[0]
             self._inside, self._released_at = cycles["plant_angle"][first].copy(), self.ticks
-            manifold = float(self.bench.plant_state["supply_pressure"][0])
-            self.access_pressure = np.fmax(self.access_pressure, manifold)
             inside = cycles[first:]
         else:
             inside = cycles
         if self._inside is not None and len(inside):
-            self.access_pressure = float(np.fmax(self.access_pressure, inside["plant_pressure"].max()))
+            manifold = float(self.bench.plant_state["supply_pressure"][0])
+            most = max(float(inside["plant_pressure"].max()), manifold)
+            self.access_pressure = float(np.fmax(self.access_pressure, most))
             moved = float(np.abs(inside["plant_angle"] - self._inside).max())
             self.access_motion = max(self.access_motion, moved)
 

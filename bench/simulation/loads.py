@@ -23,7 +23,7 @@ def begin_tally(plant_state: NDArray[Any]) -> None:
 
 def stop_shares(energy: Array, plant: PlantParameters) -> Array:
     """Return cushion energies (..., 3, 2) J as shares of the ratings; 1 is the limit."""
-    return np.asarray(energy / np.array([[actuator.stop.energy] for actuator in plant.actuators]))
+    return np.asarray(energy / np.array([[actuator.stop.rating] for actuator in plant.actuators]))
 
 
 def pressure_shares(pressure: Array, plant: PlantParameters) -> Array:

@@ -52,6 +52,7 @@ INPUTS = frozenset(
         "encoder_count",
         "encoder_valid",
         "vent_open",
+        "shut_off_open",
         "encoder_age",
         "encoder_time",
         "encoder_indexed",
@@ -257,8 +258,9 @@ _SETTINGS: Mapping[str, type[Any]] = {
 
 
 _BEFORE: Mapping[str, Any] = {
-    "plant": {"vent_feedback": False},
+    "plant": {"vent_feedback": False, "shut_off_feedback": False},
     "control": {"gains": "hand", "downswing_stiffness": 1.0, "follow_through_lift": 0.0},
+    "lifecycle": {"vented_sinking": 0.0},
 }
 """Values of settings for records of before they existed: what the machine was then, not today's default."""
 

@@ -27,7 +27,7 @@ class SafetyLimits:
     creep: float = 0.02
     """Movement of a joint after its chambers were reported empty, rad."""
     access_pressure: float = float("inf")
-    """Max pressure when the guard is released, and in a chamber while people may be inside, Pa absolute."""
+    """Max pressure in manifold and chambers while people may be inside, Pa absolute."""
 
 
 class RunEnd(NamedTuple):
@@ -43,7 +43,7 @@ class RunEnd(NamedTuple):
     creep: float | None = None
     """Movement of a joint after its chambers were reported empty, rad."""
     access_pressure: float | None = None
-    """Max pressure when the guard was released, and in a chamber while people may be inside, Pa absolute."""
+    """Max pressure in manifold and chambers while people may be inside, Pa absolute."""
     access_motion: float = 0.0
     """Movement of a joint while people may be inside, rad; judged as creep."""
     armed_again: bool = False

@@ -153,14 +153,17 @@ def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart)
     longer = max(absorber.stroke - shipped.stop.travel, 0.0)
     return {
         "clearance": shipped.clearance + longer,
-        "stop": {"energy": absorber.energy, "travel": absorber.stroke},
+        "stop": {"energy": absorber.energy, "travel": absorber.stroke, "rated": 0.0},
     }
 
 
 def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
     """Return the wrist's stop, whose absorber stands at STOP_RADIUS."""
     travel = absorber.stroke / STOP_RADIUS
-    return {"clearance": max(0.12, travel - 0.054), "stop": {"energy": absorber.energy, "travel": travel}}
+    return {
+        "clearance": max(0.12, travel - 0.054),
+        "stop": {"energy": absorber.energy, "travel": travel, "rated": 0.0},
+    }
 
 
 def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[str, Any]:

@@ -132,6 +132,9 @@ FIELDS = (
     ),
     Field("vent_open", "f8", "1", "vent seen open (1) or shut (0); NaN when not fitted", ("1", "2"), nan),
     Field(
+        "shut_off_open", "f8", "1", "shut-off valve seen open (1) or shut (0); NaN when not fitted", (), nan
+    ),
+    Field(
         "air_fault",
         "i4",
         "1",

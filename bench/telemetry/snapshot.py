@@ -59,6 +59,9 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "vent_fitted",
             "vent_agreed",
             "vent_wrong",
+            "shut_off_fitted",
+            "shut_off_agreed",
+            "shut_off_wrong",
             "supply_shut",
             "supply_from",
             "supply_slow",
@@ -80,6 +83,8 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "air_ready",
             "move_gain",
             "low_head",
+            "emptied",
+            "empty_since",
         }
     ),
     "pid": frozenset({"gains", "supply_factor"}),

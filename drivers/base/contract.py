@@ -56,6 +56,8 @@ class Readings(NamedTuple):
     `Command.search_index` rises."""
     vent_open: tuple[float, float] = (ABSENT, ABSENT)
     """Feedback of the two vents: 1 open, 0 shut; ABSENT when not fitted, INVALID when not believable."""
+    shut_off_open: float = ABSENT
+    """Feedback of the shut-off valve before the manifold, as of a vent; shut it exhausts the manifold."""
 
 
 class Command(NamedTuple):
@@ -64,7 +66,8 @@ class Command(NamedTuple):
     valve: Triple = (0.0, 0.0, 0.0)
     """Spool openings -1..1; 0 is the centre (closed), +1 fills chamber A and exhausts B."""
     supply_enable: bool = False
-    """True opens the soft-start supply valve; False shuts it and exhausts the manifold."""
+    """True opens the soft-start supply valve, and the shut-off valve unless the guard's lock is released;
+    False shuts both and exhausts the manifold."""
     exhaust_closed: bool = False
     """True closes both of the normally open chamber vents."""
     guard_lock: bool = True
@@ -111,6 +114,7 @@ READINGS = np.dtype(
         ("chamber_pressure", "f8", (6,)),
         ("encoder_indexed", "u1", (3,)),
         ("vent_open", "f8", (2,)),
+        ("shut_off_open", "f8"),
     ],
     align=True,
 )
@@ -171,6 +175,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         chamber,
         indexed,
         vents,
+        shut_off,
     ) = record.item()
     v1, v2, v3 = valid.tolist()
     i1, i2, i3 = indexed.tolist()
@@ -189,6 +194,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         tuple(chamber.tolist()),
         (i1 != 0, i2 != 0, i3 != 0),
         tuple(vents.tolist()),
+        shut_off,
     )
 
 

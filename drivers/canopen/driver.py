@@ -170,8 +170,9 @@ class CanopenDriver:
             1 << inputs.ball_present,
         )
         # A bit that is not fitted has no mask.
-        first, second = inputs.vent_1_open, inputs.vent_2_open
-        self._vent_bits = (1 << first if first >= 0 else 0, 1 << second if second >= 0 else 0)
+        fed_back = inputs.vent_1_open, inputs.vent_2_open, inputs.shut_off_open
+        one, two, three = (1 << bit if bit >= 0 else 0 for bit in fed_back)
+        self._vent_bits, self._shut_off_bit = (one, two), three
         self._pressure_zero = valve_node.pressure_at_zero
         self._believable = valve_node.lowest_pressure, valve_node.highest_pressure
         self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
@@ -514,10 +515,11 @@ class CanopenDriver:
             inputs & bits[3] != 0,
             inputs & bits[4] != 0,
             (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
-            vent_open=(self._vent_position(one), self._vent_position(two)),
+            vent_open=(self._valve_position(one), self._valve_position(two)),
+            shut_off_open=self._valve_position(self._shut_off_bit),
         )
 
-    def _vent_position(self, mask: int) -> float:
+    def _valve_position(self, mask: int) -> float:
         """Return what the position switch with the input `mask` says; inputs keep their last values."""
         if not mask:
             return ABSENT

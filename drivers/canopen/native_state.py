@@ -47,6 +47,7 @@ FIXED = {
     "range": "_range",
     "input_bits": "_input_bits",
     "vent_bits": "_vent_bits",
+    "shut_off_bit": "_shut_off_bit",
     "output_bits": "_output_bits",
     "valve_centre": "_valve_centre",
     "valve_span": "_valve_span",

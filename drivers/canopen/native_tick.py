@@ -114,6 +114,7 @@ LINK_STATE = np.dtype(
         ("chambers", "i8", (6,)),
         ("input_bits", "i8", (5,)),
         ("vent_bits", "i8", (2,)),
+        ("shut_off_bit", "i8"),
         ("output_bits", "i8", (5,)),
         ("valve_centre", "f8", (3,)),
         ("valve_span", "f8"),
@@ -447,6 +448,8 @@ def _fill(states: Any, readings: Any, time: float) -> None:
     for i in range(2):
         bit = s.vent_bits[i]
         out.vent_open[i] = ABSENT if bit == 0 else 1.0 if s.inputs & bit != 0 else 0.0
+    bit = s.shut_off_bit
+    out.shut_off_open = ABSENT if bit == 0 else 1.0 if s.inputs & bit != 0 else 0.0
 
 
 @compiled_call

@@ -441,11 +441,11 @@ class DaqDriver:
                 for volts in self._pressures.tolist()
             ]
         )
-        vents = iter(inputs[len(vars(s.inputs)) :])
-        # Inputs that were not read say False, which is a position of a vent, too.
-        one, two = (
-            ABSENT if not name else INVALID if self.trouble else float(next(vents))
-            for name in s.vent_feedback
+        fed_back = iter(inputs[len(vars(s.inputs)) :])
+        # Inputs that were not read say False, which is a valve's position, too.
+        one, two, shut_off = (
+            ABSENT if not name else INVALID if self.trouble else float(next(fed_back))
+            for name in (*s.vent_feedback, s.shut_off_feedback)
         )
         supply = next(pressures) if s.supply_pressure else ABSENT
         p1, p2, p3, p4, p5, p6 = (next(pressures) if name else ABSENT for name in s.chamber_pressures)
@@ -465,4 +465,5 @@ class DaqDriver:
             (p1, p2, p3, p4, p5, p6),
             (self._indexed[0], self._indexed[1], self._indexed[2]),
             (one, two),
+            shut_off,
         )

@@ -69,6 +69,8 @@ class DaqSettings:
     """Analogue inputs, in the order of the chambers; empty if not fitted."""
     vent_feedback: tuple[str, str] = ("", "")
     """Digital inputs of the two vents' position switches, high when open; empty if not fitted."""
+    shut_off_feedback: str = ""
+    """Digital input of the shut-off valve's position switch, high when open; empty if not fitted."""
     vent_proof: str = ""
     """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
     pressure switches in the guard's circuit. Needed without a supply sensor, and if neither
@@ -124,8 +126,8 @@ class DaqSettings:
 
     @property
     def input_lines(self) -> tuple[str, ...]:
-        """All digital inputs: those of the bench, then the fitted feedback of the vents."""
-        return (*vars(self.inputs).values(), *filter(None, self.vent_feedback))
+        """All digital inputs: those of the bench, then the fitted feedback of vents and shut-off valve."""
+        return (*vars(self.inputs).values(), *filter(None, (*self.vent_feedback, self.shut_off_feedback)))
 
     @property
     def analogue_inputs(self) -> tuple[str, ...]:

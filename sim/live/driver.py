@@ -237,6 +237,7 @@ def _take_readings(report: Any, record: Any, time: float) -> None:
         out.chamber_pressure[i] = given.chamber_pressure[i]
     for i in range(2):
         out.vent_open[i] = given.vent_open[i]
+    out.shut_off_open = given.shut_off_open
 
 
 @compiled

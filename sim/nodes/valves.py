@@ -27,8 +27,9 @@ class ValveNode401(CanopenDevice):
     """Valve node; `obey` applies the command given by its outputs.
 
     Wiring. Digital inputs from bit 0: emergency stop clear, guard closed, guard locked, local reset, ball
-    present, vents 1 and 2 open. Digital outputs from bit 0: supply, exhaust closed, release of the guard's
-    lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the chambers.
+    present, vents 1 and 2 open, shut-off valve open. Digital outputs from bit 0: supply, exhaust closed,
+    release of the guard's lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the
+    chambers.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class ValveNode401(CanopenDevice):
             readings.ball_present,
             readings.vent_open[0] == 1.0,
             readings.vent_open[1] == 1.0,
+            readings.shut_off_open == 1.0,
         )
         inputs = sum(closed << bit for bit, closed in enumerate(contacts))
         for polarity in _INPUT_POLARITY:

@@ -150,6 +150,7 @@ def test_without_a_name_the_working_directory_comes_first(
 def test_the_effective_configuration_is_plain_data(default: Configuration) -> None:
     effective = default.effective()
     assert effective["plant"]["wrist"]["stop"]["energy"] == 90.0
+    assert effective["plant"]["wrist"]["stop"]["rated"] == 120.0
     assert effective["bench"]["data_dir"] == "data"
 
 
@@ -157,8 +158,8 @@ def test_the_effective_configuration_is_plain_data(default: Configuration) -> No
 
 
 def test_an_overlay_changes_only_its_keys(overlay: Overlay, default: Configuration) -> None:
-    found = load_configuration(overlay("[plant.wrist.stop]\nenergy = 60.0"))
-    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, energy=60.0))
+    found = load_configuration(overlay("[plant.wrist.stop]\ntravel = 0.16"))
+    wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, travel=0.16))
     assert found == replace(default, plant=replace(default.plant, wrist=wanted))
 
 
@@ -423,6 +424,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.6127 m"),
         ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),
         ("[plant.right_arm.stop]\ntravel = 0.03", "plant.right_arm.stop.travel", "dead volume", "less than"),
+        ("[plant.wrist.stop]\nenergy = 60.0", "plant.wrist.stop.energy", "120 J", "both in one file"),
         ("[plant.wrist]\npressure_rating = 5e5", "plant.wrist.pressure_rating", "500000", "800000 Pa"),
     ],
 )

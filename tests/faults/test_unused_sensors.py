@@ -42,6 +42,22 @@ def test_a_supply_valve_that_stays_open_is_named_within_a_second_of_the_venting(
     assert (verdict, found) == ("safe", "SUPPLY_VALVE")
 
 
+def test_the_shut_off_valve_keeps_the_manifold_empty_whatever_the_supply_valve_does(
+    workbench: Workbench,
+) -> None:
+    verdict, found, _ = run(workbench, "supply", "stuck", 1.0, INSIDE)
+    assert (verdict, found) == ("safe", "MANIFOLD")  # once the guard is locked again
+
+
+@pytest.mark.parametrize("signal", ["shut-off", "shut-off feedback"])
+@pytest.mark.parametrize("instant", [BEFORE, INSIDE], ids=lambda instant: instant.label)
+def test_a_shut_off_valve_that_is_not_seen_shut_is_named(
+    workbench: Workbench, signal: str, instant: Instant
+) -> None:
+    verdict, found, _ = run(workbench, signal, "stuck", 1.0, instant)
+    assert (verdict, found) == ("safe", "SHUT_OFF")
+
+
 @pytest.mark.parametrize(
     ("kind", "value", "named"),
     [

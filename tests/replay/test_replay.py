@@ -76,6 +76,10 @@ SITES = frozenset(f"plant.site.{name}" for name in ADDED_TO_SITES)
 """Settings of the ground that the references do not have; their defaults do nothing."""
 CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
 """Settings that the references do not have: in their time the cushion's travel, today's default."""
+RATINGS = frozenset(f"plant.{name}.stop.rated" for name in ("shoulder", "right_arm", "wrist"))
+"""Settings that the references do not have; no force and no decision depends on them."""
+SHUT_OFF = frozenset({"plant.supply.shut_off_delay"})
+"""A setting that the references do not have; it acts with the position switch only, which they lack, too."""
 
 
 @pytest.mark.parametrize("name", ["shoulder", "right_arm", "wrist"])
@@ -96,7 +100,11 @@ def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {name for name in replay.defaults if name not in ADDED | CLEARANCES | FACES | SITES}
+    since = {
+        name
+        for name in replay.defaults
+        if name not in ADDED | CLEARANCES | RATINGS | SHUT_OFF | FACES | SITES
+    }
     assert not since, "the record is older than these settings: make reference"
 
 

@@ -61,7 +61,7 @@ def start(plant: Plant) -> tuple[Any, Any]:
     """Return state and command at the top of the swing."""
     state, command = initial_state(plant, np.array(TOP), pressurised=True), new_record(COMMAND)
     state["pressure"], state["ball_present"] = PRESSURE, True
-    command["supply_enable"] = command["exhaust_closed"] = True
+    command["supply_enable"] = command["exhaust_closed"] = command["guard_lock"] = True
     return state, command
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.base import COMMAND
 from drivers.base.compiled import new_record
-from sim.plant import SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
+from sim.plant import OPEN, SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
 
 POSE = np.array([-0.2, 4.1, 5.6])
@@ -48,7 +48,7 @@ def history(plant: Plant, state: Any, ticks: int, command: Any) -> Any:
     return np.concatenate(states)
 
 
-POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True}
+POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True, "guard_lock": True}
 
 
 @compiled_only
@@ -181,6 +181,31 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
         assert (pressures[1] == pressures[0]).all()
     else:
         assert (pressures[1] > 1.5 * pressures[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("command", "stuck", "cut"),
+    [
+        ({}, 0, False),
+        ({"supply_enable": False}, 0, True),
+        ({"exhaust_closed": False}, 0, False),
+        ({"guard_lock": False}, 0, True),
+        ({"guard_lock": False}, OPEN, False),
+        ({}, SHUT, True),
+    ],
+)
+def test_supply_and_shut_off_valve_each_empty_the_manifold(
+    command: dict[str, bool], stuck: int, cut: bool
+) -> None:
+    plant = build_plant(PlantParameters())
+    plant.plant["shut_off_stuck"] = stuck
+    state = initial_state(plant, POSE, pressurised=True)
+    states = history(plant, state, 1500, command_of(**POWERED | command))
+    supply = plant.parameters.supply
+    pressure = states["supply_pressure"]
+    if "supply_enable" not in command and stuck == 0:  # a shut-off valve that shuts does so by its timer
+        assert pressure[round(900 * supply.shut_off_delay)] > 0.9 * supply.pressure
+    assert bool(pressure[-1] < 1.1 * supply.atmosphere) is cut
 
 
 def test_equal_inputs_give_equal_bits() -> None:

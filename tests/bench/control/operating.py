@@ -23,7 +23,15 @@ from tests.bench.control.puppet import ADDRESS, QUICK, STILL, Puppet
 
 VENT, HOMING, SECURING = 0.02, 0.02, 2.0
 """s."""
-TIMES = replace(SIMULATED, vented_still=0.0, vented_blind=0.0, vent_time=VENT, armed_time=1.0, series=False)
+TIMES = replace(
+    SIMULATED,
+    vented_still=0.0,
+    vented_blind=0.0,
+    vented_sinking=0.0,
+    vent_time=VENT,
+    armed_time=1.0,
+    series=False,
+)
 CONTROL = replace(QUICK, precharge_time=0.01)
 SHORT = replace(
     STILL,

@@ -155,6 +155,33 @@ def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> Non
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
+def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() -> None:
+    """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
+    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
+    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(200)
+    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(2900)
+    assert puppet.control["emptied"]
+    assert not puppet.record["vented"][0]
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(200)
+    assert puppet.record["vented"][0]
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+@pytest.mark.parametrize("shown", [ATMOSPHERE, 5.0e5], ids=["stuck empty", "full"])
+def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float) -> None:
+    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
+    puppet.give(chamber_pressure=(shown,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(400)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(2500)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+
+
 def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
     puppet = reach(State.ARMED, vent_time=5.0)
     puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)

@@ -193,7 +193,7 @@ def test_nothing_begins_to_move_with_a_dead_sensor(sensor: Cause, request_: Requ
 
 
 def test_the_airs_own_causes_stop_as_trusted_ones() -> None:
-    for cause in (Cause.MANIFOLD, *SENSORS, Cause.VENT_1, Cause.VENT_2):
+    for cause in (Cause.MANIFOLD, *SENSORS, Cause.VENT_1, Cause.VENT_2, Cause.SHUT_OFF):
         assert table_column(cause) == TRUSTED
 
 
@@ -243,6 +243,43 @@ def test_vents_that_an_open_emergency_stop_circuit_releases_are_not_wrong() -> N
     vented(puppet).run(100)
     puppet.give(vent_open=(1.0, 1.0), emergency_stop_clear=False).run(3000)
     assert puppet.cycle["air_fault"][0] == 0
+
+
+def test_a_shut_off_valve_that_stays_open_is_named_at_the_venting_and_lets_nobody_in() -> None:
+    puppet = reach(State.ARMED, vent_time=0.05)
+    puppet.give(shut_off_open=1.0).run(300)
+    assert puppet.bench is State.ARMED
+    puppet.tick(Request.DISARM)
+    puppet.run(round(1000 * (SWITCHING + float(puppet.parameters.control["shut_off_delay"][0]))) - 10)
+    assert (puppet.bench, puppet.cycle["air_fault"][0]) == (State.READY, 0)
+    puppet.run(20)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SHUT_OFF)
+    assert asked(puppet, Request.ACCESS) is Refusal.VENT
+    assert puppet.record["guard_lock"][0]
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.VENT
+    puppet.give(shut_off_open=0.0).run(50)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_a_shut_off_valve_that_opens_beside_a_released_guard_ends_the_access() -> None:
+    puppet = reach(State.READY, vent_time=0.05)
+    puppet.give(shut_off_open=0.0).run(100)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    puppet.give(shut_off_open=1.0, guard_locked=False).run(
+        round(1000 * (SWITCHING + float(puppet.parameters.control["shut_off_delay"][0]))) + 10
+    )
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SHUT_OFF)
+
+
+def test_a_shut_off_valve_that_stays_shut_is_named_before_the_robot_moves() -> None:
+    puppet = reach(State.READY)
+    puppet.parameters.control["precharge_time"] = 2.0
+    puppet.give(shut_off_open=0.0).run(1000)
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+    puppet.run(round(1000 * SWITCHING) + 20)
+    assert puppet.cause is Cause.SHUT_OFF
+    assert until(puppet, State.FAULT) is State.FAULT
 
 
 def test_a_feedback_that_is_lost_is_a_vent_that_does_not_obey() -> None:

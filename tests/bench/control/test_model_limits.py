@@ -162,8 +162,11 @@ def test_limits_of_a_changed_profile_are_stale(default_profile: Profile, file: P
     assert "another profile" in limits_in_use(ModelSettings(), made_for(shifted), [file]).source
 
 
-def test_ball_and_seed_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
-    plant = replace(PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77)
+def test_ball_seed_and_ratings_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
+    stop = replace(PLANT.wrist.stop, rated=PLANT.wrist.stop.rated + 10.0)
+    plant = replace(
+        PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77, wrist=replace(PLANT.wrist, stop=stop)
+    )
     assert not limits_in_use(ModelSettings(), made_for(default_profile, plant=plant), [file]).stale
 
 

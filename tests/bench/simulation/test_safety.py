@@ -88,3 +88,15 @@ def test_loads_are_shares_of_the_ratings() -> None:
     assert pressure_shares(found.peak_pressure, plant).shape == (3, 2)
     begin_tally(state)
     assert loads_of(state, plant).stop_share == 0.0
+
+
+def test_an_absorber_may_be_rated_for_more_than_its_spring_takes() -> None:
+    plant = PlantParameters()
+    stop = plant.wrist.stop
+    assert stop.rating == stop.rated > stop.energy
+    assert stop.stiffness == replace(stop, rated=0.0).stiffness
+    assert replace(stop, rated=0.0).rating == stop.energy
+    state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
+    begin_tally(state)
+    state["stop_energy"][0, 2, 1] = stop.energy
+    assert loads_of(state, plant).stop_share == pytest.approx(stop.energy / stop.rated)

@@ -42,6 +42,7 @@ readings = st.builds(
     ball_present=switch,
     chamber_pressure=st.tuples(*(number,) * 6),
     vent_open=st.tuples(number, number),
+    shut_off_open=number,
 )
 commands = st.builds(Command, triple, *(switch,) * 5)
 

@@ -175,4 +175,7 @@ def canonical(readings: Readings) -> Readings:
     """Return the readings with NaN as text, which equals itself."""
     text: Any = [tuple(map(repr, part)) for part in (readings.chamber_pressure, readings.vent_open)]
     supply: Any = repr(readings.supply_pressure)
-    return readings._replace(chamber_pressure=text[0], vent_open=text[1], supply_pressure=supply)
+    shut_off: Any = repr(readings.shut_off_open)
+    return readings._replace(
+        chamber_pressure=text[0], vent_open=text[1], shut_off_open=shut_off, supply_pressure=supply
+    )

@@ -156,6 +156,17 @@ def test_the_vents_tell_where_they_are(card: Card, bench: Bench) -> None:
     assert driver.read(0.001).vent_open == (INVALID, INVALID)
 
 
+@pytest.mark.parametrize("vents", [("", ""), ("port0/line5", "port0/line6")])
+def test_the_shut_off_valve_tells_where_it_is(card: Card, bench: Bench, vents: tuple[str, str]) -> None:
+    driver = bench(settings=replace(FULL, vent_feedback=vents, shut_off_feedback="port0/line7"))
+    driver.open()
+    assert driver.read(0.0).shut_off_open == 0.0
+    card.lines |= {"port0/line7": True}
+    assert driver.read(0.001).shut_off_open == 1.0
+    card.gone = True
+    assert driver.read(0.002).shut_off_open == INVALID
+
+
 @pytest.mark.parametrize("unsigned", [False, True])
 def test_the_count_itself_tells_whether_the_index_has_passed(
     bench: Bench, card: Card, unsigned: bool
