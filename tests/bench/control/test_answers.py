@@ -61,8 +61,9 @@ def good(template: Situation) -> Callable[[Request], Situation]:
         s, p, e = state.control, parameters.control, state.estimator
         s["state"] = FROM.get(request, State.SWINGING)
         s["phase"] = Phase.HOLD if s["state"][0] == State.ARMED else Phase.STANDING
-        for name in ("lease_held", "support_ready", "supervisor_alive", "device_operational", "vented"):
+        for name in ("lease_held", "support_ready", "supervisor_alive", "device_operational"):
             s[name] = True
+        s["emptied"] = s["vented"] = True
         s["vent_start"] = 0.0
         p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
         p["address_tolerance"], p["still_speed"], p["still_time"] = TOLERANCE, STILL, STILL_TIME
@@ -154,8 +155,9 @@ CONDITIONS = (
         Refusal.NOT_VENTED,
         only(Request.ACCESS, Request.HOME, Request.RESET),
         "control",
-        {"vented": False},
+        {"emptied": False, "vented": False},
     ),
+    Condition("arm may sink", Refusal.NOT_VENTED, only(Request.ACCESS), "control", {"vented": False}),
     Condition(
         "button",
         Refusal.LOCAL_RESET,
@@ -241,7 +243,7 @@ def test_a_robot_rests_once_it_has_been_slow_for_a_while(good: Make, since: floa
 def test_a_search_of_the_index_begins_with_air(good: Make) -> None:
     situation = good(Request.HOME)
     situation.parameters.control["home_by_index"] = True
-    situation.state.control["vented"] = False
+    situation.state.control["emptied"] = False
     assert situation.refusal(Request.HOME) is Refusal.NONE
 
 
@@ -253,7 +255,7 @@ def test_a_reset_waits_for_the_air_from_the_time_on_in_which_it_should_be_out(
     good: Make, since: float, refusal: Refusal
 ) -> None:
     situation = good(Request.RESET)
-    situation.state.control["vented"], situation.state.control["vent_start"] = False, NOW - since
+    situation.state.control["emptied"], situation.state.control["vent_start"] = False, NOW - since
     assert situation.refusal(Request.RESET) is refusal
 
 

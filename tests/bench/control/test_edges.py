@@ -99,7 +99,7 @@ UNCLEAR: dict[str, Act] = {
     "supervisor dead": give(supervisor_alive=False),
 }
 UNPRESSED: dict[str, Act] = {"button not pressed": give(reset_pressed=-np.inf)}
-PRESSURE: dict[str, Act] = {"not vented": give(vented=False, vent_start=np.inf)}
+PRESSURE: dict[str, Act] = {"not vented": give(emptied=False, vented=False, vent_start=np.inf)}
 CLOSED: dict[str, Act] = {"guard open": give(guard_closed=False), **NO_LEASE}
 AWAY: dict[str, Act] = {"not at the address": lambda puppet: puppet.shift(0, 0.02)}
 BRAKED, SWUNG = 0.1, 2.0

@@ -77,7 +77,7 @@ def test_a_sample_bears_the_time_of_its_sync(bench: Bench) -> None:
 
 
 def test_what_comes_before_the_sync_counts_into_the_samples_time(bench: Bench) -> None:
-    bench.run(1)
+    bench.run(5)  # the shut-off valve has opened: no input changes and sends a frame of its own
     bench.wire.frame_time = 1e-5
     for _ in range(7):
         bench.wire.put(0x555)
