@@ -230,14 +230,6 @@ def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
     assert situation.refusal(Request.ACCESS) is Refusal.NONE
 
 
-def test_access_names_a_shut_off_valve_that_does_not_follow(good: Make) -> None:
-    """Behind it nothing proves that the manifold is empty."""
-    situation = good(Request.ACCESS)
-    situation.state.control["emptied"] = situation.state.control["vented"] = False
-    situation.state.control["shut_off_wrong"] = True
-    assert situation.refusal(Request.ACCESS) is Refusal.VENT
-
-
 @pytest.mark.parametrize(
     ("since", "refusal"), [(STILL_TIME, Refusal.NONE), (STILL_TIME - 2.0**-40, Refusal.MOVING)]
 )

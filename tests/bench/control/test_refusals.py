@@ -34,6 +34,7 @@ FOUND = {
     "sensor of a chamber": ({"sensor_dead": one_dead(4)}, Refusal.SENSOR),
     "first vent": ({"vent_wrong": [1, 0]}, Refusal.VENT),
     "second vent": ({"vent_wrong": [0, 1]}, Refusal.VENT),
+    "shut-off valve": ({"shut_off_wrong": True}, Refusal.VENT),
     "supply valve": ({"supply_wrong": True}, Refusal.MANIFOLD),
 }
 
@@ -46,6 +47,14 @@ def test_what_fails_is_named(found: dict[str, Any], expected: Refusal, request_:
     press(puppet)
     assert refused(puppet, request_) is Refusal.NONE
     assert refused(puppet, request_, **found) is expected
+
+
+def test_access_names_a_shut_off_valve_that_does_not_follow() -> None:
+    """Behind it nothing proves that the manifold is empty."""
+    puppet = reach(State.READY)
+    assert refused(puppet, Request.ACCESS) is Refusal.NONE
+    found = {"emptied": False, "vented": False, "shut_off_wrong": True}
+    assert refused(puppet, Request.ACCESS, **found) is Refusal.VENT
 
 
 @pytest.mark.parametrize(("source", "excused"), [(State.FAULT, True), (State.READY, False)])
