@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from math import pi, sqrt
 from pathlib import Path
@@ -86,11 +86,13 @@ class AbsorberPart:
 
     name: str
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
-    """Energy a stroke, J."""
+    """Energy of a stroke as it is set, J."""
     stroke: Annotated[float, Range(0.001, 0.2, "m")]
     """m"""
     price: PriceClass
     source: str
+    rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
+    """Energy that its body is rated for, J; `energy` unless it is larger."""
 
 
 @dataclass(frozen=True)

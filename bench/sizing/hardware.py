@@ -153,7 +153,7 @@ def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart)
     longer = max(absorber.stroke - shipped.stop.travel, 0.0)
     return {
         "clearance": shipped.clearance + longer,
-        "stop": {"energy": absorber.energy, "travel": absorber.stroke, "rated": 0.0},
+        "stop": {"energy": absorber.energy, "travel": absorber.stroke, "rated": absorber.rated},
     }
 
 
@@ -162,7 +162,7 @@ def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
     travel = absorber.stroke / STOP_RADIUS
     return {
         "clearance": max(0.12, travel - 0.054),
-        "stop": {"energy": absorber.energy, "travel": travel, "rated": 0.0},
+        "stop": {"energy": absorber.energy, "travel": travel, "rated": absorber.rated},
     }
 
 

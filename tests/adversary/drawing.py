@@ -83,7 +83,7 @@ def drawn_fault(random: Generator) -> Fault:
                 value *= float(random.choice([-1, 1]))
         elif kind == "intermittent":
             value = round(float(random.uniform(0.02, 1.0)), 3)
-        if kind == "stuck" and sort in ("supply", "vents", "vent", "switch"):
+        if kind == "stuck" and sort in ("supply", "vents", "vent", "shut-off", "switch"):
             value = float(random.integers(0, 2))
         elif kind == "swapped":
             value = float(random.integers(0, len(JOINTS)))

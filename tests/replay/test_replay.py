@@ -350,7 +350,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     )
     replay = replay_cycles(swing[0], metadata, "swing")
     assert (
-        set(replay.defaults) - ADDED - CLEARANCES - FACES - SITES
+        set(replay.defaults) - ADDED - CLEARANCES - RATINGS - SHUT_OFF - FACES - SITES
         == {
             "control.strike_drop",
             *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
