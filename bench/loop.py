@@ -73,7 +73,7 @@ class Cycle:
         self.publish_error: Exception | None = None
         self._note_truth = note_truth
         self._readings, self._command = new_record(READINGS), new_record(COMMAND)
-        self._read_record = _record_reading(driver)
+        self._read_record = record_reading(driver)
         self._calls = _native_calls(driver, note_truth)
         self._publisher = publish
         self._state, self._parameters = new_control_state(state), parameters
@@ -185,10 +185,7 @@ class Cycle:
     def _read(self, time: float) -> bool:
         """Take the readings at `time`; return False when that failed and nothing in them can be trusted."""
         try:
-            if self._read_record is not None:
-                self._read_record(time, self._readings)
-            else:
-                pack_readings(self.driver.read(time), self._readings)
+            self._read_record(time, self._readings)
             self._operational[0] = self.driver.operational
             return True
         except Exception as error:  # a driver may fail in any way
@@ -237,12 +234,16 @@ class Cycle:
                 self._bind_publisher()
 
 
-def _record_reading(driver: Driver) -> Callable[[float, Any], None] | None:
-    """Return the `read_record` that belongs to the driver's `read`; None where `read` alone was replaced."""
-    if not isinstance(driver, RecordReader) or "read" in getattr(driver, "__dict__", ()):
-        return None
-    first = next(kind for kind in type(driver).__mro__ if {"read", "read_record"} & vars(kind).keys())
-    return driver.read_record if "read_record" in vars(first) else None
+def record_reading(driver: Driver) -> Callable[[float, Any], None]:
+    """Return what writes the readings of `driver` at a time (s) into a READINGS record.
+
+    Its own `read_record`, unless it has none or `read` alone was replaced.
+    """
+    if isinstance(driver, RecordReader) and "read" not in getattr(driver, "__dict__", ()):
+        first = next(kind for kind in type(driver).__mro__ if {"read", "read_record"} & vars(kind).keys())
+        if "read_record" in vars(first):
+            return driver.read_record
+    return lambda time, record: pack_readings(driver.read(time), record)
 
 
 def _native_calls(driver: Driver, note_truth: Publish | None) -> NativeCalls:
@@ -310,6 +311,20 @@ class Loop:
 
     def __init__(self, cycle: Cycle, clock: Clock) -> None:
         self.cycle, self.clock, self.state = cycle, clock, cycle.state
+
+    @property
+    def period(self) -> float:
+        """Tick, s."""
+        return self.clock.period
+
+    @property
+    def parameters(self) -> ControlParameters:
+        """Parameters of the step; others may be set between two ticks."""
+        return self.cycle.parameters
+
+    @parameters.setter
+    def parameters(self, parameters: ControlParameters) -> None:
+        self.cycle.parameters = parameters
 
     def advance(self, ticks: int, request: int = 0) -> Cycles:
         """Run `ticks` ticks, `request` put at the first; return their records."""

@@ -409,6 +409,20 @@ def own_records(plant: Plant) -> Plant:
     return Plant(plant.parameters, plant.robot.copy(), plant.plant.copy(), plant.impact.copy())
 
 
+def turn_regulator(plant: Plant, faults: Faults | None, pressure: float) -> None:
+    """Turn the regulator of `plant` to `pressure`, Pa absolute, at most its parameters'; 0: back to that.
+
+    Any other number is ignored. A fault of the supply refers to what the healthy regulator gives.
+    """
+    full = plant.parameters.supply.pressure
+    if not pressure >= 0.0:
+        return
+    regulated = min(pressure, full) if pressure > 0.0 else full
+    plant.plant["regulated"] = regulated
+    if faults is not None:
+        faults.healthy_plant["regulated"] = regulated
+
+
 @compiled
 def notice_onsets(faults: Faults, plant: Any, state: Any, phase: int) -> None:
     """Begin a tick: determine the active faults from the bench's `phase` (-1: unknown) and PLANT_STATE."""

@@ -18,12 +18,14 @@ import sys
 import time as wall
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 from bench.clock import GridClock, PacedClock
+from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
 from bench.errors import BenchError
 from bench.lifecycle import Answer, Phase, Request, State
@@ -61,21 +63,18 @@ _POLL_TICKS = 50
 """Ticks between two checks of the parent."""
 
 
-def open_driver(plan: LoopPlan) -> Driver:
-    """Return the driver of `plan`'s configuration, closed.
+def configured_driver(c: Configuration, folder: Path) -> Driver:
+    """Return the driver of configuration `c`, closed; a simulated one has its files in `folder`.
 
     Raises:
         DriverError: it is not installed, or broken.
     """
-    settings = plan.configuration.driver
+    settings = c.driver
     if settings.name == "sim":
         if settings.time == "wall":
-            return ProcessPlantDriver(plan.folder, watchdog=settings.watchdog)
-        c = plan.configuration
-        return PacedPlantDriver(
-            plan.folder, c.plant, faults=tuple(c.faults.values()), watchdog=settings.watchdog
-        )
-    return choose_driver(settings.name, find_drivers())(**plan.configuration.driver_arguments())
+            return ProcessPlantDriver(folder, watchdog=settings.watchdog)
+        return PacedPlantDriver(folder, c.plant, faults=tuple(c.faults.values()), watchdog=settings.watchdog)
+    return choose_driver(settings.name, find_drivers())(**c.driver_arguments())
 
 
 class LoopProcess:
@@ -91,7 +90,7 @@ class LoopProcess:
         self.plan, self.parent = plan, parent
         self.period = 1.0 / c.loop.rate
         self._period_ns = round(1e9 / c.loop.rate)
-        self.driver = open_driver(plan)
+        self.driver = configured_driver(c, plan.folder)
         self.paced = c.driver.paced
         self._set_phase: Callable[[int], None] | None = None
         if c.faults and isinstance(self.driver, PacedPlantDriver):

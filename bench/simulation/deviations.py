@@ -12,8 +12,9 @@ from bench.control.model import KINDS, LEARNING
 from bench.control.records import ControlParameters
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Reaction, Request
-from bench.simulation.engine import LONGEST_RETURN, LockstepEngine
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep, run_noting
+from bench.simulation.swing_operator import LONGEST_RETURN
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import new_record

@@ -166,6 +166,11 @@ class Lockstep:
         if faults:
             self.break_with(faults)
 
+    @property
+    def period(self) -> float:
+        """Tick, s."""
+        return self.plant.parameters.tick
+
     def break_with(self, faults: tuple[Fault, ...], *, watchdog: float = 0.02, seed: int = 1) -> None:
         """Apply `faults` from now on, with time zero now; ValueError as `new_faults`."""
         self.plant = own_records(self.plant)

@@ -18,9 +18,10 @@ from bench.control.settings import (
 )
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
-from bench.simulation.engine import LONGEST_RETURN, LONGEST_STOP, LockstepEngine, Mark, joined
+from bench.simulation.engine import LockstepEngine, Mark
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, joined
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from sim.impact import Delivery

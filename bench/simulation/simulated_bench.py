@@ -27,10 +27,11 @@ from bench.loop import Cycle, Cycles, Loop
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
-from bench.simulation.engine import LONGEST_RETURN, LockstepEngine, SwingEngine, never
+from bench.simulation.engine import LockstepEngine, SwingEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.swing_operator import LONGEST_RETURN, never
 from bench.swing.profile import Profile
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from bench.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
@@ -250,7 +251,7 @@ class _DriverLoop(Loop):
         driver.open()
         cycle = Cycle(driver, parameters, lambda _: None, name="sim", note_truth=driver.note_truth)
         super().__init__(cycle, FreeClock(plant.parameters.tick))
-        self.plant, self.plant_state, self.parameters = plant, driver.plant_state, parameters
+        self.plant, self.plant_state = plant, driver.plant_state
 
     @property
     def error(self) -> str:

@@ -130,11 +130,13 @@ PLANT_SURROUNDINGS = np.dtype(
         ("local_reset", "?"),
         ("encoder_valid", "u1", (3,)),
         ("frozen", "?"),
+        ("regulated", "f8"),
         ("ball_handled", "i8"),
         ("ball_present", "?"),
         ("ball", BALL),
     ],
     align=True,
 )
-"""`frozen`: readings and their time stamps freeze. Whenever `ball_handled` changes, the ball is placed or
-removed according to `ball_present`; `ball` is the next ball."""
+"""`frozen`: readings and their time stamps freeze. `regulated`: pressure to which the regulator is turned, Pa
+absolute, at most that of the plan; 0: that of the plan. Whenever `ball_handled` changes, the ball is placed
+or removed according to `ball_present`; `ball` is the next ball."""

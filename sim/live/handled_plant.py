@@ -1,4 +1,4 @@
-"""The plant with guard, e-stop, ball and encoder faults as `sim.live.surroundings` requests."""
+"""The plant with guard, e-stop, regulator, ball and encoder faults as `sim.live.surroundings` requests."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sim.ball import Ball
+from sim.faults import Faults, turn_regulator
 from sim.impact import impact_parameters
 from sim.live.exchange import BALL
 from sim.plant import Plant
@@ -15,11 +16,12 @@ from sim.plant import Plant
 class HandledPlant:
     """Applies operator actions and surroundings to a plant and its state."""
 
-    def __init__(self, plant: Plant, state: np.ndarray[Any, Any]) -> None:
-        """Act on `plant` and its `state` (PLANT_STATE)."""
-        self._plant, self._state = plant, state
+    def __init__(self, plant: Plant, state: np.ndarray[Any, Any], faults: Faults | None) -> None:
+        """Act on `plant`, its `state` (PLANT_STATE) and its `faults`."""
+        self._plant, self._state, self._faults = plant, state, faults
         self.frozen = False
         """Whether readings and their time stamps are frozen."""
+        self._regulated = 0.0
         self._ball_handled = 0
         self._ball = np.zeros(1, BALL).tobytes()
 
@@ -30,6 +32,9 @@ class HandledPlant:
             state[name] = bool(new[name])
         state["encoder_valid"] = new["encoder_valid"] != 0
         self.frozen = bool(new["frozen"])
+        if new["regulated"] != self._regulated:
+            self._regulated = float(new["regulated"])
+            turn_regulator(self._plant, self._faults, self._regulated)
         if new["ball_handled"] != self._ball_handled:
             self._ball_handled = new["ball_handled"]
             state["ball_present"] = bool(new["ball_present"])

@@ -47,7 +47,7 @@ class PacedPlantDriver:
         self.note_truth = self._driver.note_truth
         self._files: PlantFiles | None = None
         self._surroundings, self._report = new_record(PLANT_SURROUNDINGS), new_record(PLANT_REPORT)
-        self._handled = HandledPlant(self._driver.plant, self._driver.plant_state)
+        self._handled = HandledPlant(self._driver.plant, self._driver.plant_state, self._driver.faults)
         self._readings, self._last = new_record(READINGS), new_record(READINGS)
         self._struck = numbers(self._driver.plant_state["struck"])
         self._remembered = np.zeros(4, np.int64)

@@ -50,14 +50,20 @@ class SurroundingsWriter:
         local_reset: bool | None = None,
         encoder_valid: tuple[bool, bool, bool] | None = None,
         frozen: bool | None = None,
+        regulated: float | None = None,
     ) -> None:
-        """Change the given values only; `frozen` freezes readings and their time stamps."""
+        """Change the given values only.
+
+        `frozen` freezes readings and their time stamps; `regulated` turns the pressure regulator (Pa
+        absolute), 0 back to that of the plan.
+        """
         for name, value in {
             "emergency_stop_clear": emergency_stop_clear,
             "guard_closed": guard_closed,
             "local_reset": local_reset,
             "encoder_valid": encoder_valid,
             "frozen": frozen,
+            "regulated": regulated,
         }.items():
             if value is not None:
                 self._record[name] = value

@@ -66,7 +66,7 @@ class WallPlant:
         self._node["watchdog"] = watchdog_ticks * plan.plant.tick
         self._command, self._in_force = new_record(COMMAND), PASSIVE
         pack_command(PASSIVE, self._command)
-        self._handled = HandledPlant(self.plant, self.state)
+        self._handled = HandledPlant(self.plant, self.state, self.faults)
         sense(self.plant.plant, self.state, self._readings)
 
     def receive(self, record: np.ndarray[Any, Any]) -> None:

@@ -28,8 +28,9 @@ from bench.control.settings import build_controller
 from bench.errors import Refused
 from bench.learning.figures import figures_of
 from bench.lifecycle import Request
-from bench.simulation.engine import LONGEST_RETURN, LockstepEngine
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LONGEST_RETURN
 from bench.simulation.variation import WORN
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

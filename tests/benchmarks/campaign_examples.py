@@ -16,7 +16,7 @@ from bench.campaign.plan_file import campaign_names, load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.simulated import BEGIN
 from bench.config import database_url, load_configuration
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from tests.benchmarks.row import Row

@@ -28,7 +28,7 @@ from bench.campaign.simulated import BEGIN, SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.shot.shot_table import shot_table_text
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
 from bench.store.database import open_database
 from tests.benchmarks.row import Row

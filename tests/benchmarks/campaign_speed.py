@@ -29,7 +29,7 @@ from bench.campaign.simulated import BEGIN, SimulatedShots
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.shot.shot import Shot
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
 from bench.store.database import open_database
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots

@@ -13,8 +13,9 @@ import pytest
 from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
 from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
-from bench.simulation.engine import LONGEST_SWAY, LockstepEngine
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LONGEST_SWAY
 from bench.swing.profile import Profile
 from sim.driver import hanging_pose, joint_travel
 from sim.plant import Encoders, PlantParameters, build_plant

@@ -14,8 +14,9 @@ import pytest
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.design.check import TRIALS, SwingCheck, TrialOutcome
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Request
-from bench.simulation.engine import LONGEST_SWAY, LockstepEngine
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.swing_operator import LONGEST_SWAY
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 from tests.sampling import slow_except

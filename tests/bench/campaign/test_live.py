@@ -44,8 +44,8 @@ from bench.network.command import CommandAnswer, Verb
 from bench.network.live_swing import SwingRecord
 from bench.shot.shot import ShotStatus
 from bench.shot.shot_message import ShotMessage
-from bench.simulation.engine import never
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing

@@ -44,7 +44,7 @@ from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
 from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
 from bench.store.database import open_database
 from tests.bench.campaign.test_runner import NOW, Scripted

@@ -41,7 +41,7 @@ from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
 from bench.store.database import open_database
 from bench.telemetry.recorder import read_swing, write_swing

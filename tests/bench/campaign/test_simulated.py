@@ -18,7 +18,7 @@ from bench.campaign.simulated import SimulatedShots, Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, load_configuration
 from bench.shot.shot import ShotStatus
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.telemetry.cycle_record import CYCLE
 
 

@@ -28,7 +28,7 @@ from bench.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, ExitCode, Refused
 from bench.shot.shot_table import read_shot_table
-from bench.simulation.engine import never
+from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.whole_file import NotStored

@@ -1,0 +1,224 @@
+"""Operates a bench as a person does: arms it, waits for its air, swings, brings it to rest.
+
+The bench is a simulated one (`bench.simulation.engine`), or the cycle around the robot itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.air_watch import chambers_show_pressure
+from bench.control.records import ControlParameters, ControlState
+from bench.control.requests import near_address
+from bench.errors import Refused
+from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
+from bench.loop import Cycles, bring_to_rest
+from bench.telemetry.cycle_record import CYCLE
+
+LONGEST_ARMING = 30.0
+"""s; the bench's own time-outs are shorter"""
+LONGEST_SWAY = 10.0
+"""Until the standing robot rests, s."""
+LONGEST_RETURN = 10.0
+"""From the end of a profile back to its address, s."""
+LONGEST_STOP = 6.0
+"""From a stop to standstill, s."""
+
+
+class OperatedStepper(Protocol):
+    """Controller with what it moves, run tick by tick."""
+
+    state: ControlState
+    parameters: ControlParameters
+
+    @property
+    def period(self) -> float:
+        """Tick, s."""
+
+    def advance(self, ticks: int, request: int = 0) -> Cycles:
+        """Run `ticks` ticks with `request` in the first; return their records."""
+
+    def make_passive(self) -> None:
+        """Send the passive command, outside of any tick."""
+
+
+AnyStepper = TypeVar("AnyStepper", bound=OperatedStepper)
+
+
+def never() -> bool:
+    """Return False: nobody asked to stop."""
+    return False
+
+
+class SwingOperator(Generic[AnyStepper]):
+    """A bench that is switched on, and who operates it."""
+
+    def __init__(
+        self, stepper: AnyStepper, *, look: int = 10, stop: Callable[[], bool] = never, name: str = ""
+    ) -> None:
+        """Run `stepper`, looking at its phase and at `stop` every `look` ticks; `name` is the profile's."""
+        self.stepper, self.stop, self.name, self._look = stepper, stop, name, look
+        self._kept: list[Cycles] = []
+
+    @property
+    def control(self) -> NDArray[Any]:
+        """Memory of the swing's state machine, one record."""
+        return np.asarray(self.stepper.state.control)
+
+    @property
+    def period(self) -> float:
+        """Tick, s."""
+        return self.stepper.period
+
+    @property
+    def phase(self) -> Phase:
+        """Phase after the last tick."""
+        return Phase(int(self.control["phase"][0]))
+
+    @property
+    def cause(self) -> Cause:
+        """Cause of the last stop; NONE if nothing stopped the robot."""
+        return Cause(int(self.control["cause"][0]))
+
+    # Ticks ---------------------------------------------------------------------------------------------
+
+    def advance(self, ticks: int, request: int = 0) -> Cycles:
+        """Run `ticks` ticks with `request` in the first; keep and return their records."""
+        self._kept.append(self.stepper.advance(ticks, request))
+        return self._kept[-1]
+
+    def request(self, request: int) -> bool:
+        """Run one tick with `request`; return whether it was accepted."""
+        self.advance(1, request)
+        return bool(self.control["answer"][0] == Answer.ACCEPTED)
+
+    def wait_for(self, reached: Callable[[], bool], longest: float) -> bool:
+        """Run until `reached`, a request to stop or `longest` (s); return whether it was `reached`."""
+        for _ in range(round(longest / self.period / self._look)):
+            if reached():
+                return True
+            if self.stop():
+                return False
+            self.advance(self._look)
+        return reached()
+
+    def run_until(self, reached: Callable[[], bool], longest: float) -> bool:
+        """Run as `wait_for` does, but no longer than to a standstill."""
+        return self.wait_for(lambda: reached() or self.phase is Phase.STANDING, longest) and reached()
+
+    # Records -------------------------------------------------------------------------------------------
+
+    def begin_record(self) -> None:
+        """Drop the records kept so far."""
+        self._kept = []
+
+    @property
+    def latest(self) -> Cycles:
+        """Records of the latest ticks run at once."""
+        return self._kept[-1]
+
+    def record(self) -> Cycles:
+        """Return the records kept since `begin_record`."""
+        return joined(self._kept)
+
+    # A swing -------------------------------------------------------------------------------------------
+
+    def holding(self) -> bool:
+        """Return whether the robot holds its address: no swing and no reaction is going on."""
+        control = self.control
+        return self.phase is Phase.HOLD and not control["swinging"][0] and not control["reaction"][0]
+
+    def resting(self) -> bool:
+        """Return whether the robot holds its address with every joint at rest there."""
+        parameters, estimator = self.stepper.parameters, self.stepper.state.estimator
+        return self.phase is Phase.HOLD and bool(near_address(parameters, estimator))
+
+    def is_still(self) -> bool:
+        """Return whether no joint has moved for as long as counts as rest; else the bench refuses to arm."""
+        control = self.control
+        since = control["time"][0] - control["moved_at"][0]
+        return bool(since >= self.stepper.parameters.control["still_time"][0])
+
+    def is_vented(self) -> bool:
+        """Return whether it is still, and no sensor shows pressure in a chamber; else nothing is armed."""
+        return self.is_still() and self.shows_no_pressure()
+
+    def shows_no_pressure(self) -> bool:
+        """Return whether no living sensor shows pressure in its chamber."""
+        return not chambers_show_pressure(self.control[0], self.stepper.parameters.control[0])
+
+    def arm(self, *, at_rest: bool = True) -> bool:
+        """Charge the chambers of the robot once it is vented, and take it to its address.
+
+        With `at_rest` until it rests there.
+
+        False if asked to stop: the robot is then brought to rest.
+
+        Raises:
+            Refused: the robot does not reach its address.
+        """
+        self.wait_for(self.is_vented, LONGEST_SWAY)
+        accepted = self.request(Request.ARM)
+        if accepted and self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
+            return True
+        if self.stop():
+            self.rest()
+            return False
+        reason = CAUSE_TEXT[self.cause] if self.cause else "not there in time"
+        angle = np.array2string(self.stepper.state.estimator["angle"][0], precision=3)
+        self.rest()
+        raise self.refusal(f"{reason}; joints at {angle} rad" if accepted else "the request refused")
+
+    def refusal(self, found: str) -> Refused:
+        """Return the error of a robot that does not hold its address, with what was `found` instead."""
+        address = np.array2string(self.stepper.parameters.angle[0], precision=3)
+        return Refused(
+            f"arming with profile {self.name!r}",
+            found,
+            f"hold at address {address} rad within {LONGEST_ARMING:g} s",
+            "Check the profile's address against the plant, or start nearer to it.",
+        )
+
+    def await_air(self) -> bool:
+        """Hold the address until the chambers are as planned; return whether they are.
+
+        At once where no pressures are planned. A bench that cannot bring them stops by itself.
+        """
+        parameters = self.stepper.parameters
+        if not parameters.profile["air_planned"][0]:
+            return True
+        longest = float(parameters.control["air_timeout"][0]) + 1.0
+        return self.run_until(lambda: bool(self.control["air_ready"][0]), longest)
+
+    def start_swing(self, attempts: int, wait: int) -> bool:
+        """Request the swing up to `attempts` times, `wait` ticks apart; return whether it began.
+
+        A swing is refused until the robot is at rest. While it waits for its air no attempt counts: the bench
+        ends that by itself. False also if the robot leaves its hold, or on a stop.
+        """
+        while attempts > 0:
+            if self.stop() or not self.holding():
+                return False
+            if self.request(Request.SWING):
+                return True
+            if self.control["refusal"][0] == Refusal.AIR:
+                self.await_air()
+                continue
+            attempts -= 1
+            if attempts > 0:
+                self.advance(wait)
+        return False
+
+    def rest(self) -> None:
+        """Bring the robot to rest as the stopping table says."""
+        self._kept += bring_to_rest(self.stepper, round(LONGEST_STOP / self.period))
+
+
+def joined(parts: list[Cycles]) -> Cycles:
+    """Return the records of `parts`, one after another."""
+    # As bytes: numpy joins records field by field and leaves their padding to chance.
+    return np.concatenate([part.view(np.uint8) for part in parts]).view(CYCLE)
