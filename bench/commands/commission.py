@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,10 +14,16 @@ from bench.commands.session import Session
 if TYPE_CHECKING:
     from datetime import datetime
 
+    from rich.progress import Progress
+
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.known_robot import KnownRobot
+    from bench.commissioning.machine import CommissionedMachine
     from bench.commissioning.steps import NamedStep
+    from bench.commissioning.swung_robot import SwungRobot
     from bench.config import Configuration
+    from bench.control.settings import EnvelopeSettings
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
@@ -28,6 +35,15 @@ Robot = Annotated[
     ),
 ]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of state, records, robot.toml and report.")]
+Turn = Annotated[
+    str | None,
+    typer.Option(
+        "--regulator",
+        metavar="PROGRAM",
+        help="Program that turns the pressure regulator, called with bar absolute or 'service'.",
+        show_default="a person is asked",
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue after the last step done in DIR.")]
 Check = Annotated[
     bool, typer.Option("--check", help="Move nothing: check the files, and say what each step does.")
@@ -40,39 +56,74 @@ def commission(
     output: Output,
     sim: Simulated = False,
     robot: Robot = None,
+    regulator: Turn = None,
     resume: Resume = False,
     check: Check = False,
     json_: Json = False,
 ) -> None:
     """Measure an unknown robot in five bounded steps, design its swing, and learn it.
 
-    Writes robot.toml, with standard errors, its profile, also as learned, and a report to sign. If the
-    machine is wrong it says what to do. Exits with 0 once the swing is learned within the tolerances.
+    Takes the place of golfbench run meanwhile; with --sim the robot is simulated in lock-step. Writes
+    robot.toml, with standard errors, its profile, also as learned, and a report to sign. If the machine is
+    wrong it says what to do. Exits with 0 once the swing is learned within the tolerances.
     """
     from bench.commissioning.commissioning import begin
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.config import load_configuration
     from bench.design.casadi_package import load_casadi
-    from bench.errors import BenchError
 
-    if not sim:
-        cure = "Add --sim: commissioning of a running bench is not part of golfbench yet."
-        raise BenchError("commission", "no --sim", "a simulated robot", cure)
     configuration = context.ensure_object(Session).configuration()
+    simulated = sim or configuration.driver.name == "sim"
+    _require_possible(configuration, sim=sim, robot=robot, regulator=regulator)
     truth = configuration if robot is None else load_configuration(robot)
-    state = begin(output, configuration, simulated=True, resume=resume)
+    state = begin(output, configuration, simulated=simulated, resume=resume)
     state.robot = "" if robot is None else str(robot.resolve())
     if check:
-        with SimulatedMachine(truth.plant, configuration.plant):
-            _show_steps(state, json_=json_)
+        if simulated:
+            with SimulatedMachine(truth.plant, configuration.plant):
+                pass  # a robot that it refuses is refused before anything begins
+        _show_steps(state, json_=json_)
         return
     load_casadi()  # a missing package must fail before the long part
-    _commission(state, configuration, truth)
+    _commission(state, configuration, truth, live=not sim, regulator=regulator)
     _show(state)
 
 
-def _commission(state: Commissioning, configuration: Configuration, truth: Configuration) -> None:
-    """Do the steps that are left on the simulated `truth`; write state, report, robot.toml and profiles."""
+def _require_possible(
+    configuration: Configuration, *, sim: bool, robot: Path | None, regulator: str | None
+) -> None:
+    """Refuse options that do not go together, and a simulated plant on its own clock.
+
+    Raises:
+        BenchError: the text says which.
+    """
+    from bench.errors import BenchError
+
+    driver = configuration.driver
+    simulated = sim or driver.name == "sim"
+    if robot is not None and not simulated:
+        cure = "Leave it out: the robot behind the driver is the one that it is."
+        raise BenchError("commission --robot", f"driver {driver.name!r}", "a simulated robot", cure)
+    if regulator is not None and simulated:
+        cure = "Leave it out: the simulated regulator is turned without it."
+        raise BenchError("commission --regulator", "a simulated robot", "a real one", cure)
+    if not sim and driver.name == "sim" and not driver.paced:
+        cure = 'Set driver.time = "paced", or add --sim.'
+        raise BenchError("driver.time", repr(driver.time), "'paced'", cure)
+
+
+def _commission(
+    state: Commissioning,
+    configuration: Configuration,
+    truth: Configuration,
+    *,
+    live: bool,
+    regulator: str | None,
+) -> None:
+    """Do the steps that are left; write state, report, robot.toml and profiles.
+
+    On the robot of the configured driver if `live`, else on the simulated `truth` in lock-step.
+    """
     from datetime import UTC, datetime
 
     from bench.commands.progress import progress_bar
@@ -82,14 +133,10 @@ def _commission(state: Commissioning, configuration: Configuration, truth: Confi
         commission_swings,
         known_with_swing,
     )
-    from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.folder_lock import folder_lock
-    from bench.commissioning.robot_file import robot_file
-    from bench.commissioning.swung_robot import SimulatedRobot
     from bench.config import load_configuration
-    from bench.telemetry.whole_file import whole_file
 
-    nominal, faults = configuration.plant, tuple(truth.faults.values())
+    nominal = configuration.plant
 
     def now() -> datetime:
         return datetime.now(UTC)
@@ -99,34 +146,114 @@ def _commission(state: Commissioning, configuration: Configuration, truth: Confi
         _write_report(state, nominal, now())
 
     file = state.folder / "robot.toml"
-    with folder_lock(state.folder), progress_bar() as bar:
+    with (
+        folder_lock(state.folder),
+        progress_bar() as bar,
+        _live(configuration, truth, regulator, bar) if live else _simulated(configuration, truth) as machine,
+    ):
         state.save()
         task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
-            with SimulatedMachine(truth.plant, nominal, faults) as machine:
-                known = commission(
-                    state, nominal, machine, now, observe=lambda: (_loads(machine),), on_step=on_step
-                )
-
-            def write_robot(following: Mapping[str, tuple[float, float, float]]) -> None:
-                made = now().date()
-                text = robot_file(known, state.configuration, made, configuration.envelope, following)
-                with whole_file(file) as stream:
-                    stream.write(text.encode())
-
-            write_robot({})
+            known = commission(
+                state, nominal, machine.measured, now, observe=machine.observe, on_step=on_step
+            )
+            machine.measured.set_supply(float("inf"))
+            _write_robot(file, state, known, configuration.envelope)
             commission_swings(
                 state,
                 load_configuration(file),
-                SimulatedRobot(truth.plant, faults),
+                machine.swung,
                 now,
                 on_step=on_step,
                 progress=lambda what: bar.update(task, description=what),
             )
-            write_robot(known_with_swing(load_configuration(file), state.folder).envelope.following)
+            swung = known_with_swing(load_configuration(file), state.folder).envelope
+            _write_robot(file, state, known, configuration.envelope, swung.following)
             bar.update(task, completed=len(state.done))
         finally:
             _write_report(state, nominal, now())
+
+
+def _write_robot(
+    file: Path,
+    state: Commissioning,
+    known: KnownRobot,
+    envelope: EnvelopeSettings,
+    following: Mapping[str, tuple[float, float, float]] | None = None,
+) -> None:
+    """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
+    from datetime import UTC, datetime
+
+    from bench.commissioning.robot_file import robot_file
+    from bench.telemetry.whole_file import whole_file
+
+    made = datetime.now(UTC).date()
+    with whole_file(file) as stream:
+        stream.write(robot_file(known, state.configuration, made, envelope, following).encode())
+
+
+class _Machine(NamedTuple):
+    """A robot in the forms that the steps take."""
+
+    measured: CommissionedMachine
+    swung: SwungRobot
+    observe: Callable[[], tuple[str, ...]]
+    """Returns notes after a measuring step."""
+
+
+def _machine(
+    configuration: Configuration,
+    truth: Configuration,
+    regulator: str | None,
+    bar: Progress,
+    *,
+    live: bool,
+) -> AbstractContextManager[_Machine]:
+    """Return the robot of the configured driver if `live`, else `truth` in lock-step."""
+    return _live(configuration, truth, regulator, bar) if live else _simulated(configuration, truth)
+
+
+@contextmanager
+def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
+    """Yield the robot of `truth`, simulated in lock-step."""
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.swung_robot import SimulatedRobot
+
+    faults = tuple(truth.faults.values())
+    with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
+        yield _Machine(machine, SimulatedRobot(truth.plant, faults), lambda: (_loads(machine),))
+
+
+@contextmanager
+def _live(
+    configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
+) -> Iterator[_Machine]:
+    """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
+    from bench.commissioning.live_robot import live_robot
+    from bench.commissioning.regulator import by_person, by_program, of_simulation, turned_once
+    from bench.processes.ownership import take_bench
+
+    def say(text: str) -> None:
+        bar.console.print(text, highlight=False)
+
+    def ask(text: str) -> None:
+        bar.stop()
+        try:
+            typer.prompt(f"{text}, then press Enter", default="", show_default=False, err=True)
+        finally:
+            bar.start()
+
+    c, supply = configuration, configuration.plant.supply
+    with take_bench(c.bench.id) as owner:
+        if c.driver.name == "sim":
+            turn = of_simulation(owner.folder)
+        elif regulator is not None:
+            turn = by_program(regulator)
+        else:
+            turn = by_person(ask, supply.pressure, supply.atmosphere)
+        moving = (truth.plant, tuple(truth.faults.values())) if c.driver.name == "sim" else (None, ())
+        with live_robot(c, owner, turned_once(turn), say, *moving) as robot:
+            yield _Machine(robot, robot, tuple)
 
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:
@@ -148,7 +275,8 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
         return
     console = Console()
     console.print(
-        f"Robot, simulated: {state.robot or 'as configured'}. Folder: {state.folder}.",
+        f"Robot{', simulated' if state.simulated else ''}: {state.robot or 'as configured'}. "
+        f"Folder: {state.folder}.",
         highlight=False,
         markup=False,
     )

@@ -28,6 +28,12 @@ class UnfitNodes(BenchError):
     exit_code = ExitCode.REFUSED
 
 
+class NotTurned(BenchError):
+    """The regulator of simulated nodes is not turned."""
+
+    exit_code = ExitCode.REFUSED
+
+
 class NoBus(BenchError):
     """The bus of the simulated nodes cannot be opened."""
 
@@ -96,12 +102,23 @@ def nodes(
         bool,
         typer.Option("--scan", help="List the nodes on the bus and whether they would be taken, and exit."),
     ] = False,
+    turn: Annotated[
+        str | None,
+        typer.Option(
+            "--turn-regulator",
+            metavar="BAR",
+            help="Turn the regulator of the nodes in --folder to bar absolute, or to 'service', and exit.",
+        ),
+    ] = None,
 ) -> None:
     """Run the simulated nodes on the CAN bus, with the simulated robot behind them, until stopped.
 
     Encoders, valves and interlocks as CANopen nodes, in real time. Without a CAN interface:
     `golfbench --config local_can nodes`, and in another terminal `golfbench --config local_can run`.
     """
+    if turn is not None:
+        turn_regulator(folder, turn)
+        return
     configuration = context.ensure_object(Session).configuration()
     if look:
         show_scan(configuration)
@@ -120,6 +137,32 @@ def nodes(
     else:
         with tempfile.TemporaryDirectory(prefix="golfbench-nodes-") as made:
             play(nodes_plan(configuration, Path(made), encoder, io))
+
+
+def turn_regulator(folder: Path | None, bar: str) -> None:
+    """Turn the pressure regulator of the simulated nodes with their files in `folder` to `bar`, absolute.
+
+    Raises:
+        NotTurned: no nodes are there, or `bar` is neither a pressure nor `service`.
+    """
+    import math
+
+    from bench.commissioning.regulator import SERVICE, of_simulation
+    from drivers.base.shared_record import SharedMemoryError
+
+    place = f"nodes --turn-regulator {bar}"
+    try:
+        pressure = math.inf if bar == SERVICE else 1e5 * float(bar)
+    except ValueError:
+        pressure = math.nan
+    if not pressure > 0.0:
+        raise NotTurned(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
+    if folder is None:
+        raise NotTurned(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
+    try:
+        of_simulation(folder)(pressure)
+    except SharedMemoryError as error:
+        raise NotTurned(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 
 
 def show_scan(configuration: Configuration) -> None:

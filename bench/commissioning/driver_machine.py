@@ -1,14 +1,20 @@
-"""A commissioned machine behind a driver in lock-step, and the simulated one.
+"""A commissioned machine behind a driver, and the simulated one.
 
-Time is counted in ticks and given to the driver, as the loop does; the simulated plant advances with it.
+Time comes from a clock, as the loop's does: a free one in lock-step, where the simulated plant advances with
+it, the wall's with a robot. Between two sequences `hold` repeats the last command tick by tick.
 """
 
 from __future__ import annotations
 
-from typing import Any, Self
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bench.clock import Clock, FreeClock
 from bench.commissioning.machine import (
     Array,
     MotionBounds,
@@ -19,12 +25,13 @@ from bench.commissioning.machine import (
 )
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.errors import Refused
+from bench.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
-from drivers.base import CHAMBERS, JOINTS, PASSIVE, READINGS, Command, Driver
+from bench.simulation.swing_operator import never
+from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, READINGS, Command, Driver
 from drivers.base.compiled import new_record
-from drivers.base.contract import RecordReader
 from sim.driver import SimDriver
-from sim.faults import Fault
+from sim.faults import Fault, turn_regulator
 from sim.plant import PlantParameters, build_plant
 
 _SPEED_SPAN = 5
@@ -35,23 +42,56 @@ _EMPTY = 0.1e5
 """Pa above the atmosphere at which a chamber counts as empty."""
 _LOOK = 0.4
 """s without motion after which a vented robot rests."""
+_LOST = 5
+"""Ticks for which sensors may fail in a row: a bus may lose a frame."""
+_READY = 3.0
+"""s in which a device that was opened gives its first readings and the guard locks."""
+
+
+class _Trouble(NamedTuple):
+    """Why a machine may not move; without text it may."""
+
+    text: str = ""
+    cure: str = ""
+    lasting: bool = False
+    """Whether it cannot pass by itself."""
 
 
 class DriverMachine:
     """Runs sequences on a driver whose time is given, one tick after the other."""
 
-    def __init__(self, driver: Driver, believed: PlantParameters) -> None:
-        """Open `driver`, a RecordReader, too; tick, encoders and atmosphere are those of `believed`."""
-        if not isinstance(driver, RecordReader):
-            raise TypeError("a driver that gives its readings as records is needed")
-        self._driver, self._reader, self._tick = driver, driver, believed.tick
+    def __init__(
+        self,
+        driver: Driver,
+        believed: PlantParameters,
+        clock: Clock | None = None,
+        *,
+        warning: float = 0.0,
+        stop: Callable[[], bool] = never,
+    ) -> None:
+        """Open `driver`; tick, encoders and atmosphere are those of `believed`.
+
+        Its ticks come from `clock`, by default as fast as they are computed. The beacon warns for `warning`
+        (s) before air comes on, and what runs ends once `stop` says so.
+
+        Raises:
+            Refused: the device gives no readings, or an interlock is open.
+        """
+        self._driver, self._read_record, self._tick = driver, record_reading(driver), believed.tick
+        self._clock, self._warning, self._stop = clock or FreeClock(believed.tick), warning, stop
         self._counts = believed.encoders.counts_per_revolution
         self._atmosphere = believed.supply.atmosphere
-        self._number = 0
+        self._now = self._began = 0.0
+        self._failed, self._trouble = 0, _Trouble()
+        self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
         self._readings = new_record(READINGS)
+        self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
+        self._bounds: MotionBounds | None = None
         driver.open()
+        self._now = self._began = self._clock.wait()
         self._read()
+        self._await_readings()
 
     def __enter__(self) -> Self:
         return self
@@ -62,12 +102,21 @@ class DriverMachine:
     @property
     def time(self) -> float:
         """Time of the machine since it was opened, s."""
-        return self._number * self._tick
+        return self._now - self._began
 
     def make_passive(self) -> None:
         """Centre the spools, shut the supply, open the vents."""
         self._driver.make_passive()
-        self._applied = Command()
+        self._applied, self._bounds = Command(), None
+
+    def hold(self) -> None:
+        """Repeat the last command for a tick; passive from then on if a bound is passed or readings fail."""
+        with suppress(Refused):  # the next sequence says why nothing moves
+            self._applied = self._driver.write(self._applied)
+            self._next()
+            bounds, still = self._bounds, np.zeros(3)
+            if bounds is not None and bound_passed(bounds, self._speed(), still, self._pressure()):
+                self.make_passive()
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         """Be passive until chambers are empty and joints rest, for at most `duration` (s).
@@ -76,6 +125,7 @@ class DriverMachine:
             WrongMachine: the chambers are not empty then.
         """
         self.make_passive()
+        self._revive()
         most, look = round(duration / self._tick), round(_LOOK / self._tick)
         log = _Log(most, self._counts)
         for k in range(most):
@@ -93,10 +143,14 @@ class DriverMachine:
                 "empty chambers",
                 "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
             )
-        return log.trace("", (False,))
+        return log.trace("", (False,), self._tick)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""
+        if not self._applied.supply_enable:
+            self._revive()
+            self._warn()
+        self._bounds = bounds
         most = round(min(sum(s.duration for s in segments), bounds.duration) / self._tick)
         log = _Log(most + 1, self._counts)
         ended: list[bool] = []
@@ -106,7 +160,7 @@ class DriverMachine:
             ended.append(met)
             if tripped:
                 break
-        return log.trace(tripped, tuple(ended))
+        return log.trace(tripped, tuple(ended), self._tick)
 
     def _segment(self, segment: Segment, number: int, bounds: MotionBounds, log: _Log) -> tuple[str, bool]:
         """Run one segment; return the bound that was passed and whether its condition ended it."""
@@ -144,25 +198,90 @@ class DriverMachine:
         command = Command(valve=(a, b, c), supply_enable=True, exhaust_closed=vents_shut, beacon=True)
         self._applied = self._driver.write(command)
 
+    def _warn(self) -> None:
+        """Warn with the beacon, everything else passive."""
+        for _ in range(round(self._warning / self._tick)):
+            self._driver.write(Command(beacon=True))
+            self._next()
+
+    def _revive(self) -> None:
+        """Set a device to work again that went passive by its watchdog, while the passive command holds."""
+        if not self._driver.operational:
+            self._driver.close()
+            self._driver.open()
+            self._await_readings()
+
+    def _await_readings(self) -> None:
+        """Send the passive command until the machine may move.
+
+        Raises:
+            Refused: it may not, and what to do.
+        """
+        for _ in range(round(_READY / self._tick)):
+            if not self._trouble.text:
+                self._failed = 0
+                return
+            self._driver.write(PASSIVE)
+            self._now = self._clock.wait()
+            self._read()
+        self._refuse_to_go_on()
+
     def _next(self) -> None:
-        """Go on by one tick, in which the command in force is repeated for the device's watchdog."""
-        self._number += 1
+        """Go on by one tick.
+
+        Raises:
+            Refused: the machine is passive, as an interlock is open, readings fail, or it was stopped.
+        """
+        self._now = self._clock.wait()
         self._read()
+        trouble = self._trouble
+        self._failed = self._failed + 1 if trouble.text else 0
+        if trouble.text and (trouble.lasting or self._failed > _LOST):
+            self._refuse_to_go_on()
+        if self._stop():
+            self.make_passive()
+            raise Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")
 
     def _read(self) -> None:
-        self._reader.read_record(self.time, self._readings)
-        self._require_usable()
+        """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
+        before = self._readings["chamber_pressure"].copy(), self._readings["supply_pressure"].copy()
+        self._read_record(self._now, self._readings)
+        self._trouble = self._problem()
+        for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
+            given = self._readings[name]
+            np.copyto(given, last, where=~np.isfinite(given) & np.isfinite(last))
+        self._seen.append(np.array(self._readings["encoder_count"][0], np.int64))
 
-    def _require_usable(self) -> None:
-        """Make the machine passive and refuse to go on without interlocks, encoders or pressures."""
+    def _speed(self) -> Array:
+        """Return the joints' speeds (3,) over the last ticks, rad/s."""
+        half = self._counts // 2
+        change = (self._seen[-1] - self._seen[0] + half) % self._counts - half
+        return np.asarray(change * (2 * np.pi / self._counts / (max(len(self._seen) - 1, 1) * self._tick)))
+
+    def _refuse_to_go_on(self) -> None:
+        """Make the machine passive.
+
+        Raises:
+            Refused: always.
+        """
+        self.make_passive()
+        raise Refused(
+            "commission", self._trouble.text, "a machine that reads and may move", self._trouble.cure
+        )
+
+    def _problem(self) -> _Trouble:
+        """Return why the machine may not move."""
         r = self._readings[0]
-        problem = cure = ""
+        problem, cure, lasting = "", "", False
         if not r["emergency_stop_clear"]:
-            problem, cure = "the emergency stop is pressed", "Clear it, then continue with --resume."
+            problem, lasting = "the emergency stop is pressed", True
+            cure = "Clear it, then continue with --resume."
         elif not (r["guard_closed"] and r["guard_locked"]):
-            problem, cure = "the guard is open", "Close it, then continue with --resume."
+            problem, lasting = "the guard is open", True
+            cure = "Close it, then continue with --resume."
         elif not self._driver.operational:
-            problem, cure = "the device went passive by its watchdog", "Check its link, then --resume."
+            problem, lasting = "the device went passive by its watchdog", True
+            cure = "Check its link, then --resume."
         elif not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
             problem, cure = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
@@ -172,9 +291,7 @@ class DriverMachine:
             lost = ", ".join(CHAMBERS[k] for k in range(6) if not np.isfinite(r["chamber_pressure"][k]))
             problem = f"no pressure of {lost}"
             cure = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
-        if problem:
-            self.make_passive()
-            raise Refused("commission", problem, "a machine that reads and may move", cure)
+        return _Trouble(problem, cure, lasting)
 
 
 class _Log:
@@ -227,18 +344,30 @@ class _Log:
         counts = counts if joint is None else counts[:, [joint]]
         return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
 
-    def trace(self, tripped: str, ended: tuple[bool, ...]) -> MotionTrace:
-        """Return the rows."""
+    def trace(self, tripped: str, ended: tuple[bool, ...], tick: float) -> MotionTrace:
+        """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
         n = self._n
+        at = np.arange(n, dtype=float)
+        if n > 1:
+            number = np.round((self._time[:n] - self._time[0]) / tick)
+            wanted = np.arange(number[-1] + 1.0)
+            if len(wanted) != n:
+                at = np.interp(wanted, number, at)
+        before = at.astype(np.int64)
+
+        def between(rows: NDArray[Any]) -> Array:
+            columns = rows[:n].reshape(n, -1).T
+            return np.stack([np.interp(at, np.arange(n), column) for column in columns], axis=1)
+
         return MotionTrace(
-            self._time[:n],
+            between(self._time)[:, 0],
             self._first,
-            self._count[:n],
-            self._pressure[:n],
-            self._supply[:n],
-            self._valve[:n],
-            self._shut[:n],
-            self._segment[:n],
+            np.round(between(self._count)).astype(np.int64),
+            between(self._pressure),
+            between(self._supply)[:, 0],
+            self._valve[before],
+            self._shut[before],
+            self._segment[before],
             tripped,
             ended,
         )
@@ -262,7 +391,4 @@ class SimulatedMachine(DriverMachine):
 
     def set_supply(self, pressure: float) -> None:
         """Turn the simulated regulator to `pressure` (Pa absolute), at most to that of service."""
-        regulated = min(pressure, self._truth.supply.pressure)
-        self.driver.plant.plant["regulated"] = regulated
-        if self.driver.faults is not None:  # a fault of the supply refers to the healthy value
-            self.driver.faults.healthy_plant["regulated"] = regulated
+        turn_regulator(self.driver.plant, self.driver.faults, pressure)

@@ -26,6 +26,8 @@ _STEP, _FINE = 1.08, 1.04
 """Factors between two speeds that are tried, and between the fastest found and the slowest failed one."""
 _TEMPI = ((0.85, 0.25), (1.1, 0.25), (1.1, 0.4))
 """Durations of backswing and top that are tried in turn, s: the first is too fast for some robots."""
+_LEAST_LEVER = 0.34
+"""Min |sin beta| of the plan, 0.2 rad before the envelope's 0.15: right robots were seen 0.12 rad off."""
 _SLOWEST, _FASTEST = 20.0, 60.0
 """m/s between which speeds are tried."""
 
@@ -52,7 +54,9 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
         BenchError: the package casadi is not installed.
     """
     c, near = configuration, load_profile(find_profile(_NEAR))
-    demand = demand_near(c.plant, near, SwingDemand(head_speed=speed, attack=ATTACK))
+    demand = demand_near(
+        c.plant, near, SwingDemand(head_speed=speed, attack=ATTACK, least_lever=_LEAST_LEVER)
+    )
     slower = near.delivery["head_speed_mps"] / speed
     shortest, longest = demand.downswing_time
     demand = replace(demand, downswing_time=(shortest * slower, longest * max(slower, 1.0)))

@@ -1,11 +1,14 @@
 """Step 5: the spools' frequency and the encoders' latency, from small steps.
 
-A valve that opens at a stop fills a chamber as its spool moves. A joint that coasts with closed valves
-compresses its air: pressures show its position without delay, and the encoder shows it later. The latency is
-that of the encoders behind the pressure sensors.
+A valve that opens at a stop fills a chamber as its spool moves; a bus or device delays command and pressure
+by a dead time. A joint that coasts with closed valves compresses its air: pressures show its position, and
+the encoder shows it later. The latency found is that of the encoders behind the pressure sensors, with the
+dead time added: a loop that commands by its encoders waits for both.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +56,10 @@ _MIN_COAST_SPEED = 0.05
 """rad/s, mean speed below which a coasting joint says nothing about its encoder."""
 _LONGEST_LATENCY = 0.005
 """s"""
+_LONGEST_DEAD_TIME = 0.010
+"""s"""
+_SUBSTEPS = 8
+"""Steps of a tick in which a spool's motion and the flow through it are computed."""
 _LEAST_LATENCY_ERROR = 3e-5
 """Smallest standard error of the latency, s: a small part of the tick between two readings."""
 _PRESSURE_ERROR = 100.0
@@ -89,9 +96,10 @@ class ResponseTimes:
 
     def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
         """Return the natural frequency of each spool, and the encoders' latency."""
-        values, notes = [], []
+        values, notes, dead_times = [], [], []
         for i, key in enumerate(ACTUATOR_KEYS):
-            value, error = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
+            (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
+            dead_times.append(dead_time)
             if value < _SLOWEST:
                 raise WrongMachine(
                     f"{JOINTS[i]} valve",
@@ -109,9 +117,13 @@ class ResponseTimes:
                         _require_quick(joint, *found)
                         latencies.append(found)
                         notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
+        dead, dead_error = _weighted(np.array(dead_times))
+        notes.append(
+            f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms"
+        )
         if latencies:
             value, error = _weighted(np.array(latencies))
-            error = float(np.hypot(error, _LEAST_LATENCY_ERROR))
+            value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _LEAST_LATENCY_ERROR))
             values.append(FoundValue("encoders.latency", max(value, 0.0), error, "s", self.name))
         else:
             notes.append("no joint coasted: the encoders' latency stays a guess")
@@ -158,21 +170,27 @@ def _push(known: KnownRobot, joint: int, share: float) -> tuple[Segment, ...]:
     )
 
 
-def fit_spool(trace: MotionTrace, known: KnownRobot, actuator: int) -> tuple[float, float]:
-    """Return the spool's natural frequency (rad/s) of `actuator` and its error, from steps at a stop."""
-    plant = known.plant
-    air = AirTrace(trace, actuator, plant)
+def fit_spool(
+    trace: MotionTrace, known: KnownRobot, actuator: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the spool's natural frequency (rad/s) of `actuator` with its error, from steps at a stop.
+
+    And the dead time (s) from command to pressure, with its error.
+    """
+    plant = replace(known.plant, tick=known.plant.tick / _SUBSTEPS)
+    air = AirTrace(_refined(trace, known.plant.tick), actuator, plant)
     values = nominal_values(known, actuator)
     nominal = plant.actuators[actuator].valve.natural_frequency
-    rows = _answers(trace, air.tick)
+    rows = _SUBSTEPS * _answers(trace, known.plant.tick)
     clusters = np.repeat(np.arange(len(rows)), rows.shape[1])
-    chamber = 1  # towards the lower stop
+    chamber, time = 1, air.tick * np.arange(len(air.command))  # the chamber towards the lower stop
 
     def residual(x: Array) -> Array:
         valve = with_values(
             plant, {f"{ACTUATOR_KEYS[actuator]}.valve.natural_frequency": nominal * float(x[0])}
         ).actuators[actuator]
-        air.spool = spool_path(air.command, valve.valve.half_step_matrix(air.tick).ravel())
+        path = spool_path(air.command, valve.valve.half_step_matrix(air.tick).ravel())
+        air.spool = np.interp(time - _LONGEST_DEAD_TIME * x[2], time, path)
         scaled = values.copy()
         scaled[3] *= x[1]
         content, added = air.content(scaled)
@@ -181,10 +199,30 @@ def fit_spool(trace: MotionTrace, known: KnownRobot, actuator: int) -> tuple[flo
         gap = (gap - gap[:, :1]) / slope
         return np.concatenate([(gap / _PRESSURE_ERROR).ravel(), [(x[1] - 1.0) / 0.05]])
 
-    found = least_squares(residual, np.array([1.0, 1.0]), bounds=([0.05, 0.5], [5.0, 2.0]), xtol=1e-9)
+    bounds = [0.05, 0.5, 0.0], [5.0, 2.0, 1.0]
+    starts = (least_squares(residual, [1.0, 1.0, x], bounds=bounds, xtol=1e-9) for x in (0.01, 0.3))
+    found = min(starts, key=lambda one: float(one.cost))
     error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
     relative = float(np.hypot(error[0], 0.01))
-    return nominal * float(found.x[0]), nominal * relative
+    frequency = nominal * float(found.x[0]), nominal * relative
+    return frequency, (_LONGEST_DEAD_TIME * float(found.x[2]), _LONGEST_DEAD_TIME * float(error[2]))
+
+
+def _refined(trace: MotionTrace, tick: float) -> MotionTrace:
+    """Return `trace`, of one row a `tick` (s), with as many rows a tick as a spool's motion needs."""
+    at = np.arange((len(trace.time) - 1) * _SUBSTEPS + 1) / _SUBSTEPS
+    row, number = at.astype(np.int64), np.arange(len(trace.time))
+    pressure = np.stack([np.interp(at, number, column) for column in trace.pressure.T], axis=1)
+    return replace(
+        trace,
+        time=trace.time[0] + at * tick,
+        count=trace.count[row],
+        pressure=pressure,
+        supply=np.interp(at, number, trace.supply),
+        valve=trace.valve[row],
+        vents_shut=trace.vents_shut[row],
+        segment=trace.segment[row],
+    )
 
 
 def _answers(trace: MotionTrace, tick: float) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from bench.commissioning.air_fit import VENT_TOLERANCE, joint_angles, robust_errors, way_per_angle
@@ -244,10 +245,14 @@ def _static(
 
 
 def _solved(design: Array, force: Array, weight: Array, mean: Array, prior: Array) -> Array:
-    """Return the weighted least squares of `design` x = `force` with priors `mean` and their deviations."""
+    """Return the weighted least squares of `design` x = `force` with priors `mean` and their deviations.
+
+    No friction is negative.
+    """
     rows = np.concatenate([design * weight[:, None], np.diag(1.0 / prior)])
     wanted = np.concatenate([force * weight, mean / prior])
-    return np.asarray(np.linalg.lstsq(rows, wanted, rcond=None)[0])
+    least = np.concatenate([np.tile([0.0, 0.0, 0.0, -np.inf, -np.inf], 3), np.full(len(MASSES), -np.inf)])
+    return np.asarray(lsq_linear(rows, wanted, (least, np.inf), method="bvls").x)
 
 
 def _equations(

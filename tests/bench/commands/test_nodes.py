@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.commands.nodes import nodes_plan
+from bench.commands.nodes import NotTurned, nodes_plan, turn_regulator
 from bench.config import load_configuration
 from bench.errors import BenchError, ExitCode
+from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
+from sim.live.exchange import PLANT_SURROUNDINGS
+from sim.live.process import PlantFiles
 from tests.running_bench import command_beside
 
 pytestmark = pytest.mark.live
@@ -110,3 +113,32 @@ def test_a_bus_that_is_not_used_may_be_too_slow(file: Path) -> None:
     text = file.read_text().replace("[canopen]", "[canopen]\nbitrate = 500_000")
     file.write_text(text.replace('name = "canopen"', 'name = "sim"'))
     assert load_configuration(file).canopen.bitrate == 500_000
+
+
+def test_the_regulator_of_running_nodes_is_turned(tmp_path: Path) -> None:
+    with PlantFiles(tmp_path) as files:
+        for bar, regulated in (("1.3", 1.3e5), ("service", 0.0)):
+            turn_regulator(tmp_path, bar)
+            record = new_record(PLANT_SURROUNDINGS)
+            assert files.surroundings.read(record)
+            assert record["regulated"][0] == pytest.approx(regulated)
+
+
+@pytest.mark.parametrize(
+    ("folder", "bar", "said"),
+    [
+        ("there", "full", "bar absolute above 0"),
+        ("there", "-1", "bar absolute above 0"),
+        ("there", "nan", "bar absolute above 0"),
+        ("nowhere", "3", "Start them with --folder"),
+        (None, "3", "no --folder"),
+    ],
+)
+def test_a_regulator_that_cannot_be_turned_is_said(
+    tmp_path: Path, folder: str | None, bar: str, said: str
+) -> None:
+    (tmp_path / "there").mkdir()
+    with PlantFiles(tmp_path / "there") as files:
+        with pytest.raises(NotTurned, match=said):
+            turn_regulator(None if folder is None else tmp_path / folder, bar)
+        assert not files.surroundings.read(new_record(PLANT_SURROUNDINGS))

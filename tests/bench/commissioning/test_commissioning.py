@@ -28,7 +28,7 @@ from bench.commissioning.commissioning import (
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
-from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.machine import CommissionedMachine, MotionBounds, Segment
 from bench.commissioning.report import commissioning_report
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.robot_file import robot_file
@@ -331,6 +331,58 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
         main([*given, "--resume"])
     assert ended.value.code == 0
     assert (len(first.knew), len(last.knew)) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("configured", "options", "place"),
+    [
+        ('[driver]\nname = "sim"\ntime = "wall"\n', [], "driver.time"),
+        ('[driver]\nname = "mock"\n', ["--robot", "other.toml"], "commission --robot"),
+        ("", ["--regulator", "turn"], "commission --regulator"),
+        ('[driver]\nname = "mock"\n', ["--sim", "--regulator", "turn"], "commission --regulator"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], configured: str, options: list[str], place: str
+) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n{configured}')
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(file), "commission", "--output", str(tmp_path / "day"), *options])
+    assert ended.value.code not in (0, None)
+    assert f"error: {place}" in capsys.readouterr().err
+    assert not (tmp_path / "day").exists()
+
+
+class _Quick:
+    """A measuring step of two seconds."""
+
+    name, title, bounds_text = "wiring", "Quick", "0.1 open at 3 bar"
+
+    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+        machine.set_supply(3.0e5)
+        return {"ramp": machine.run((Segment(2.0, (0.1, 0.0, 0.0), vents_shut=True),), BOUNDS)}
+
+    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+        value = FoundValue("supply.pressure", float(traces["ramp"].supply[-1]), 1e3, "Pa", self.name)
+        return StepResult((value,), ())
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+def test_without_sim_the_robot_of_the_driver_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    swinging = _Swinging("swings")
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (_Quick(),))
+    monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", (swinging,))
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n[bench]\nid = "day-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(file), "commission", "--output", str(tmp_path / "day")])
+    assert ended.value.code == 0
+    state = read_state(tmp_path / "day")
+    assert state.simulated
+    assert state.values[0].value == pytest.approx(3.0e5, rel=0.02), "the regulator was turned"
+    assert swinging.knew
 
 
 @pytest.mark.slow

@@ -1,0 +1,160 @@
+"""The machine in its process, as the steps of commissioning see it: it is measured, and it swings."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from typing import Any, cast
+
+from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine_process import MachinePlan
+from bench.commissioning.machine_server import ArmFor, BePassive, Order, Run, Swing, Vent
+from bench.commissioning.regulator import Regulator
+from bench.config import Configuration
+from bench.errors import BenchError, ExitCode
+from bench.processes.child import Child
+from bench.processes.ownership import Ownership
+from bench.simulation.loads import Loads
+from bench.simulation.series import Bench, SeriesSwing
+from bench.swing.profile import Profile
+from sim.faults import Fault
+from sim.plant import PlantParameters
+
+_START, _END = 120.0, 20.0
+"""s in which the process is ready, and in which it brings the robot to rest at its end."""
+_LOOK = 0.1
+"""s between two looks for what the process says."""
+
+
+class MachineLost(BenchError):
+    """The process that has the machine ended."""
+
+    exit_code = ExitCode.DEVICE
+
+
+class LiveRobot:
+    """A robot in real time: a CommissionedMachine and a SwungRobot."""
+
+    def __init__(
+        self, child: Child, connection: Connection, regulator: Regulator, say: Callable[[str], None]
+    ) -> None:
+        """Give orders to `child` by `connection`; `regulator` turns the supply's, `say` calls a person."""
+        self._child, self._connection, self._regulator, self._say = child, connection, regulator, say
+        self._number, self._time = 0, 0.0
+
+    # A CommissionedMachine -----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Time of the sequences run so far, s."""
+        return self._time
+
+    def set_supply(self, pressure: float) -> None:
+        """Have the regulator turned to `pressure` (Pa absolute); infinite: as in service."""
+        self._regulator(pressure)
+
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+        """Run `segments`; afterwards the last openings stay in force."""
+        return self._trace(Run(segments, bounds))
+
+    def vent(self, duration: float = 40.0) -> MotionTrace:
+        """Be passive until chambers are empty and joints rest."""
+        return self._trace(Vent(duration))
+
+    def make_passive(self) -> None:
+        """End what runs, and be passive; a process that is gone has left the machine passive."""
+        with suppress(BenchError, OSError):
+            self._order(BePassive())
+
+    # A SwungRobot --------------------------------------------------------------------------------------
+
+    def series(self, bench: Bench) -> LiveRobot:
+        """Arm `bench` on the robot."""
+        self._order(ArmFor(bench))
+        return self
+
+    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+        """Swing `profile`, at a teed ball or without one, and come back to the address."""
+        return cast("SeriesSwing", self._order(Swing(profile, ball)))
+
+    def loads(self) -> Loads | None:
+        """Return None: nothing measures them."""
+        return None
+
+    # Orders --------------------------------------------------------------------------------------------
+
+    def _trace(self, order: Order) -> MotionTrace:
+        trace = cast("MotionTrace", self._order(order))
+        if len(trace.time):
+            self._time += float(trace.time[-1] - trace.time[0])
+        return trace
+
+    def _order(self, order: Order) -> object:
+        """Give `order` and return its answer, or raise what it raised.
+
+        Raises:
+            MachineLost: the process ended.
+        """
+        self._number += 1
+        try:
+            self._connection.send((self._number, order))
+            done, answer = self._answer()
+        except (EOFError, OSError):
+            found = self._child.ending or "closed its connection"
+            cure = "See its output above; the device is passive. Continue with --resume."
+            raise MachineLost("the machine's process", f"it {found}", "it to answer", cure) from None
+        if not done:
+            raise answer
+        return answer
+
+    def _answer(self) -> tuple[bool, Any]:
+        """Return whether the last order was done, and its answer or error; EOFError if none comes."""
+        while True:
+            self._hear()
+            if self._connection.poll(_LOOK):
+                number, done, answer = self._connection.recv()
+                if number == self._number:  # an earlier order was interrupted by this one
+                    return done, answer
+            elif not self._child.alive:
+                raise EOFError
+
+    def _hear(self) -> None:
+        for event in self._child.take_events():
+            if event["event"] == "say":
+                self._say(str(event.get("text", "")))
+
+
+@contextmanager
+def live_robot(
+    configuration: Configuration,
+    owner: Ownership,
+    regulator: Regulator,
+    say: Callable[[str], None],
+    truth: PlantParameters | None = None,
+    faults: Sequence[Fault] = (),
+) -> Iterator[LiveRobot]:
+    """Start the process that has the machine of the bench owned by `owner`; at the end the robot rests.
+
+    `truth` with `faults` is the robot that really moves where it is simulated.
+
+    Raises:
+        BenchError: it does not start, and why.
+    """
+    ours, its = socket.socketpair()
+    with ours, its:
+        os.set_inheritable(its.fileno(), True)
+        plan = MachinePlan(configuration, owner.folder, owner.descriptor, its.fileno(), truth, tuple(faults))
+        child = Child.start(
+            "machine", "bench.commissioning.machine_process", plan, pass_fds=(owner.descriptor, its.fileno())
+        )
+        its.close()
+        try:
+            owner.note_loop(child.pid)
+            child.wait_until_ready(_START)
+            with Connection(os.dup(ours.fileno())) as connection:
+                yield LiveRobot(child, connection, regulator, say)
+        finally:
+            child.end(_END)

@@ -1,0 +1,231 @@
+"""Swings of the robot itself: armed, teed up and swung by the cycle of a running bench, its records kept.
+
+What a person does at a bench is done here by the program, under the lifecycle of a bench with people beside
+it: warning, proven venting, homing against the stops, a local reset where one is configured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+from bench.clock import Clock
+from bench.control.settings import (
+    HomingSettings,
+    LifecycleSettings,
+    build_controller,
+    for_learning,
+    with_tables_of,
+)
+from bench.errors import Refused
+from bench.learning.live import swung_cycles
+from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
+from bench.loop import Cycle, Cycles, Loop
+from bench.simulation.loads import Loads
+from bench.simulation.series import HOLD, Bench, SeriesSwing
+from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
+from bench.swing.profile import Profile
+from drivers.base import Driver, DriverError
+
+_PATIENCE = 30.0
+"""s for which a request is made again that the bench refuses for reasons that pass by themselves."""
+_PERSON = 600.0
+"""s in which a person comes to the local reset."""
+_AGAIN = 0.2
+"""s between two requests."""
+_WARM_UP = 0.2
+"""s in which the estimators settle and the code is compiled, before anything is asked for."""
+_HOMED = 90.0
+"""s in which homing ends by itself."""
+_FEED = 3.0
+"""s of a ball to the tee."""
+_REPEATED = 3
+"""Max swings whose record has gaps."""
+_SWINGS, _CHUNK = 300, 10
+"""Max requests for a swing, and ticks between two."""
+
+Say = Callable[[str], None]
+
+
+class LiveSeries:
+    """A robot that swings repeatedly behind a driver that is open."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        name: str,
+        bench: Bench,
+        clock: Clock,
+        lifecycle: LifecycleSettings,
+        homing: HomingSettings,
+        *,
+        stop: Callable[[], bool],
+        say: Say,
+    ) -> None:
+        """Reset, home and arm `bench` on `driver`; `say` calls a person, `stop` ends a motion.
+
+        Raises:
+            Refused: the robot does not reach its address, or the bench refuses.
+        """
+        self.bench, self._driver, self._say = bench, driver, say
+        made = build_controller(
+            bench.model,
+            bench.profile,
+            bench.control,
+            bench.envelope,
+            bench.estimator,
+            replace(lifecycle, series=True),
+            homing,
+        )
+        cycle = Cycle(
+            driver,
+            for_learning(made, bench.envelope.model),
+            lambda _: None,
+            name=name,
+            note_truth=getattr(driver, "note_truth", None),
+            state=State.STARTING,
+        )
+        control = cycle.state.control
+        for permission in ("supervisor_alive", "lease_held", "support_ready"):
+            control[permission] = True  # who asks has this bench alone, and keeps what it returns
+        self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
+        self._operator.advance(round(_WARM_UP / clock.period))
+        control["warm"] = True
+        self._operator.advance(1)
+        self._arm()
+
+    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+        """Rest at the address, swing `profile`, and come back; after a stop the robot is armed again.
+
+        A swing whose record has gaps before the ball, as the machine was busy, is repeated.
+
+        Raises:
+            Refused: the robot does not come back to its address, no ball comes, or it was stopped.
+        """
+        for _ in range(_REPEATED):
+            cycles, whole = self._swing(profile, ball=ball)
+            cause = self._come_back()
+            if whole or cause:
+                settled = bool(self.bench.profile.air)
+                return SeriesSwing(cycles, None, float("nan"), cause, float("nan"), settled)
+            self._say("the record has gaps before the ball: the swing is repeated")
+        found, cure = (
+            f"{_REPEATED} records with gaps before the ball",
+            "Look at the timing: golfbench doctor.",
+        )
+        raise Refused(f"swinging {profile.name!r}", found, "complete records", cure)
+
+    def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
+        """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
+        operator, loop = self._operator, self._operator.stepper
+        if not operator.holding():
+            self._arm()
+        operator.advance(round(HOLD / operator.period))
+        loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
+        self._tee_up(ball=ball)
+        operator.begin_record()
+        if not operator.start_swing(_SWINGS, _CHUNK):
+            self._require_no_stop()
+            raise operator.refusal("the robot does not come to rest there")
+        made, end = [operator.latest], len(profile.angle)
+        while (done := int(made[-1]["tick"][-1]) - int(made[0]["tick"][0]) + 1) < end:
+            made.append(operator.advance(min(_CHUNK, end - done), Request.STOP if operator.stop() else 0))
+        cycles, missing = swung_cycles(joined(made), end)
+        return cycles, not missing[: profile.begins[6]].any()
+
+    def _come_back(self) -> Cause:
+        """Let the robot return to its address; after a stop arm it again, and return the cause."""
+        operator = self._operator
+        back = operator.run_until(lambda: operator.phase is Phase.HOLD, LONGEST_RETURN)
+        cause = operator.cause
+        if not back or operator.control["reaction"][0]:
+            self._require_no_stop()
+            self._arm()
+        operator.begin_record()
+        return cause
+
+    def loads(self) -> Loads | None:
+        """Return None: nothing measures them."""
+        return None
+
+    def hold(self) -> None:
+        """Go on for one tick."""
+        self._operator.begin_record()
+        self._operator.advance(1)
+
+    def end(self) -> None:
+        """Bring the robot to rest; passive whatever happens."""
+        try:
+            with suppress(DriverError):
+                if self._operator.phase is not Phase.STANDING:
+                    self._operator.rest()
+        finally:
+            self._driver.make_passive()
+
+    # What a person does --------------------------------------------------------------------------------
+
+    def _arm(self) -> None:
+        """Reset, home and arm, as far as it is needed."""
+        operator = self._operator
+        operator.run_until(lambda: False, LONGEST_STOP)
+        if self._state in (State.ESTOP, State.FAULT):
+            self._revive()
+            self._ask(Request.RESET)
+        if self._state is State.SAFE:
+            self._ask(Request.HOME)
+            operator.wait_for(lambda: self._state is not State.HOMING, _HOMED)
+        if self._state is not State.READY:
+            found = CAUSE_TEXT[operator.cause] if operator.cause else f"state {self._state.name}"
+            raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
+        operator.wait_for(lambda: bool(operator.control["emptied"][0]), _PATIENCE)
+        if not operator.arm():
+            raise self._stopped()
+
+    def _ask(self, request: Request) -> None:
+        """Request until it is accepted; Refused with the bench's reason if that does not come in time."""
+        operator, waited, called = self._operator, 0.0, False
+        while not operator.request(request):
+            refusal = Refusal(int(operator.control["refusal"][0]))
+            person = refusal is Refusal.LOCAL_RESET
+            if person and not called:
+                self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
+                called = True
+            if waited > (_PERSON if person else _PATIENCE):
+                why, _, cure = REFUSAL_TEXT[refusal].partition(": ")
+                raise Refused(f"{request.name.lower()} of the robot", why, "it to be accepted", f"{cure}.")
+            self._require_no_stop()
+            operator.advance(round(_AGAIN / operator.period))
+            operator.begin_record()
+            waited += _AGAIN
+
+    def _tee_up(self, *, ball: bool) -> None:
+        """Raise the next ball, or swing at none."""
+        operator = self._operator
+        operator.control["tee"] = False
+        operator.advance(1)
+        if not ball:
+            return
+        self._ask(Request.TEE)
+        if not operator.run_until(lambda: bool(self._readings("ball_present")), _FEED):
+            raise Refused("tee", f"no ball in {_FEED:g} s", "a ball", "Fill the feeder, then --resume.")
+
+    def _readings(self, name: str) -> bool:
+        return bool(self._operator.stepper.cycle.record[name][0])
+
+    def _revive(self) -> None:
+        """Set a device to work again that went passive by itself."""
+        if not self._driver.operational:
+            self._driver.close()
+            self._driver.open()
+
+    @property
+    def _state(self) -> State:
+        return State(int(self._operator.control["state"][0]))
+
+    def _require_no_stop(self) -> None:
+        if self._operator.stop():
+            raise self._stopped()
+
+    def _stopped(self) -> Refused:
+        return Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")

@@ -1,0 +1,149 @@
+"""The process that has the machine while it is commissioned: driver and ticks, and orders from a pipe.
+
+`python -m bench.commissioning.machine_process` takes a pickled MachinePlan on stdin. Orders come numbered on
+the plan's connection, and each is answered with its number, whether it was done, and its answer or exception.
+JSON lines on stdout:
+
+`ready`   `real_time`
+`failed`  `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work
+`say`     `text`: a person is to do something
+
+Whatever runs ends once another order waits, on SIGTERM, or when its parent is gone; the robot is then brought
+to rest, and the machine passive.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from bench.clock import GridClock, PacedClock
+from bench.commissioning.machine_server import MachineServer, Order
+from bench.config import Configuration
+from bench.errors import BenchError, Refused
+from bench.processes.child_process import Parent, read_plan, send_event, send_failure
+from bench.processes.loop_process import configured_driver
+from bench.processes.ownership import adopt
+from bench.processes.real_time import real_time
+from drivers.base import DriverError
+from drivers.base.shared_record import SharedMemoryError
+from drivers.canopen.frames import MAX_LOAD, bus_load
+from sim.faults import Fault
+from sim.plant import PlantParameters
+
+_PRESSURE_TICKS = 2
+"""Least ticks between two readings of the pressures; three missed ones are a lost sensor."""
+
+
+@dataclass(frozen=True)
+class MachinePlan:
+    """Parameters of the process."""
+
+    configuration: Configuration
+    folder: Path
+    """Shared-memory folder of the bench."""
+    lock: int
+    """Inherited descriptor of its locked file."""
+    connection: int
+    """Inherited descriptor of the connection."""
+    truth: PlantParameters | None = None
+    """Robot that really moves, simulated; None: as configured."""
+    faults: tuple[Fault, ...] = ()
+    """Its faults."""
+
+
+class _Interruption:
+    """Whether what runs shall end: another order waits, or the process shall end."""
+
+    def __init__(self, connection: Connection, parent: Parent) -> None:
+        self._connection, self._parent = connection, parent
+
+    def __call__(self) -> bool:
+        return self.ends or self._connection.poll()
+
+    @property
+    def ends(self) -> bool:
+        """Whether the process shall end."""
+        return self._parent.gone or self._parent.stop_requested
+
+
+def serve(plan: MachinePlan, parent: Parent) -> None:
+    """Obey orders until the connection ends or the parent is gone.
+
+    Raises:
+        BenchError: real time is required and not granted, or the machine may not move.
+        DriverError: the device is unsuitable.
+    """
+    c = with_quick_pressures(plan.configuration)
+    with ExitStack() as stack:
+        stack.enter_context(adopt(plan.lock))
+        connection = stack.enter_context(Connection(plan.connection))
+        simulated = replace(
+            c, plant=plan.truth or c.plant, faults={f"robot{n}": fault for n, fault in enumerate(plan.faults)}
+        )
+        driver = configured_driver(simulated, plan.folder)
+        granted = stack.enter_context(real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu))
+        period = 1.0 / c.loop.rate
+        clock = PacedClock(period) if c.driver.paced else GridClock(round(1e9 * period))
+        interrupted = _Interruption(connection, parent)
+        server = MachineServer(
+            driver, c, clock, stop=interrupted, say=lambda text: send_event("say", text=text)
+        )
+        stack.callback(server.close)
+        send_event("ready", real_time=granted.as_json())
+        while not interrupted.ends:
+            if not connection.poll():
+                server.hold()
+                continue
+            try:
+                number, order = connection.recv()
+            except EOFError:
+                return
+            connection.send((number, *_answer(server, order)))
+
+
+def with_quick_pressures(c: Configuration) -> Configuration:
+    """Return `c` with pressures read in every second tick, or as often as the bus carries.
+
+    The air's answers to steps are over in milliseconds.
+    """
+    if c.driver.name != "canopen":
+        return c
+    for ticks in range(_PRESSURE_TICKS, c.canopen.pressure_ticks):
+        canopen = replace(c.canopen, pressure_ticks=ticks)
+        if bus_load(canopen, 1.0 / c.loop.rate, c.driver.watchdog) <= MAX_LOAD:
+            return replace(c, canopen=canopen)
+    return c
+
+
+def _answer(server: MachineServer, order: Order) -> tuple[bool, Any]:
+    """Return whether `order` was done, and its answer or what it raised."""
+    try:
+        return True, server.obey(order)
+    except BenchError as error:
+        return False, error
+    except DriverError as error:
+        cure = "Look at the device and its link, then continue with --resume."
+        return False, Refused("driver", str(error), "a device that works", cure)
+
+
+def main() -> int:
+    """Serve the machine of the plan on stdin; return the exit code."""
+    parent = Parent()
+    plan: Any = read_plan()
+    parent.listen()
+    try:
+        serve(plan, parent)
+    except (BenchError, SharedMemoryError, DriverError) as error:
+        return send_failure(error)
+    except (BrokenPipeError, ConnectionResetError):
+        return 0  # the parent is gone; the machine is passive
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

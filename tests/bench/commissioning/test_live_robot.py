@@ -1,0 +1,323 @@
+"""The robot itself under commissioning: sequences and swings in real time, in a process of its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.clock import FreeClock
+from bench.commissioning.driver_machine import _Log
+from bench.commissioning.live_robot import LiveRobot, MachineLost, live_robot
+from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.machine_process import with_quick_pressures
+from bench.commissioning.machine_server import ArmFor, BePassive, MachineServer, Run, Swing, Vent
+from bench.commissioning.regulator import of_simulation
+from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.slowed_swing import slowed
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.errors import Refused
+from bench.lifecycle import Cause
+from bench.processes.ownership import take_bench
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from drivers.base import INVALID, PASSIVE, READINGS, Command
+from drivers.base.compiled import new_record
+from drivers.canopen.frames import MAX_LOAD, bus_load
+from sim.live.paced_driver import PacedPlantDriver
+from sim.live.surroundings import SurroundingsWriter
+
+BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
+OPENING = (0.1, 0.0, 0.0)
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+class WatchedDriver(PacedPlantDriver):
+    """Notes every command that it was given."""
+
+    def __init__(self, folder: Path, configuration: Configuration) -> None:
+        super().__init__(folder, configuration.plant)
+        self.commands: list[Command] = []
+
+    def write(self, command: Command) -> Command:
+        self.commands.append(command)
+        return super().write(command)
+
+    def make_passive(self) -> None:
+        self.commands.append(PASSIVE)
+        super().make_passive()
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+@pytest.fixture
+def asked() -> list[bool]:
+    """Whether a stop was asked for: not empty."""
+    return []
+
+
+@pytest.fixture
+def driver(tmp_path: Path, configuration: Configuration) -> WatchedDriver:
+    return WatchedDriver(tmp_path, configuration)
+
+
+@pytest.fixture
+def said() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def server(
+    driver: WatchedDriver, configuration: Configuration, asked: list[bool], said: list[str]
+) -> Iterator[MachineServer]:
+    made = MachineServer(
+        driver, configuration, FreeClock(configuration.plant.tick), stop=lambda: bool(asked), say=said.append
+    )
+    yield made
+    made.close()
+    assert driver.commands[-1] == PASSIVE
+
+
+@pytest.fixture(scope="module")
+def slow(configuration: Configuration) -> Profile:
+    return slowed(load_profile(find_profile("default")), 0.6, configuration)
+
+
+def test_the_beacon_warns_before_air_comes_on(server: MachineServer, driver: WatchedDriver) -> None:
+    server.obey(Run((Segment(0.2, OPENING),), BOUNDS))
+    with_air = next(n for n, command in enumerate(driver.commands) if command.supply_enable)
+    warning = driver.commands[:with_air]
+    assert sum(command.beacon for command in warning) == pytest.approx(2000, abs=1)
+    assert all(command.valve == (0.0, 0.0, 0.0) for command in warning)
+    driver.commands.clear()
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    assert all(command.supply_enable for command in driver.commands), "no pause between two sequences"
+
+
+def test_between_sequences_the_openings_stay(server: MachineServer, driver: WatchedDriver) -> None:
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    for _ in range(50):
+        server.hold()
+    assert driver.commands[-1].valve == pytest.approx(OPENING)
+    assert driver.commands[-1].supply_enable
+    server.obey(BePassive())
+    for _ in range(3):
+        server.hold()
+    assert driver.commands[-1] == PASSIVE
+
+
+def test_a_bound_that_is_passed_in_between_makes_the_machine_passive(
+    server: MachineServer, driver: WatchedDriver
+) -> None:
+    tight = BOUNDS._replace(pressure=2.5e5)
+    server.obey(Run((Segment(0.01, (0.3, 0.0, 0.0), vents_shut=True),), tight))
+    assert driver.commands[-1].supply_enable
+    for _ in range(3000):
+        server.hold()
+    assert driver.commands[-1] == PASSIVE
+
+
+@pytest.mark.parametrize(("clear", "closed"), [(False, True), (True, False)])
+def test_an_interlock_in_between_makes_the_machine_passive(
+    server: MachineServer, driver: WatchedDriver, tmp_path: Path, clear: bool, closed: bool
+) -> None:
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    with SurroundingsWriter(tmp_path) as surroundings:
+        surroundings.change(emergency_stop_clear=clear, guard_closed=closed)
+        for _ in range(3):
+            server.hold()
+        assert driver.commands[-1] == PASSIVE
+        with pytest.raises(Refused, match="--resume"):
+            server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+        assert not driver.commands[-1].supply_enable
+        surroundings.change(emergency_stop_clear=True, guard_closed=True)
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+
+
+def test_an_encoder_may_be_lost_for_five_ticks(
+    server: MachineServer, driver: WatchedDriver, tmp_path: Path
+) -> None:
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    with SurroundingsWriter(tmp_path) as surroundings:
+        for ticks, lasts in ((5, True), (6, False)):
+            surroundings.change(encoder_valid=(True, False, True))
+            for _ in range(ticks):
+                server.hold()
+            surroundings.change(encoder_valid=(True, True, True))
+            server.hold()
+            assert driver.commands[-1].supply_enable is lasts
+
+
+def test_the_simulated_regulator_is_turned(server: MachineServer, tmp_path: Path) -> None:
+    turn = of_simulation(tmp_path)
+    for pressure, expected in ((3.0e5, 3.0e5), (math.inf, 8.0e5)):
+        turn(pressure)
+        trace = server.obey(Run((Segment(3.0, (0.0, 0.0, 0.0), vents_shut=True),), BOUNDS))
+        assert trace.supply[-1] == pytest.approx(expected, rel=0.05)  # type: ignore[attr-defined]
+
+
+def test_a_sequence_ends_when_a_stop_is_asked_for(
+    server: MachineServer, driver: WatchedDriver, asked: list[bool]
+) -> None:
+    asked.append(True)
+    with pytest.raises(Refused, match="stopped by its operator"):
+        server.obey(Run((Segment(5.0, OPENING),), BOUNDS))
+    assert driver.commands[-1] == PASSIVE
+    asked.clear()
+    server.obey(Vent(5.0))
+
+
+def test_a_swing_needs_an_armed_robot(server: MachineServer, slow: Profile) -> None:
+    with pytest.raises(ValueError, match="not armed"):
+        server.obey(Swing(slow, ball=False))
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_it_homes_arms_and_swings_as_a_bench_does(
+    server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
+) -> None:
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    for ball in (False, True):
+        made = server.obey(Swing(slow, ball=ball))
+        assert made.cause is Cause.NONE  # type: ignore[attr-defined]
+        cycles = made.cycles  # type: ignore[attr-defined]
+        assert len(cycles) == len(slow.angle)
+        assert np.abs(cycles["angle"][slow.begins[5]] - slow.angle[slow.begins[5]]).max() < 0.3
+        assert made.delivery is None, "the robot itself does not know"  # type: ignore[attr-defined]
+    for _ in range(20):
+        server.hold()
+    server.obey(Vent(40.0))
+    assert driver.commands[-1] == PASSIVE
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_a_swing_that_is_stopped_is_brought_to_rest(
+    server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
+) -> None:
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    asked.append(True)
+    with pytest.raises(Refused, match="stopped by its operator"):
+        server.obey(Swing(slow, ball=False))
+    server.close()
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_no_ball_is_said(
+    server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    monkeypatch.setattr("bench.commissioning.live_series.LiveSeries._readings", lambda self, name: False)
+    with pytest.raises(Refused, match="Fill the feeder"):
+        server.obey(Swing(slow, ball=True))
+
+
+# The process -----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def started(configuration: Configuration, folder: Path) -> Iterator[LiveRobot]:
+    bench = replace(configuration.bench, id=f"live-{os.getpid()}", data_dir=folder)
+    ours = replace(configuration, bench=bench, loop=replace(configuration.loop, realtime="off"))
+    with (
+        take_bench(bench.id) as owner,
+        live_robot(ours, owner, of_simulation(owner.folder), lambda text: None) as robot,
+    ):
+        yield robot
+
+
+@pytest.mark.live
+@pytest.mark.timeout(240)
+def test_the_process_obeys_and_is_interrupted(tmp_path: Path, configuration: Configuration) -> None:
+    with started(configuration, tmp_path) as robot:
+        robot.set_supply(2.0e5)
+        trace = robot.run((Segment(1.0, OPENING, vents_shut=True),), BOUNDS)
+        assert not trace.tripped
+        assert len(trace.time) == 1000
+        assert trace.supply[-1] < 2.1e5
+        assert robot.time == pytest.approx(1.0, abs=0.1)
+        before = time.monotonic()
+        threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            robot.run((Segment(50.0, OPENING),), BOUNDS)
+        robot.make_passive()
+        assert time.monotonic() - before < 20.0, "it does not wait for the end of the sequence"
+
+
+@pytest.mark.live
+@pytest.mark.timeout(240)
+def test_a_process_that_is_killed_is_said(tmp_path: Path, configuration: Configuration) -> None:
+    with started(configuration, tmp_path) as robot:
+        robot._child.kill()
+        with pytest.raises(MachineLost, match="--resume"):
+            robot.vent()
+        robot.make_passive()
+
+
+# What a busy machine and a bus do to a record ----------------------------------------------------------
+
+
+def test_rows_that_a_busy_machine_missed_lie_between_their_neighbours() -> None:
+    log = _Log(5, 1000)
+    for n in (0, 1, 4, 5):
+        readings = new_record(READINGS)
+        readings["time"], readings["encoder_count"], readings["chamber_pressure"] = 7.0 + 0.001 * n, 10 * n, n
+        log.note(readings, Command(valve=(0.01 * n, 0.0, 0.0)), n // 4)
+    trace = log.trace("", (True,), 0.001)
+    assert trace.time == pytest.approx(7.0 + 0.001 * np.arange(6))
+    assert trace.count[:, 0].tolist() == [0, 10, 20, 30, 40, 50]
+    assert trace.pressure[:, 0] == pytest.approx(np.arange(6))
+    assert trace.valve[:, 0] == pytest.approx([0.0, 0.01, 0.01, 0.01, 0.04, 0.05])
+    assert trace.segment.tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_a_pressure_that_is_lost_for_a_moment_keeps_its_value(
+    server: MachineServer, driver: WatchedDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = [0]
+    original = driver.read_record
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        if lost[0]:
+            lost[0] -= 1
+            record["chamber_pressure"] = INVALID
+
+    monkeypatch.setattr(server._machine, "_read_record", read)
+    server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    lost[0] = 5
+    trace = server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    assert not trace.tripped  # type: ignore[attr-defined]
+    assert np.isfinite(trace.pressure).all()  # type: ignore[attr-defined]
+    lost[0] = 7
+    with pytest.raises(Refused, match="no pressure of shoulder vane A"):
+        server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
+    assert driver.commands[-1] == PASSIVE
+
+
+def test_pressures_over_canopen_are_read_as_often_as_the_bus_carries(configuration: Configuration) -> None:
+    assert with_quick_pressures(configuration) is configuration
+    canopen = replace(configuration, driver=replace(configuration.driver, name="canopen"))
+    assert with_quick_pressures(canopen).canopen.pressure_ticks == 2
+    full = replace(canopen, canopen=replace(canopen.canopen, bitrate=800_000))
+    ticks = with_quick_pressures(full).canopen.pressure_ticks
+    assert 2 < ticks <= 10
+    assert bus_load(replace(full.canopen, pressure_ticks=ticks), 0.001, 0.02) <= MAX_LOAD

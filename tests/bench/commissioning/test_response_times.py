@@ -1,0 +1,56 @@
+"""Spools and dead times, from steps at a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.known_robot import KnownRobot
+from bench.commissioning.machine import MotionTrace
+from bench.commissioning.moves import MOVING, PRESSING, fold, slow_bounds
+from bench.commissioning.response_times import _pulses, fit_spool
+from sim.plant import PlantParameters
+
+WRIST = 2
+
+
+@pytest.fixture(scope="module")
+def steps() -> MotionTrace:
+    plant = PlantParameters()
+    known = KnownRobot(plant)
+    with SimulatedMachine(plant, plant) as machine:
+        machine.vent()
+        fold(machine, known)
+        machine.set_supply(MOVING)
+        return machine.run(_pulses(known, WRIST), slow_bounds(plant, 1.2 * PRESSING))
+
+
+def held(pressure: np.ndarray) -> np.ndarray:
+    """Return `pressure` (n, 6) read in every second tick only."""
+    return pressure[np.arange(len(pressure)) // 2 * 2]
+
+
+def later(pressure: np.ndarray) -> np.ndarray:
+    """Return `pressure` (n, 6) two ticks later."""
+    return np.roll(pressure, 2, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("seen", "dead_time", "tolerance"),
+    [(lambda pressure: pressure, 0.0, 2e-5), (later, 0.002, 2e-5), (held, 0.0005, 3e-4)],
+    ids=["at once", "two ticks later", "every second tick"],
+)
+def test_a_dead_time_is_not_taken_for_a_slow_spool(
+    steps: MotionTrace, seen: Callable[[np.ndarray], np.ndarray], dead_time: float, tolerance: float
+) -> None:
+    plant = PlantParameters()
+    (frequency, error), (found, _) = fit_spool(
+        replace(steps, pressure=seen(steps.pressure)), KnownRobot(plant), WRIST
+    )
+    truth = plant.wrist.valve.natural_frequency
+    assert abs(frequency - truth) < max(0.01 * truth, 3.0 * error)
+    assert found == pytest.approx(dead_time, abs=tolerance)
