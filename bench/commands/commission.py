@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from bench.commissioning.swung_robot import SwungRobot
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
+    from sim.live.contact_watch import ContactWatch
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
@@ -229,9 +230,13 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    from bench.commissioning.live_robot import live_robot
+    import sys
+
+    from bench.commands.learn import mark_from_person
+    from bench.commissioning.live_robot import Hands, live_robot
     from bench.commissioning.regulator import by_person, by_program, of_simulation, turned_once
     from bench.processes.ownership import take_bench
+    from sim.live.contact_watch import ContactWatch
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
@@ -243,17 +248,40 @@ def _live(
         finally:
             bar.start()
 
+    def ask_mark() -> tuple[float, float] | None:
+        bar.stop()
+        typer.echo("The guard is released: look at the ball's mark on the face, and wipe it off.", err=True)
+        try:
+            mark = mark_from_person()
+            typer.prompt(
+                "Leave and close the guard, then press Enter", default="", show_default=False, err=True
+            )
+        finally:
+            bar.start()
+        return mark
+
     c, supply = configuration, configuration.plant.supply
     with take_bench(c.bench.id) as owner:
         if c.driver.name == "sim":
-            turn = of_simulation(owner.folder)
-        elif regulator is not None:
-            turn = by_program(regulator)
+            marks = ContactWatch(owner.folder)
+            hands = Hands(of_simulation(owner.folder), say, look=lambda: _mark_in(marks, truth.plant))
+            moving = live_robot(c, owner, hands, truth.plant, tuple(truth.faults.values()))
         else:
-            turn = by_person(ask, supply.pressure, supply.atmosphere)
-        moving = (truth.plant, tuple(truth.faults.values())) if c.driver.name == "sim" else (None, ())
-        with live_robot(c, owner, turned_once(turn), say, *moving) as robot:
+            turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else None
+            person = ask_mark if sys.stdin.isatty() else None
+            hands = Hands(turned_once(turn or by_program(regulator or "")), say, person)
+            moving = live_robot(c, owner, hands)
+        with moving as robot:
             yield _Machine(robot, robot, tuple)
+
+
+def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
+    """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
+    from bench.commissioning.swung_robot import read_mark
+
+    contacts.attach()
+    contact, site = contacts.look(), truth.site
+    return None if contact is None else read_mark(contact.delivery(truth.robot, (site.ball_x, site.ball_y)))
 
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:

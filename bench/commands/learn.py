@@ -207,7 +207,7 @@ def _learn_live(
     def ask_mark() -> tuple[float, float] | None:
         bar.stop()
         try:
-            return _mark_from_person()
+            return mark_from_person()
         finally:
             bar.start()
 
@@ -252,7 +252,7 @@ def _result(
     )
 
 
-def _mark_from_person() -> tuple[float, float] | None:
+def mark_from_person() -> tuple[float, float] | None:
     """Ask for the ball's mark on the face; None if it cannot be read."""
     while True:
         text = typer.prompt(

@@ -1,4 +1,9 @@
-"""Step: the swing is learned on the robot itself, with the response of the robot as it was measured."""
+"""Step: the swing is learned on the robot itself, with the response of the robot as it was measured.
+
+Encoders show the strike on the face as far as lengths are known, which no step measures. Where the ball's
+mark is read, the strike is the encoders' plus what the marks so far lay beside it; a mark is asked for after
+the first swing, and after each that would do.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +16,13 @@ from numpy.typing import NDArray
 
 from bench.commissioning.rising_swings import SWING_FILE, bench_of, require_safe
 from bench.commissioning.steps import StepResult
-from bench.commissioning.swung_robot import SwungRobot
+from bench.commissioning.swung_robot import SwingSeries, SwungRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
-from bench.learning.figures import Figures, figures_of
+from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
 from bench.learning.learner import LearningSettings
-from bench.learning.measured import delivery_from_encoders
+from bench.learning.measured import delivery_from_encoders, strike_from_mark
 from bench.simulation.series import SeriesSwing
 from bench.swing.profile import load_profile, save_profile
 
@@ -49,13 +54,14 @@ class LearnedSwing:
         progress("the response of the measured robot")
         problem = prepare(bench_of(known, profile))
         series, made = robot.series(problem.bench), list[SeriesSwing]()
+        marks = _Marks(problem, series)
 
         def swing(weights: NDArray[np.float64]) -> ObservedSwing:
             progress(f"learning swing {len(made)}")
             swung = series.swing(problem.basis.correction(weights).applied_to(profile))
             require_safe(series.loads(), f"learning swing {len(made)}")
             made.append(swung)
-            return _observed(problem, swung)
+            return ObservedSwing(swung.cycles, marks.figures(swung), swung.cause, swung.settled)
 
         result = learn(problem, swing, LearningSettings(swings=_SWINGS))
         save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
@@ -67,7 +73,8 @@ class LearnedSwing:
                 "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target",
                 "Look for what changes between swings: play, a slipping shaft, the supply; then --resume.",
             )
-        return StepResult((), (f"learned in {result.used} swings: {figures.text}", *figures.truth))
+        learned = f"learned in {result.used} swings: {figures.text}"
+        return StepResult((), (learned, marks.text, *figures.truth))
 
 
 class _Learned(NamedTuple):
@@ -92,10 +99,45 @@ def _words(f: Figures) -> str:
     return f"{f.speed:.2f} m/s, strike {1e3 * f.strike:+.1f} mm, {angles}"
 
 
-def _observed(problem: LearningProblem, swung: SeriesSwing) -> ObservedSwing:
-    delivery = (
-        None
-        if swung.cause
-        else delivery_from_encoders(swung.cycles, problem.bench.model, problem.response.free)
-    )
-    return ObservedSwing(swung.cycles, figures_of(delivery), swung.cause, swung.settled)
+class _Marks:
+    """The strike on the face by encoders and marks."""
+
+    def __init__(self, problem: LearningProblem, series: SwingSeries) -> None:
+        self._problem, self._series = problem, series
+        self._read, self._beside = True, list[float]()
+
+    def figures(self, swung: SeriesSwing) -> Figures:
+        """Return the figures of `swung`, the last swing; unknown after a stop."""
+        problem = self._problem
+        delivery = (
+            None
+            if swung.cause
+            else delivery_from_encoders(swung.cycles, problem.bench.model, problem.response.free)
+        )
+        found = figures_of(delivery)
+        if delivery is None:
+            return found
+        if self._read and (not self._beside or self._would_do(self._moved(found))):
+            mark = self._series.face_mark(swung)
+            if mark is None:
+                self._read = False
+            else:
+                self._beside.append(strike_from_mark(*mark, problem.bench.model) - found.strike)
+        return self._moved(found)
+
+    @property
+    def text(self) -> str:
+        """What the marks showed."""
+        if not self._beside:
+            return "no mark on the face was read: the strike is the encoders', as true as the lengths are"
+        off = 1e3 * float(np.mean(self._beside))
+        return f"{len(self._beside)} marks on the face lay {off:+.1f} mm beside the encoders' strike: lengths"
+
+    def _moved(self, figures: Figures) -> Figures:
+        """Return `figures` with the strike where the marks so far say it was."""
+        beside = float(np.mean(self._beside)) if self._beside else 0.0
+        return figures._replace(strike=figures.strike + beside)
+
+    def _would_do(self, figures: Figures) -> bool:
+        scale, target = Tolerance().scale(self._problem.target), self._problem.target.array
+        return bool(np.all(np.abs(figures.array - target) <= scale))

@@ -7,12 +7,22 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine_process import MachinePlan
-from bench.commissioning.machine_server import ArmFor, BePassive, Order, Run, Swing, Vent
+from bench.commissioning.machine_server import (
+    ArmFor,
+    BePassive,
+    LetIn,
+    LockGuard,
+    Order,
+    Run,
+    Swing,
+    Vent,
+)
 from bench.commissioning.regulator import Regulator
+from bench.commissioning.swung_robot import Mark
 from bench.config import Configuration
 from bench.errors import BenchError, ExitCode
 from bench.processes.child import Child
@@ -35,14 +45,25 @@ class MachineLost(BenchError):
     exit_code = ExitCode.DEVICE
 
 
+class Hands(NamedTuple):
+    """What is done at a robot by hand."""
+
+    regulator: Regulator
+    say: Callable[[str], None]
+    """Tells a person what to do."""
+    person: Callable[[], Mark | None] | None = None
+    """Asks a person at the club for the ball's mark; None: nobody is asked."""
+    look: Callable[[], Mark | None] = lambda: None
+    """Reads the mark of a simulated ball."""
+
+
 class LiveRobot:
     """A robot in real time: a CommissionedMachine and a SwungRobot."""
 
-    def __init__(
-        self, child: Child, connection: Connection, regulator: Regulator, say: Callable[[str], None]
-    ) -> None:
-        """Give orders to `child` by `connection`; `regulator` turns the supply's, `say` calls a person."""
-        self._child, self._connection, self._regulator, self._say = child, connection, regulator, say
+    def __init__(self, child: Child, connection: Connection, hands: Hands) -> None:
+        """Give orders to `child` by `connection`, with the `hands` of who stands beside the robot."""
+        self._child, self._connection = child, connection
+        self._regulator, self._say, self._person, self._look = hands
         self._number, self._time = 0, 0.0
 
     # A CommissionedMachine -----------------------------------------------------------------------------
@@ -83,6 +104,18 @@ class LiveRobot:
     def loads(self) -> Loads | None:
         """Return None: nothing measures them."""
         return None
+
+    def face_mark(self, swing: SeriesSwing) -> Mark | None:
+        """Return the mark that the ball of the last swing left on the face; None where it is not read.
+
+        A person who reads it gets access to the club meanwhile.
+        """
+        if self._person is None:
+            return self._look()
+        self._order(LetIn())
+        mark = self._person()
+        self._order(LockGuard())
+        return mark
 
     # Orders --------------------------------------------------------------------------------------------
 
@@ -131,8 +164,7 @@ class LiveRobot:
 def live_robot(
     configuration: Configuration,
     owner: Ownership,
-    regulator: Regulator,
-    say: Callable[[str], None],
+    hands: Hands,
     truth: PlantParameters | None = None,
     faults: Sequence[Fault] = (),
 ) -> Iterator[LiveRobot]:
@@ -155,6 +187,6 @@ def live_robot(
             owner.note_loop(child.pid)
             child.wait_until_ready(_START)
             with Connection(os.dup(ours.fileno())) as connection:
-                yield LiveRobot(child, connection, regulator, say)
+                yield LiveRobot(child, connection, hands)
         finally:
             child.end(_END)

@@ -30,8 +30,10 @@ from drivers.base import Driver, DriverError
 
 _PATIENCE = 30.0
 """s for which a request is made again that the bench refuses for reasons that pass by themselves."""
+_ACCESS = 60.0
+"""s in which the chambers are proven empty for people."""
 _PERSON = 600.0
-"""s in which a person comes to the local reset."""
+"""s in which a person comes to the local reset, or closes the guard."""
 _AGAIN = 0.2
 """s between two requests."""
 _WARM_UP = 0.2
@@ -149,6 +151,27 @@ class LiveSeries:
         """Return None: nothing measures them."""
         return None
 
+    def let_in(self) -> None:
+        """Bring the robot to rest and release the guard, for a person to come to the club.
+
+        Raises:
+            Refused: the bench does not release it, and why.
+        """
+        operator = self._operator
+        if operator.phase is not Phase.STANDING:
+            self._ask(Request.DISARM)
+        operator.run_until(lambda: False, LONGEST_STOP)
+        self._ask(Request.ACCESS, _ACCESS)
+
+    def lock(self) -> None:
+        """Lock the guard again, once it is closed; a swing then arms the robot.
+
+        Raises:
+            Refused: it stays open.
+        """
+        self._ask(Request.SECURE, _PERSON)
+        self._operator.wait_for(lambda: self._state is not State.ACCESS, _PATIENCE)
+
     def hold(self) -> None:
         """Go on for one tick."""
         self._operator.begin_record()
@@ -182,8 +205,8 @@ class LiveSeries:
         if not operator.arm():
             raise self._stopped()
 
-    def _ask(self, request: Request) -> None:
-        """Request until it is accepted; Refused with the bench's reason if that does not come in time."""
+    def _ask(self, request: Request, patience: float = _PATIENCE) -> None:
+        """Request until it is accepted; Refused with the bench's reason after `patience` (s)."""
         operator, waited, called = self._operator, 0.0, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))
@@ -191,7 +214,7 @@ class LiveSeries:
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
-            if waited > (_PERSON if person else _PATIENCE):
+            if waited > (_PERSON if person else patience):
                 why, _, cure = REFUSAL_TEXT[refusal].partition(": ")
                 raise Refused(f"{request.name.lower()} of the robot", why, "it to be accepted", f"{cure}.")
             self._require_no_stop()

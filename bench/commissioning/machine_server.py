@@ -46,7 +46,15 @@ class Swing(NamedTuple):
     ball: bool
 
 
-Order = Run | Vent | BePassive | ArmFor | Swing
+class LetIn(NamedTuple):
+    """Release the guard for a person; answered once it may be opened."""
+
+
+class LockGuard(NamedTuple):
+    """Lock the guard that a person has closed."""
+
+
+Order = LetIn | LockGuard | Run | Vent | BePassive | ArmFor | Swing
 
 
 class MachineServer:
@@ -87,9 +95,13 @@ class MachineServer:
         """
         match order:
             case Swing(profile, ball):
-                if self._series is None:
-                    raise ValueError("a swing of a robot that is not armed")
-                return self._series.swing(profile, ball=ball)
+                return self._armed().swing(profile, ball=ball)
+            case LetIn():
+                self._armed().let_in()
+                return None
+            case LockGuard():
+                self._armed().lock()
+                return None
             case ArmFor(bench):
                 self._end_series()
                 self._machine.make_passive()
@@ -130,6 +142,11 @@ class MachineServer:
             for _ in range(3):  # a frame on a bus may be lost
                 self._machine.make_passive()
             self._driver.close()
+
+    def _armed(self) -> LiveSeries:
+        if self._series is None:
+            raise ValueError("a swing of a robot that is not armed")
+        return self._series
 
     def _end_series(self) -> None:
         series, self._series = self._series, None

@@ -18,10 +18,19 @@ import pytest
 
 from bench.clock import FreeClock
 from bench.commissioning.driver_machine import _Log
-from bench.commissioning.live_robot import LiveRobot, MachineLost, live_robot
+from bench.commissioning.live_robot import Hands, LiveRobot, MachineLost, live_robot
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.commissioning.machine_process import with_quick_pressures
-from bench.commissioning.machine_server import ArmFor, BePassive, MachineServer, Run, Swing, Vent
+from bench.commissioning.machine_server import (
+    ArmFor,
+    BePassive,
+    LetIn,
+    LockGuard,
+    MachineServer,
+    Run,
+    Swing,
+    Vent,
+)
 from bench.commissioning.regulator import of_simulation
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.slowed_swing import slowed
@@ -209,6 +218,34 @@ def test_it_homes_arms_and_swings_as_a_bench_does(
 
 @compiled_only
 @pytest.mark.timeout(600)
+def test_a_person_is_let_in_to_read_the_mark(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("bench.commissioning.live_series._PERSON", 2.0)
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(Swing(slow, ball=True))
+    server.obey(LetIn())
+    inside = driver.commands[-1]
+    assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
+    with SurroundingsWriter(tmp_path) as surroundings:
+        surroundings.change(guard_closed=False)
+        for _ in range(100):
+            server.hold()
+        with pytest.raises(Refused, match="guard"):
+            server.obey(LockGuard())
+        assert not driver.commands[-1].supply_enable
+        surroundings.change(guard_closed=True)
+        server.obey(LockGuard())
+    assert server.obey(Swing(slow, ball=True)).cause is Cause.NONE  # type: ignore[attr-defined]
+
+
+@compiled_only
+@pytest.mark.timeout(600)
 def test_a_swing_that_is_stopped_is_brought_to_rest(
     server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
 ) -> None:
@@ -239,7 +276,7 @@ def started(configuration: Configuration, folder: Path) -> Iterator[LiveRobot]:
     ours = replace(configuration, bench=bench, loop=replace(configuration.loop, realtime="off"))
     with (
         take_bench(bench.id) as owner,
-        live_robot(ours, owner, of_simulation(owner.folder), lambda text: None) as robot,
+        live_robot(ours, owner, Hands(of_simulation(owner.folder), lambda text: None)) as robot,
     ):
         yield robot
 

@@ -1,0 +1,66 @@
+"""Learning with marks on the face: what they say of lengths that nobody measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import pytest
+
+from bench.commissioning.learned_swing import LEARNED_FILE, LearnedSwing
+from bench.commissioning.rising_swings import SWING_FILE, bench_of
+from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries, SwingSeries, read_mark
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.simulation.series import Bench, Series
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile, save_profile
+from sim.impact import Delivery
+
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+class Unread(SimulatedRobot):
+    """A robot whose marks are not read."""
+
+    def series(self, bench: Bench) -> SimulatedSeries:
+        made = super().series(bench)
+        made.face_mark = lambda swing: None  # type: ignore[method-assign]
+        return made
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+def test_a_mark_is_read_to_half_a_millimetre() -> None:
+    made = Delivery((40.0, 1.0, 0.0), 0.0, 0.2, strike_x=0.00138, strike_y=-0.0029)
+    assert read_mark(made) == (1.5, -3.0)
+    assert read_mark(None) is None
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    robot = configuration.plant.robot
+    longer = replace(configuration.plant, robot=replace(robot, l12=robot.l12 + 0.006))
+    profile = load_profile(find_profile("default"))
+    save_profile(tmp_path / SWING_FILE, profile)
+    strikes = []
+    for kind in (SimulatedRobot, Unread):
+        result = LearnedSwing().swing(kind(longer), configuration, tmp_path, lambda what: None)
+        learned = load_profile(tmp_path / LEARNED_FILE)
+        swung: SwingSeries = Series(bench_of(configuration, learned), longer)  # type: ignore[assignment]
+        delivery = swung.swing(learned).delivery
+        assert delivery is not None
+        strikes.append(delivery.in_plane_error)
+        said = next(note for note in result.notes if "mark" in note)
+        assert ("beside the encoders" in said) is (kind is SimulatedRobot)
+        assert ("no mark" in said) is (kind is Unread)
+    assert abs(strikes[0]) < 0.001
+    assert abs(strikes[1]) > 0.0015, "encoders do not show it"
