@@ -46,13 +46,13 @@ class MachineLost(BenchError):
 
 
 class Hands(NamedTuple):
-    """What is done at a robot by hand."""
+    """Work at a robot by hand."""
 
     regulator: Regulator
     say: Callable[[str], None]
-    """Tells a person what to do."""
+    """Says to a person what to do."""
     person: Callable[[], Mark | None] | None = None
-    """Asks a person at the club for the ball's mark; None: nobody is asked."""
+    """Asks a person at the club for the ball's mark; None: no person is there."""
     look: Callable[[], Mark | None] = lambda: None
     """Reads the mark of a simulated ball."""
 

@@ -1,4 +1,4 @@
-"""Learning with marks on the face: what they say of lengths that nobody measured."""
+"""Learning with marks on the face: what they say of unmeasured lengths."""
 
 from __future__ import annotations
 
