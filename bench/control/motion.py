@@ -41,9 +41,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
             # Without air a vented robot may still sink while it warns: the move begins where it is by then.
             begin_move(parameters, s, e.angle, s.move_start)
         if not follow_move(parameters, s, time):
-            if near_address(parameters, state.estimator):
-                arrive(s, parameters, time)
-            elif catch_at_address(s, parameters, e, time):
+            if near_address(parameters, state.estimator) or catch_at_address(s, parameters, e, time):
                 arrive(s, parameters, time)
     else:
         for i in range(3):

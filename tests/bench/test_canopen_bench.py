@@ -10,11 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.commissioning.live_robot import Hands, live_robot
+from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.regulator import of_simulation
+from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.slowed_swing import slowed
+from bench.config import load_configuration
 from bench.errors import ExitCode
 from bench.lifecycle import Cause, Phase, State
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
+from bench.processes.ownership import take_bench
 from bench.shot.recorded_shot import recorded_shot
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
 from bench.telemetry.recorder import read_swing
 from drivers.base import PASSIVE, Command, unpack_command
 from drivers.base.shared_record import SharedRecord
@@ -38,13 +47,19 @@ def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> D
     return device
 
 
+def patient_configuration(folder: Path, name: str) -> Path:
+    """Write the configuration of a bench over CANopen with time-outs for a busy machine."""
+    return write_configuration(
+        folder,
+        name,
+        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
+        f'channel = "{folder / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+    )
+
+
 def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_path: Path) -> None:
     channel = tmp_path / "bus"
-    file = write_configuration(  # patient: the machine may be busy
-        tmp_path, "bus",
-        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{channel}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
-    )  # fmt: skip
+    file = patient_configuration(tmp_path, "bus")
     with (
         played_nodes(file, "--folder", str(tmp_path)),
         running_bench(file, clock="wall") as bench,
@@ -82,12 +97,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
 
 
 def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: Path) -> None:
-    file = write_configuration(
-        tmp_path,
-        "store",
-        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
-    )
+    file = patient_configuration(tmp_path, "store")
     with ExitStack() as first:
         first.enter_context(played_nodes(file, "--io", "wago-750"))
         with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
@@ -110,12 +120,7 @@ def said(file: Path, *arguments: str) -> tuple[int, str]:
 
 @pytest.mark.timeout(600)
 def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    file = write_configuration(
-        tmp_path,
-        "preset",
-        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
-    )
+    file = patient_configuration(tmp_path, "preset")
     calibrate = ("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "0", "0", "0")
     with ExitStack() as first:
         first.enter_context(played_nodes(file))
@@ -147,12 +152,7 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
 @pytest.mark.timeout(600)
 def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) -> None:
     """Encoders reversed and scaled, inputs and outputs inverted; a scan beside the running bench."""
-    file = write_configuration(
-        tmp_path,
-        "sold",
-        f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
-    )
+    file = patient_configuration(tmp_path, "sold")
     with (
         played_nodes(file, "--encoder", "reversed-17", "--io", "inverted-io"),
         running_bench(file, clock="wall") as bench,
@@ -173,3 +173,27 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
     speed = recorded_shot(cycles, metadata, "").record.shot.club_speed_mps
     assert speed is not None
     assert 40.0 < speed < 46.0
+
+
+@pytest.mark.timeout(600)
+def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
+    """It is measured at the pressure to which its regulator is turned, homed, armed and swung."""
+    file = patient_configuration(tmp_path, "day")
+    configuration = load_configuration(file)
+    slow = slowed(load_profile(find_profile("default")), 0.5, configuration)
+    bounds = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
+    with (
+        played_nodes(file, "--folder", str(tmp_path)),
+        take_bench(configuration.bench.id) as owner,
+        live_robot(configuration, owner, Hands(of_simulation(tmp_path), print)) as robot,
+    ):
+        robot.set_supply(3.0e5)
+        trace = robot.run((Segment(2.0, (0.1, 0.0, 0.0), vents_shut=True),), bounds)
+        assert not trace.tripped
+        assert trace.supply[-1] == pytest.approx(3.0e5, rel=0.03)
+        assert np.ptp(trace.pressure[:, 0]) > 0.5e5
+        robot.set_supply(float("inf"))
+        robot.vent()
+        made = robot.series(bench_of(configuration, slow)).swing(slow, ball=False)
+        assert made.cause is Cause.NONE
+        robot.make_passive()
