@@ -133,6 +133,7 @@ def nodes(
     import tempfile
 
     if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
         play(nodes_plan(configuration, folder, encoder, io))
     else:
         with tempfile.TemporaryDirectory(prefix="golfbench-nodes-") as made:

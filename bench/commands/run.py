@@ -46,6 +46,7 @@ def run(
     from bench.daemon import Daemon
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    logging.getLogger("numexpr").setLevel(logging.WARNING)  # python-can loads it with the extra `export`
     configuration = context.ensure_object(Session).configuration()
     settings = configuration.driver
     if driver is not None:
