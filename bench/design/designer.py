@@ -337,7 +337,7 @@ def _problem(
         stop_speed=envelope.stop_speed,
         stop_deceleration=envelope.stop_deceleration,
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
-        wrist=(max(parameters.wrist.lower, 1.5 * pi + asin(demand.least_lever)), parameters.wrist.upper),
+        wrist=_wrist_range(parameters, demand),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
         shoulder_speed=demand.shoulder_speed,
@@ -346,6 +346,13 @@ def _problem(
         ranges=demand.ranges,
         concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
     )
+
+
+def _wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float, float]:
+    """Return the range of theta3 (rad) in which the wrist's lever has the demanded share of its length."""
+    dead, mounted = asin(demand.least_lever), parameters.wrist_lever_angle
+    lowest, highest = 1.5 * pi + dead - mounted, 2.5 * pi - dead - mounted
+    return max(parameters.wrist.lower, lowest), min(parameters.wrist.upper, highest)
 
 
 def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, float]:

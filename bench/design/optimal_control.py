@@ -159,7 +159,7 @@ def stroke_ends(plant: PlantParameters, i: int) -> tuple[float, float]:
     ends = actuator.chamber_ends
     if i < 2:
         return ends
-    return plant.wrist_lever * float(np.sin(ends[0])), plant.wrist_lever * float(np.sin(ends[1]))
+    return float(plant.wrist_stroke(ends[0])), float(plant.wrist_stroke(ends[1]))
 
 
 def _friction(actuator: Actuator, speed: Expression) -> Expression:
@@ -178,8 +178,9 @@ def build_equations(plant: PlantParameters) -> Equations:
     matrix, bias = _kinetics(plant, q, u)
     length = ca.sqrt(robot.l62**2 + robot.l23**2 + 2 * robot.l62 * robot.l23 * ca.cos(q[1]))
     extension, lever = length - robot.l56, -robot.l62 * robot.l23 * ca.sin(q[1]) / length
-    places = (q[0], extension, plant.wrist_lever * ca.sin(q[2]))
-    levers = (1.0, lever, plant.wrist_lever * ca.cos(q[2]))
+    turned = q[2] + plant.wrist_lever_angle if plant.wrist_lever_angle else q[2]
+    places = (q[0], extension, plant.wrist_lever * ca.sin(turned))
+    levers = (1.0, lever, plant.wrist_lever * ca.cos(turned))
     forces, rates, taken = [], [], 0.0
     for i, actuator in enumerate(plant.actuators):
         speed = levers[i] * u[i]

@@ -7,7 +7,7 @@ and not only the failed ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from math import hypot, pi
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -291,7 +291,7 @@ def _clearance(plan: MachineSwing) -> Check:
 
 def _lever(plan: MachineSwing) -> Check:
     """Check that the wrist's cylinder has a lever (thesis figure 11)."""
-    authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
+    authority = plan.plant.wrist_authority(plan.profile.angle[:, 2])
     k, least, faults = int(authority.argmin()), plan.envelope.min_lever, []
     if authority[k] < least:
         cure = "Fold the wrist less; envelope.min_lever is the limit."
