@@ -81,7 +81,9 @@ def _bench(name: str, variant: str) -> SimulatedBench:
     return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
 
 
-def test_the_models_derivative_is_the_plants(plant: PlantParameters) -> None:
+@pytest.mark.parametrize("mounted", [0.0, 0.7])
+def test_the_models_derivative_is_the_plants(plant: PlantParameters, mounted: float) -> None:
+    plant = replace(plant, wrist_lever_angle=mounted)
     equations, records = build_equations(plant), build_plant(plant)
     random = np.random.default_rng(0)
     for _ in range(5):
