@@ -16,7 +16,7 @@ from __future__ import annotations
 from cmath import exp, phase
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import acos, asin, atan2, degrees, inf, pi, sin
+from math import acos, asin, atan2, degrees, inf, pi, radians, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +70,8 @@ _AIMED = 5
 _ADDRESS = (-0.050, 0.022)
 """Place of the face from a ball on turf at the address, m: where the driver's stands from its ball. Its way
 back passes neither ball nor turf."""
+_COCKED, _OFF_THE_STOP = radians(65.0), radians(15.0)
+"""Wrist at the top from its straight stop, with a lever square to the shaft, and from its other stop, rad."""
 _UPRIGHT, _LEADING = 0.026, 0.175
 """Max lean either way of a shaft at a ball on a tee, and with leading hands at one on turf, rad."""
 _BROUGHT = (1.2, 0.65)
@@ -113,7 +115,8 @@ class SwingDemand:
     """At a ball on a tee; on turf they follow from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
-    top_cock: float = np.deg2rad(65.0).item()
+    top_cock: float | None = None
+    """Wrist at the top, rad short of its stop; None: `furthest_cock`."""
     follow_time: float = 0.7
     """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
     no_return_time: float = 0.06
@@ -125,7 +128,8 @@ class SwingDemand:
     shoulder_speed: float = 16.0
     """Max shoulder speed at the ball, to be braked in the follow-through, rad/s."""
     follow: Array | None = None
-    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad."""
+    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad; rows of NaN
+    do not count."""
     ranges: Array | None = None
     """(3,) units of the deviations from them, rad."""
     nearest: bool = False
@@ -210,14 +214,22 @@ def _behind_the_ball(parameters: PlantParameters, wrist: float) -> Array:
     raise DesignFailed("at the address: the right arm does not reach the ball")
 
 
+def furthest_cock(parameters: PlantParameters) -> float:
+    """Return how far (rad) the wrist is cocked at the top: its lever still turns it, and its stop is away."""
+    wrist = parameters.wrist
+    further = min(parameters.wrist_lever_angle, wrist.upper - wrist.lower - _COCKED - _OFF_THE_STOP)
+    return _COCKED + max(further, 0.0)
+
+
 def top_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at the top of the backswing (rad)."""
     robot = parameters.robot
+    cock = furthest_cock(parameters) if demand.top_cock is None else demand.top_cock
     return np.array(
         [
             demand.top_shoulder,
             float(theta2_from_right_arm(robot, robot.l56 + demand.top_extension)),
-            parameters.wrist.upper - demand.top_cock,
+            parameters.wrist.upper - cock,
         ]
     )
 

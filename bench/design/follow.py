@@ -19,7 +19,7 @@ from math import degrees, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.designer import SwingDemand, downswing_rows
+from bench.design.designer import SwingDemand, downswing_rows, furthest_cock
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -72,7 +72,8 @@ def _following(
     extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
     shoulder = max(float(top[0]), plant.shoulder.lower + _INSIDE[0])
     extension = max(extension, plant.right_arm.lower + _INSIDE[1])
-    cock = min(plant.wrist.upper - float(top[2]), demand.top_cock)
+    furthest = furthest_cock(plant) if demand.top_cock is None else demand.top_cock
+    cock = min(plant.wrist.upper - float(top[2]), furthest)
     least = [
         shoulder,
         float(theta2_from_right_arm(plant.robot, plant.robot.l56 + extension)),

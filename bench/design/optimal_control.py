@@ -280,7 +280,7 @@ class DownswingProblem:
     pressure: float
     """Max chamber pressure, Pa absolute."""
     follow: Array | None = None
-    """(n, 3) motion to keep close to, evenly spaced over the downswing, rad."""
+    """(n, 3) motion to keep close to, evenly spaced over the downswing, rad; rows of NaN do not count."""
     ranges: Array | None = None
     """(3,) units of the deviations from it, rad."""
     concessions: Concessions = NO_CONCESSIONS
@@ -409,7 +409,8 @@ def solve_downswing(
     if p.follow is not None and p.ranges is not None:
         for k in range(n + 1):
             row = p.follow[round(k * (len(p.follow) - 1) / n)]
-            cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
+            if np.isfinite(row).all():
+                cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
         # Openings that jump are easy to plan and hard to follow.
         cost += (
             sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n
