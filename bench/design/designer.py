@@ -70,6 +70,8 @@ _AIMED = 5
 _ADDRESS = (-0.050, 0.022)
 """Place of the face from a ball on turf at the address, m: where the driver's stands from its ball. Its way
 back passes neither ball nor turf."""
+_SHORT_OF_STOP = 0.020
+"""Rod at the address from its upper stop, m."""
 _COCKED, _OFF_THE_STOP = radians(65.0), radians(15.0)
 """Wrist at the top from its straight stop, with a lever square to the shaft, and from its other stop, rad."""
 _UPRIGHT, _LEADING = 0.026, 0.175
@@ -111,8 +113,8 @@ class SwingDemand:
     address_cock: float = 0.14
     """Wrist at address, rad short of its stop."""
     address_shoulder: float = 0.45
-    address_extension: float = 0.200
-    """At a ball on a tee; on turf they follow from the ball's place."""
+    address_extension: float | None = None
+    """At a ball on a tee; None: `_SHORT_OF_STOP`. On turf they follow from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
     top_cock: float | None = None
@@ -190,8 +192,11 @@ def address_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     robot, wrist = parameters.robot, parameters.wrist.upper - demand.address_cock
     if parameters.site.surface != "none":
         return _behind_the_ball(parameters, wrist)
-    extension = float(theta2_from_right_arm(robot, robot.l56 + demand.address_extension))
-    return np.array([demand.address_shoulder, extension, wrist])
+    extension = demand.address_extension
+    if extension is None:
+        extension = parameters.right_arm.upper - _SHORT_OF_STOP
+    theta2 = float(theta2_from_right_arm(robot, robot.l56 + extension))
+    return np.array([demand.address_shoulder, theta2, wrist])
 
 
 def _behind_the_ball(parameters: PlantParameters, wrist: float) -> Array:
