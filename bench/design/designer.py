@@ -37,7 +37,7 @@ from bench.design.optimal_control import (
     DownswingProblem,
     solve_downswing,
 )
-from bench.design.refine import NEAR, UNITS, NotReached, refine
+from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, refine
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
 from bench.simulation.loads import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
@@ -585,9 +585,10 @@ def fastest_plan(
 
 
 def _model_state(begun: _Start) -> Array:
-    """Return the model's state (16,) at the top."""
+    """Return the model's state (16,) at the top, where a joint may still be on its way."""
     before, state = begun.plant_state[0], np.zeros(STATES)
-    state[:3], state[6:12] = before["angle"], before["pressure"] / BAR
+    state[:3], state[3:6] = before["angle"], before["speed"]
+    state[6:12] = before["pressure"] / BAR
     state[12] = before["supply_pressure"] / BAR
     return state
 
@@ -710,13 +711,14 @@ def _into_the_loop(
 ) -> tuple[Profile, Downswing]:
     """Return the profile whose swing in closed loop delivers as `downswing` should, and its downswing.
 
-    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted.
+    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted: by
+    what the loop delivers beside the same openings without it, whatever the correction left of its aim.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.
     """
     shooter = _shooter(bench, begun)
-    aim, best = downswing.wanted, None
+    best = None
     for count in range(_AIMED):
         progress("closed loop", count / _AIMED)
         profile = _assemble(bench.plant, demand, begun, downswing.opening, downswing.trial, name, golfer)
@@ -730,7 +732,8 @@ def _into_the_loop(
             best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial), downswing
         if off < 1.0:
             break
-        aim = aim - (delivered - downswing.wanted)
+        alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
+        aim = downswing.wanted - (delivered - downswing.wanted - alone)
         try:
             opening = refine(shooter, downswing.opening, aim, 1.0 - demand.margin)
         except NotReached:
