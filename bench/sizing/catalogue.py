@@ -118,6 +118,16 @@ class ManifoldPart:
 
 
 @dataclass(frozen=True)
+class ShutOffPart:
+    """A shut-off valve that reports its position."""
+
+    name: str
+    switching_time: Annotated[float, Range(0.0, 5.0, "s")]
+    """Longest time from loss of power to exhausting, s."""
+    source: str
+
+
+@dataclass(frozen=True)
 class FramePart:
     """The joints' ranges, with the right arm's cylinder that gives them."""
 
@@ -148,6 +158,7 @@ class Catalogue:
     feeds: dict[str, FeedPart]
     manifolds: dict[str, ManifoldPart]
     frames: dict[str, FramePart]
+    shut_offs: dict[str, ShutOffPart]
 
 
 def conductance_of(nominal_flow: float) -> float:
