@@ -51,7 +51,7 @@ def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, gol
     assert demand.backswing_time == golfer.backswing
     top = top_pose(plant, demand)
     assert demand.follow is not None
-    counted = np.isfinite(demand.follow).all(axis=1)
+    counted = np.asarray(np.isfinite(demand.follow).all(axis=1))
     assert np.all(demand.follow[counted] >= top - 1e-9)
     assert np.all(demand.follow[counted, 2] <= plant.wrist.upper)
     # Where the robot can go, the human's own motion is asked for.
@@ -77,7 +77,7 @@ def test_a_robot_with_room_behind_the_golfers_top_begins_there_in_a_run_up(golfe
     assert top_pose(plant, demand)[0] >= plant.shoulder.lower + 0.1
     assert demand.follow is not None
     # What comes before the golfer's top does not count.
-    left_out = np.isnan(demand.follow).all(axis=1)
+    left_out = np.asarray(np.isnan(demand.follow).all(axis=1))
     share = RUN_UP / demand.downswing_time[0]
     assert left_out.mean() == pytest.approx(share, abs=1.5 / len(demand.follow))
     assert not left_out[-1]
