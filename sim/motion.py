@@ -98,6 +98,15 @@ def _relief(p: Any, pressure: float) -> float:
 
 
 @compiled
+def wrist_cylinder(p: Any, sine: float, cosine: float) -> tuple[float, float]:
+    """Return coordinate and lever arm (m) of the wrist's cylinder from sine and cosine of theta3.
+
+    Its coordinate is d sin(theta3 + mounting angle), -d cos(beta) of thesis Figure 11.
+    """
+    return p.lever_cos * sine + p.lever_sin * cosine, p.lever_cos * cosine - p.lever_sin * sine
+
+
+@compiled
 def chambers(
     p: Any, i: int, y: Any, dy: Any, opening: float, position: float, speed: float, vent: float
 ) -> tuple[float, float]:
@@ -155,7 +164,7 @@ def _derivative(
 
     # Air, viscous friction and stops, each in its actuator's coordinate.
     extension, arm_speed = arm_length - r.l56, arm_lever * u2
-    stroke, wrist_lever = p.wrist_lever * s3, p.wrist_lever * c3
+    stroke, wrist_lever = wrist_cylinder(p, s3, c3)
     wrist_speed = wrist_lever * u3
     force1, taken1 = chambers(p, 0, y, dy, x1, q1, u1, vent)
     force2, taken2 = chambers(p, 1, y, dy, x2, extension, arm_speed, vent)

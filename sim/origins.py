@@ -9,6 +9,7 @@ from collections.abc import Mapping
 
 ORIGINS: Mapping[str, str] = {
     "wrist_lever": "assumption: the thesis gives none; 165 N m wanted",
+    "wrist_lever_angle": "assumption: square to the shaft",
     "robot.stroke": "thesis Appendix B (Appendix A has 0.20: erratum 9)",
     "robot.gravity": "thesis",
     "robot.lie": "thesis",

@@ -10,10 +10,11 @@ Identical inputs and seeds give identical bits.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import floor, pi, sin, sqrt
+from math import cos, floor, pi, sin, sqrt
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
@@ -32,6 +33,8 @@ from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndSto
 from sim.robot import Club, Length, RobotParameters
 from sim.sensors import HISTORY, sense
 from sim.tee import find_contact, strike_ball
+
+Array = NDArray[np.float64]
 
 __all__ = [
     "HISTORY",
@@ -161,6 +164,10 @@ class PlantParameters:
     wrist: Actuator = field(default_factory=_wrist)
     wrist_lever: Length = 0.06
     """Lever d of the wrist's cylinder (m)."""
+    wrist_lever_angle: Annotated[float, Range(-pi / 2, pi / 2, "rad")] = field(
+        default=0.0, metadata={"optional": True}
+    )
+    """Mounting angle of that lever on the club (rad): it turns the wrist best cocked by so much."""
     supply: Supply = field(default_factory=Supply)
     encoders: Encoders = field(default_factory=Encoders)
     pressure_sensors: bool = True
@@ -183,6 +190,21 @@ class PlantParameters:
     def actuators(self) -> tuple[Actuator, Actuator, Actuator]:
         """Actuators in the order of drivers.base.ACTUATORS."""
         return self.shoulder, self.right_arm, self.wrist
+
+    def wrist_stroke(self, theta3: ArrayLike) -> Array:
+        """Return the coordinate of the wrist's cylinder (m) at `theta3` (rad), of any shape."""
+        return np.asarray(self.wrist_lever * np.sin(np.asarray(theta3) + self.wrist_lever_angle))
+
+    def wrist_slope(self, theta3: ArrayLike) -> Array:
+        """Return that coordinate's change by `theta3`, the lever arm of the wrist's cylinder (m)."""
+        return np.asarray(self.wrist_lever * np.cos(np.asarray(theta3) + self.wrist_lever_angle))
+
+    def wrist_authority(self, theta3: ArrayLike) -> Array:
+        """Return |sin beta| at `theta3` (rad): the share of the lever that turns the wrist.
+
+        beta = theta3 - 3 pi / 2 (thesis Figure 11) and the mounting angle.
+        """
+        return np.abs(np.sin(np.asarray(theta3) + self.wrist_lever_angle - 1.5 * pi))
 
     @property
     def valve_centres(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -217,7 +239,8 @@ PLANT_PARAMETERS = np.dtype(
         ("centre", "f8", (3,)),
         ("cross_leakage", "f8", (3,)),
         ("spool", "f8", (3, 4)),
-        ("wrist_lever", "f8"),
+        ("lever_cos", "f8"),
+        ("lever_sin", "f8"),
         ("regulated", "f8"),
         ("feed_conductance", "f8"),
         ("manifold", "f8"),
@@ -349,9 +372,8 @@ def build_plant(parameters: PlantParameters) -> Plant:
     for i, actuator in enumerate(parameters.actuators):
         for name, value in _actuator_values(actuator, half_step).items():
             record[name][0, i] = value
-    # The wrist's cylinder coordinate is -lever cos(beta), beta = theta3 - 3 pi / 2 (thesis Figure 11).
     for name in ("volume_lower", "volume_upper"):
-        record[name][0, 2] = parameters.wrist_lever * sin(record[name][0, 2])
+        record[name][0, 2] = parameters.wrist_stroke(record[name][0, 2])
     record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
     record["encoder_zero"] = encoders.zero_count
     for name, scalar in _scalar_values(parameters).items():
@@ -395,7 +417,8 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
     shaft, club = parameters.shaft, parameters.robot.club
     omega, surface = 2 * pi * shaft.frequency, SURFACES[site.surface]
     return {
-        "wrist_lever": parameters.wrist_lever,
+        "lever_cos": parameters.wrist_lever * cos(parameters.wrist_lever_angle),
+        "lever_sin": parameters.wrist_lever * sin(parameters.wrist_lever_angle),
         "regulated": supply.pressure,
         "feed_conductance": supply.feed_conductance,
         "manifold": supply.volume,

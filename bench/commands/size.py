@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.sizing.catalogue import Catalogue
+    from bench.sizing.hardware import Hardware
     from bench.sizing.point import SizedPoint
     from bench.sizing.search import SizingRun, SizingSearch
     from bench.sizing.study import SizingDemand
@@ -47,6 +49,9 @@ Pressures = Annotated[
     typer.Option(metavar="BAR", help="Regulated pressure, bar absolute; repeatable."),
 ]
 Levers = Annotated[list[float] | None, typer.Option(metavar="MM", help="Wrist's lever; repeatable.")]
+Angles = Annotated[
+    list[float] | None, typer.Option(metavar="DEG", help="Mounting angle of that lever; repeatable.")
+]
 Rounds = Annotated[int, typer.Option(min=0, help="Rounds of cheaper parts around the cheapest that will do.")]
 Swings = Annotated[
     int, typer.Option(min=0, help="Candidates whose whole swing is designed at the demanded speed.")
@@ -69,6 +74,8 @@ def size(
     absorbers: Absorbers = None,
     pressure_bar: Pressures = None,
     lever_mm: Levers = None,
+    lever_angle: Angles = None,
+    frame: Names = None,
     rounds: Rounds = 2,
     swings: Swings = 1,
     faults: FaultSpacing = 0,
@@ -88,7 +95,10 @@ def size(
     configuration = context.ensure_object(Session).configuration()
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
     search = _search(
-        known, (vane, cylinder, valve, absorbers), (pressure_bar, lever_mm), (rounds, swings, faults)
+        known,
+        (vane, cylinder, valve, absorbers, frame),
+        (pressure_bar, lever_mm, lever_angle),
+        (rounds, swings, faults),
     )
     demand = _demand(speed, attack, club or configuration.swing.club)
     folder = output or configuration.bench.data_dir / "sizing"
@@ -103,8 +113,6 @@ def size(
 
 
 def _demand(speed: float, attack: float, club: str) -> SizingDemand:
-    from math import radians
-
     from bench.sizing.study import SizingDemand
 
     return SizingDemand(speed, radians(attack), club)
@@ -112,8 +120,8 @@ def _demand(speed: float, attack: float, club: str) -> SizingDemand:
 
 def _search(
     catalogue: Catalogue,
-    parts: tuple[list[str] | None, list[str] | None, list[str] | None, list[str] | None],
-    numbers: tuple[list[float] | None, list[float] | None],
+    parts: tuple[list[str] | None, ...],
+    numbers: tuple[list[float] | None, ...],
     depth: tuple[int, int, int],
 ) -> SizingSearch:
     """Return the search within what the options give; the grid's own values for what they leave out.
@@ -124,8 +132,8 @@ def _search(
     from bench.sizing.candidates import SizingGrid
     from bench.sizing.search import SizingSearch
 
-    vanes, cylinders, valves, absorbers = parts
-    pressures, levers = numbers
+    vanes, cylinders, valves, absorbers, frames = parts
+    pressures, levers, angles = numbers
     own = SizingGrid()
     grid = SizingGrid(
         tuple(vanes or own.vanes),
@@ -134,6 +142,8 @@ def _search(
         tuple(_pair(text) for text in absorbers) if absorbers else own.absorbers,
         tuple(1e5 * bar for bar in pressures) if pressures else own.pressures,
         tuple(1e-3 * lever for lever in levers) if levers else own.levers,
+        tuple(radians(angle) for angle in angles) if angles else own.lever_angles,
+        tuple(frames or own.frames),
     )
     grid.candidates(catalogue)  # refuses unknown parts before the long part
     return SizingSearch(grid, *depth)
@@ -219,7 +229,7 @@ def _plan_cells(point: SizedPoint) -> tuple[str, ...]:
     return (
         hardware.vane,
         hardware.arm,
-        f"{hardware.wrist}, {1e3 * hardware.lever:g} mm",
+        f"{hardware.wrist}, {1e3 * hardware.lever:g} mm" + _mounting(hardware),
         f"{hardware.shoulder_valve} {hardware.arm_valve} {hardware.wrist_valve}",
         f"{hardware.arm_absorber} {hardware.wrist_absorber}",
         f"{hardware.pressure / 1e5:g}",
@@ -228,6 +238,12 @@ def _plan_cells(point: SizedPoint) -> tuple[str, ...]:
         f"{plan.carried[0]:.0f}, {plan.carried[1]:.0f}",
         f"{plan.peak_pressure / 1e5:.1f}",
     )
+
+
+def _mounting(hardware: Hardware) -> str:
+    """Return mounting angle and ranges where they are not the shipped robot's."""
+    turned = f", {degrees(hardware.lever_angle):g}°" if hardware.lever_angle else ""
+    return turned + (f", {hardware.frame}" if hardware.frame != "R80" else "")
 
 
 def _swing_cells(point: SizedPoint) -> tuple[str, ...]:

@@ -14,7 +14,13 @@ from rich.text import Text
 
 from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus
 from bench.network.client import BenchClient
-from bench.network.status_words import StatusCondition, interlock_conditions, robot_conditions, vent_words
+from bench.network.status_words import (
+    StatusCondition,
+    interlock_conditions,
+    robot_conditions,
+    shut_off_words,
+    vent_words,
+)
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
@@ -101,6 +107,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
         ("vents", vent_words(status["vents_open"])),
+        ("shut-off valve", shut_off_words(status["shut_off_open"])),
         ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
         ("drift", Text("\n".join(status["drift"]), "yellow") if status["drift"] else "none seen"),
         (

@@ -588,16 +588,16 @@ def golfers(
         reach_table,
     )
     from bench.swing.golfers import GOLFERS
-    from bench.swing.library import find_profile, profile_names
+    from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     _require_picture(plot)
     plant = context.ensure_object(Session).configuration().plant
-    swung = [name for name in GOLFERS if profile is not None or name in profile_names()]
-    rows = [
-        golfer_row(plant, GOLFERS[name], load_profile(find_profile(name if profile is None else profile)))
-        for name in swung
-    ]
+    if profile is None:
+        swings = _golfers_own(plant)
+    else:
+        swings = dict.fromkeys(GOLFERS, load_profile(find_profile(profile)))
+    rows = [golfer_row(plant, GOLFERS[name], swing) for name, swing in swings.items()]
     if plot is not None and rows:
         draw_golfers(rows, plant, plot)
     if json_:
@@ -610,6 +610,25 @@ def golfers(
     console.print(deviations_table(rows), reach_table(rows, plant), highlight=False)
     if plot is not None and rows:
         console.print(f"Picture: {plot}", highlight=False)
+
+
+def _golfers_own(plant: PlantParameters) -> dict[str, Profile]:
+    """Return the swing of each golfer that comes with golfbench: one made for the ranges of `plant`.
+
+    NAME-full asks for the longest ways of shoulder, right arm and wrist, NAME for those of the shipped robot.
+    """
+    from bench.design.validate import fits_ranges
+    from bench.swing.golfers import GOLFERS
+    from bench.swing.library import find_profile, profile_names
+    from bench.swing.profile import load_profile
+
+    known, found = profile_names(), {}
+    for golfer in GOLFERS:
+        own = [load_profile(find_profile(n)) for n in (f"{golfer}-full", golfer) if n in known]
+        fitting = [swing for swing in own if fits_ranges(plant, swing)]
+        if own:
+            found[golfer] = (fitting or own[-1:])[0]
+    return found
 
 
 def _require_picture(plot: Path | None) -> None:

@@ -126,7 +126,7 @@ def cylinder_positions(angle: Array, joint: int, plant: PlantParameters) -> Arra
         return angle
     if joint == 1:
         return np.asarray(right_arm_length(plant.robot, angle) - plant.robot.l56)
-    return np.asarray(plant.wrist_lever * np.sin(angle))
+    return plant.wrist_stroke(angle)
 
 
 def way_per_angle(angle: Array, joint: int, plant: PlantParameters) -> Array:

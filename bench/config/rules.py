@@ -195,10 +195,12 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if leaf is not None and leaf.suffix:
             yield key, format_value(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
         # Thesis figure 11: the cylinder turns the wrist with lever d sin(beta), beta = theta3 - 3 pi / 2.
-        dead = asin(c.envelope.min_lever)
+        # Mounted at an angle it does so for a range that is cocked further.
+        dead, mounted = asin(c.envelope.min_lever), c.plant.wrist_lever_angle
         theta3 = getattr(wrist, end)
-        if not 1.5 * pi + dead <= theta3 <= 2.5 * pi - dead:
-            span = f"{270 + dead * 180 / pi:.1f} to {450 - dead * 180 / pi:.1f} deg"
+        if not 1.5 * pi + dead - mounted <= theta3 <= 2.5 * pi - dead - mounted:
+            low, high = (degrees(end * pi - mounted) for end in (1.5, 2.5))
+            span = f"{low + degrees(dead):.1f} to {high - degrees(dead):.1f} deg"
             cure = "Narrow the range; envelope.min_lever says how little lever may be left."
             yield (
                 f"plant.wrist.{end}",

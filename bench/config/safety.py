@@ -137,7 +137,26 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
     if c.is_machine and not c.homing.stops:
         wanted = "true with a real robot: neither pose nor index shows a coupling that slipped a little"
         yield "homing.stops", format_value(c.homing.stops), wanted, "Set it to true."
+    yield from _shut_off_proof(c)
     yield from _vent_proof(c)
+
+
+def _shut_off_proof(c: Configuration) -> Iterator[Mistake]:
+    """Yield a missing position switch of a real robot's shut-off valve.
+
+    It is the only part that keeps the manifold empty beside a person if the supply valve stays open; one that
+    is stuck shows in nothing else until then.
+    """
+    if not c.is_machine or c.driver.name not in ("daq", "canopen"):
+        return
+    if c.driver.name == "daq":
+        key, fitted = "daq.shut_off_feedback", bool(c.daq.shut_off_feedback)
+    else:
+        bit = c.canopen.valve_node.inputs.shut_off_open
+        key, fitted = "canopen.valve_node.inputs.shut_off_open", bit >= 0
+    if not fitted:
+        wanted = "the shut-off valve's position switch: nothing else shows that it is stuck open"
+        yield key, "not fitted", wanted, "Fit the switch and name its input."
 
 
 def _vent_proof(c: Configuration) -> Iterator[Mistake]:

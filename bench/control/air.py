@@ -18,7 +18,7 @@ import numpy as np
 from bench.control.envelope import joint_coordinates
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
-from sim.motion import chambers
+from sim.motion import chambers, wrist_cylinder
 
 AIR_STATE = np.dtype(
     [
@@ -57,7 +57,8 @@ _LONGEST = 0.02
 def actuator_motion(robot: Any, p: Any, angle: Any, velocity: Any, i: int) -> tuple[float, float]:
     """Return position and speed of actuator `i` in its own coordinate (rad, rod m, wrist's stroke m)."""
     if i == 2:
-        return p.wrist_lever * sin(angle[2]), p.wrist_lever * cos(angle[2]) * velocity[2]
+        stroke, lever = wrist_cylinder(p, sin(angle[2]), cos(angle[2]))
+        return stroke, lever * velocity[2]
     return joint_coordinates(robot, angle, velocity, i)
 
 
@@ -77,7 +78,7 @@ def load_force(robot: Any, p: Any, angle: Any, i: int) -> float:
         return float(h1)
     if i == 1:
         return float(h2 / lever)
-    return float(h3 / (p.wrist_lever * cos(angle[2])))
+    return float(h3 / wrist_cylinder(p, sin(angle[2]), cos(angle[2]))[1])
 
 
 @compiled
@@ -145,6 +146,7 @@ def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: 
         m12 * a1 + m22 * a2 + m23 * a3 + h2,
         m13 * a1 + m23 * a2 + m33 * a3 + h3,
     )
+    _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
     for i in range(3):
         x, y = 6 + 2 * i, 7 + 2 * i
         a.given[i] += step / (step + _LAG) * (actuator_force(p, a.pressure, i) - a.given[i])
@@ -155,7 +157,7 @@ def _take_motion(a: Any, robot: Any, p: Any, e: Any, r: Any, step: float, free: 
         inside = p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE
         if not (free and inside and abs(e.velocity[i]) > _MOVING):
             continue
-        to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
+        to_joint = 1.0 if i == 0 else lever if i == 1 else wrist_lever
         friction = p.viscous[i] * speed + (p.coulomb[i] if speed > 0.0 else -p.coulomb[i])
         missing = needed[i] / to_joint + friction - a.given[i]
         if np.isfinite(missing):

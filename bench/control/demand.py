@@ -67,7 +67,7 @@ def actuator_forces(plant: PlantParameters, angle: Array, velocity: Array, accel
     """Return the actuators' forces (n, 3) (N, shoulder N m) that move the robot so; joints (n, 3)."""
     robot = plant.robot
     force = inverse_dynamics(robot, angle, velocity, acceleration)
-    lever = plant.wrist_lever * np.cos(angle[:, 2])
+    lever = plant.wrist_slope(angle[:, 2])
     force[:, 2] /= lever
     arm = right_arm_length(robot, angle[:, 1])
     slope = -robot.l62 * robot.l23 * np.sin(angle[:, 1]) / arm

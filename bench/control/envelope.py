@@ -39,6 +39,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("ball_clearance", "f8"),
         ("frame_radius", "f8"),
         ("min_lever", "f8"),
+        ("lever_angle", "f8"),
     ],
     align=True,
 )
@@ -47,7 +48,7 @@ rad/s), following error per phase (rad), deceleration that braking can count on 
 takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest
 tick while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside
 and inside the ball's window (m); distance of the club from the shoulder axis (m); min |sin beta| of the
-wrist."""
+wrist, and the mounting angle of its lever (rad)."""
 
 
 @compiled
@@ -150,7 +151,7 @@ def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
     x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
     if not x * x + y * y >= p.frame_radius * p.frame_radius:
         return Cause.FRAME
-    if not abs(sin(angle[2] - 1.5 * np.pi)) >= p.min_lever:
+    if not abs(sin(angle[2] + p.lever_angle - 1.5 * np.pi)) >= p.min_lever:
         return Cause.WRIST_LEVER
     return 0
 

@@ -6,7 +6,7 @@ spools are beyond their dead band (where the dither carries them), end stops are
 
 from __future__ import annotations
 
-from math import copysign, cos
+from math import copysign, cos, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +79,7 @@ def _set_rates(robot: Any, p: Any, motion: Any, supply: float, opening: Any, air
         spool = 0.0 if opening[i] == 0.0 else copysign(band + (1.0 - band) * abs(opening[i]), opening[i])
         force, _ = chambers(p, i, air[0], air[1], spool, position, moving, 0.0)
         forces[i] = force - p.viscous[i] * moving
-    wrist = forces[2] * p.wrist_lever * cos(angle[2])
+    wrist = forces[2] * p.lever_cos * cos(angle[2]) - forces[2] * p.lever_sin * sin(angle[2])
     rates[:3] = speed
     rates[3], rates[4], rates[5] = accelerations(
         r, angle[0], angle[1], angle[2], speed[0], speed[1], speed[2], forces[0], forces[1], wrist

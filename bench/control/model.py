@@ -22,7 +22,7 @@ All pure, time is an argument.
 
 from __future__ import annotations
 
-from math import cos
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from bench.control.envelope import joint_coordinates
 from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
-from sim.motion import chambers
+from sim.motion import chambers, wrist_cylinder
 
 PHASES = len(Phase)
 BRAKING = PHASES
@@ -245,9 +245,10 @@ def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: flo
         m12 * a1 + m22 * a2 + m23 * a3 + h2,
         m13 * a1 + m23 * a2 + m33 * a3 + h3,
     )
+    _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
     for i in range(3):
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
-        to_joint = 1.0 if i == 0 else lever if i == 1 else p.wrist_lever * cos(e.angle[2])
+        to_joint = 1.0 if i == 0 else lever if i == 1 else wrist_lever
         force = (m.air[6 + 2 * i] - p.atmosphere) * p.area_a[i] - (
             m.air[7 + 2 * i] - p.atmosphere
         ) * p.area_b[i]

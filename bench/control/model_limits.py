@@ -85,6 +85,8 @@ class MadeFor(NamedTuple):
         del machine["supply"]["shut_off_delay"]  # it acts at rest
         for name in ("shoulder", "right_arm", "wrist"):
             del machine[name]["stop"]["rated"]  # no force depends on it
+        if plant.wrist_lever_angle == 0.0:
+            del machine["wrist_lever_angle"]  # younger than limits in use
         machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(

@@ -75,7 +75,7 @@ def swing_widths(plant: PlantParameters, machine: Array, angle: Array) -> Array:
     position = (
         angle[0],
         float(right_arm_length(plant.robot, angle[1])) - plant.robot.l56,
-        plant.wrist_lever * float(np.sin(angle[2])),
+        float(plant.wrist_stroke(angle[2])),
     )
     for i, actuator in enumerate(plant.actuators):
         valve = actuator.valve

@@ -594,7 +594,7 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         record[name] = getattr(settings, name)
     record["ball_clearance"] = settings.clearance_by_ball(plant.site)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
-    record["ball_x"] = profile.ball[0]
+    record["ball_x"], record["lever_angle"] = profile.ball[0], plant.wrist_lever_angle
     return record
 
 

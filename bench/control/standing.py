@@ -32,8 +32,8 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
     on what little air is left and then sinks: it has to rest for a while with empty chambers. Without trusted
     encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that
-    long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. At
-    power-up no air was seen that could hold it.
+    long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. So,
+    too, from power-up on: the bench may have been restarted as soon as it stopped.
     """
     blind = s.lost != 0 or s.distrusted
     empty = not chambers_show_pressure(s, p)
@@ -42,7 +42,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
-    if not (empty and shut):
+    if not (empty and shut) or (s.state == State.STARTING and not np.isfinite(s.empty_since)):
         s.empty_since = time
     sunk = time - s.empty_since >= p.vented_sinking or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time

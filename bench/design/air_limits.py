@@ -9,7 +9,6 @@ follow.
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,7 @@ def needed_force(motion: Motion) -> Array:
     acceleration = np.diff(profile.velocity, axis=0) / profile.period
     effort = np.asarray(inverse_dynamics(plant.robot, angle, velocity, acceleration))
     position, speed = _middle(motion.position), _middle(motion.speed)
-    wrist_lever = plant.wrist_lever * np.sin(angle[:, 2] - 1.5 * pi)
+    wrist_lever = plant.wrist_slope(angle[:, 2])
     force = np.empty_like(effort)
     for i, actuator in enumerate(plant.actuators):
         own = effort[:, i] - stop_forces(actuator, position[:, i], speed[:, i])
@@ -71,8 +70,8 @@ def force_bounds(motion: Motion) -> Array:
     bounds = np.empty((len(motion.position), 3, 2))
     for i, actuator in enumerate(plant.actuators):
         stroke, ends = motion.position[:, i], np.array(actuator.chamber_ends)
-        if i == 2:  # the cylinder's coordinate is -lever cos(beta), beta = theta3 - 3 pi / 2
-            stroke, ends = (-plant.wrist_lever * np.cos(value - 1.5 * pi) for value in (stroke, ends))
+        if i == 2:
+            stroke, ends = plant.wrist_stroke(stroke), plant.wrist_stroke(ends)
         volume_a = actuator.dead_volume + actuator.area_a * (stroke - ends[0])
         volume_b = actuator.dead_volume + actuator.area_b * (ends[1] - stroke)
         low_a, high_a = _extreme_pressures(volume_a, motion.profile.period, actuator, plant.supply)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from cmath import exp, phase
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import acos, asin, atan2, degrees, inf, pi, sin
+from math import acos, asin, atan2, degrees, inf, pi, radians, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ from bench.design.optimal_control import (
     DownswingProblem,
     solve_downswing,
 )
-from bench.design.refine import NEAR, UNITS, NotReached, refine
+from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, refine
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
 from bench.simulation.loads import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
@@ -70,6 +70,10 @@ _AIMED = 5
 _ADDRESS = (-0.050, 0.022)
 """Place of the face from a ball on turf at the address, m: where the driver's stands from its ball. Its way
 back passes neither ball nor turf."""
+_SHORT_OF_STOP = 0.020
+"""Rod at the address from its upper stop, m."""
+_COCKED, _OFF_THE_STOP = radians(65.0), radians(15.0)
+"""Wrist at the top from its straight stop, with a lever square to the shaft, and from its other stop, rad."""
 _UPRIGHT, _LEADING = 0.026, 0.175
 """Max lean either way of a shaft at a ball on a tee, and with leading hands at one on turf, rad."""
 _BROUGHT = (1.2, 0.65)
@@ -109,11 +113,12 @@ class SwingDemand:
     address_cock: float = 0.14
     """Wrist at address, rad short of its stop."""
     address_shoulder: float = 0.45
-    address_extension: float = 0.200
-    """At a ball on a tee; on turf they follow from the ball's place."""
+    address_extension: float | None = None
+    """At a ball on a tee; None: `_SHORT_OF_STOP`. On turf they follow from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
-    top_cock: float = np.deg2rad(65.0).item()
+    top_cock: float | None = None
+    """Wrist at the top, rad short of its stop; None: `furthest_cock`."""
     follow_time: float = 0.7
     """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
     no_return_time: float = 0.06
@@ -125,7 +130,8 @@ class SwingDemand:
     shoulder_speed: float = 16.0
     """Max shoulder speed at the ball, to be braked in the follow-through, rad/s."""
     follow: Array | None = None
-    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad."""
+    """(n, 3) joint angles to keep close to, evenly spaced over the downswing up to the ball, rad; rows of NaN
+    do not count."""
     ranges: Array | None = None
     """(3,) units of the deviations from them, rad."""
     nearest: bool = False
@@ -186,8 +192,11 @@ def address_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     robot, wrist = parameters.robot, parameters.wrist.upper - demand.address_cock
     if parameters.site.surface != "none":
         return _behind_the_ball(parameters, wrist)
-    extension = float(theta2_from_right_arm(robot, robot.l56 + demand.address_extension))
-    return np.array([demand.address_shoulder, extension, wrist])
+    extension = demand.address_extension
+    if extension is None:
+        extension = parameters.right_arm.upper - _SHORT_OF_STOP
+    theta2 = float(theta2_from_right_arm(robot, robot.l56 + extension))
+    return np.array([demand.address_shoulder, theta2, wrist])
 
 
 def _behind_the_ball(parameters: PlantParameters, wrist: float) -> Array:
@@ -210,14 +219,22 @@ def _behind_the_ball(parameters: PlantParameters, wrist: float) -> Array:
     raise DesignFailed("at the address: the right arm does not reach the ball")
 
 
+def furthest_cock(parameters: PlantParameters) -> float:
+    """Return how far (rad) the wrist is cocked at the top: its lever still turns it, and its stop is away."""
+    wrist = parameters.wrist
+    further = min(parameters.wrist_lever_angle, wrist.upper - wrist.lower - _COCKED - _OFF_THE_STOP)
+    return _COCKED + max(further, 0.0)
+
+
 def top_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     """Return the joint angles at the top of the backswing (rad)."""
     robot = parameters.robot
+    cock = furthest_cock(parameters) if demand.top_cock is None else demand.top_cock
     return np.array(
         [
             demand.top_shoulder,
             float(theta2_from_right_arm(robot, robot.l56 + demand.top_extension)),
-            parameters.wrist.upper - demand.top_cock,
+            parameters.wrist.upper - cock,
         ]
     )
 
@@ -337,7 +354,7 @@ def _problem(
         stop_speed=envelope.stop_speed,
         stop_deceleration=envelope.stop_deceleration,
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
-        wrist=(max(parameters.wrist.lower, 1.5 * pi + asin(demand.least_lever)), parameters.wrist.upper),
+        wrist=_wrist_range(parameters, demand),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
         shoulder_speed=demand.shoulder_speed,
@@ -346,6 +363,13 @@ def _problem(
         ranges=demand.ranges,
         concessions=_concessions(parameters, demand) if demand.nearest else NO_CONCESSIONS,
     )
+
+
+def _wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float, float]:
+    """Return the range of theta3 (rad) in which the wrist's lever has the demanded share of its length."""
+    dead, mounted = asin(demand.least_lever), parameters.wrist_lever_angle
+    lowest, highest = 1.5 * pi + dead - mounted, 2.5 * pi - dead - mounted
+    return max(parameters.wrist.lower, lowest), min(parameters.wrist.upper, highest)
 
 
 def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, float]:
@@ -561,9 +585,10 @@ def fastest_plan(
 
 
 def _model_state(begun: _Start) -> Array:
-    """Return the model's state (16,) at the top."""
+    """Return the model's state (16,) at the top, where a joint may still be on its way."""
     before, state = begun.plant_state[0], np.zeros(STATES)
-    state[:3], state[6:12] = before["angle"], before["pressure"] / BAR
+    state[:3], state[3:6] = before["angle"], before["speed"]
+    state[6:12] = before["pressure"] / BAR
     state[12] = before["supply_pressure"] / BAR
     return state
 
@@ -686,13 +711,14 @@ def _into_the_loop(
 ) -> tuple[Profile, Downswing]:
     """Return the profile whose swing in closed loop delivers as `downswing` should, and its downswing.
 
-    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted.
+    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted: by
+    what the loop delivers beside the same openings without it, whatever the correction left of its aim.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.
     """
     shooter = _shooter(bench, begun)
-    aim, best = downswing.wanted, None
+    best = None
     for count in range(_AIMED):
         progress("closed loop", count / _AIMED)
         profile = _assemble(bench.plant, demand, begun, downswing.opening, downswing.trial, name, golfer)
@@ -706,7 +732,8 @@ def _into_the_loop(
             best = off, _with_figures(profile, bench.plant, state, demand, downswing.trial), downswing
         if off < 1.0:
             break
-        aim = aim - (delivered - downswing.wanted)
+        alone = arrival_errors(shooter.arrive(downswing.opening), downswing.wanted)
+        aim = downswing.wanted - (delivered - downswing.wanted - alone)
         try:
             opening = refine(shooter, downswing.opening, aim, 1.0 - demand.margin)
         except NotReached:

@@ -2,9 +2,10 @@
 
 The robot starts from the human's top as far as its ranges go, takes his or her time for the backswing and
 about as long for the downswing, and keeps close to the human's joint angles by least squares, each counted in
-its range. A motion out of reach is not scaled; the deviation shows it. If the demand itself is out of reach,
-a nearest swing gives way, in the downswing's time and the path's rise first, in head speed last; `gave_way`
-says where and by how much.
+its range. The model's golfer begins the downswing at full speed, which no machine does: where the shoulder
+has room behind the human's top, the robot begins there, `RUN_UP` earlier. A motion out of reach is not
+scaled; the deviation shows it. If the demand itself is out of reach, a nearest swing gives way, in the
+downswing's time and the path's rise first, in head speed last; `gave_way` says where and by how much.
 
 A robot's swing is followed in the same way, more closely (`demand_near`). Without one to follow a plan takes
 the least opening of the valves, which leaves much of the head's speed to the wrist's release: what that
@@ -19,7 +20,7 @@ from math import degrees, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.designer import SwingDemand, downswing_rows
+from bench.design.designer import SwingDemand, downswing_rows, furthest_cock
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -29,6 +30,9 @@ Array = NDArray[np.float64]
 
 _TIME = 0.9, 1.2
 """Shortest and longest downswing, as shares of the one that is followed."""
+RUN_UP = 0.08
+"""s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
+_LEAST_RUN_UP = 0.02
 _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
@@ -55,7 +59,24 @@ def demand_like(
         head_speed=golfer.head_speed if speed is None else speed,
         backswing_time=golfer.backswing,
     )
-    return _following(plant, demand, human.angle, float(human.time[-1]), np.ptp(human.angle, axis=0))
+    lasting, ranges = float(human.time[-1]), np.ptp(human.angle, axis=0)
+    followed = _following(plant, demand, human.angle, lasting, ranges)
+    turning = float((human.angle[1, 0] - human.angle[0, 0]) / (human.time[1] - human.time[0]))
+    room = float(human.angle[0, 0]) - (plant.shoulder.lower + _INSIDE[0])
+    run_up = min(RUN_UP, 2.0 * room / turning)
+    if run_up < _LEAST_RUN_UP:
+        return followed
+    time, table = np.linspace(0.0, lasting, len(human.angle)), followed.follow
+    at = np.linspace(-run_up, lasting, _ROWS)
+    rows = np.column_stack([np.interp(at, time, column) for column in np.asarray(table).T])
+    rows[at < 0.0] = np.nan
+    # Poses are compared at the same time before the ball, so the downswing lasts exactly so long.
+    return replace(
+        followed,
+        downswing_time=(lasting + run_up, lasting + run_up),
+        top_shoulder=float(human.angle[0, 0]) - turning * run_up / 2,
+        follow=rows,
+    )
 
 
 def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:
@@ -72,7 +93,8 @@ def _following(
     extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
     shoulder = max(float(top[0]), plant.shoulder.lower + _INSIDE[0])
     extension = max(extension, plant.right_arm.lower + _INSIDE[1])
-    cock = min(plant.wrist.upper - float(top[2]), demand.top_cock)
+    furthest = furthest_cock(plant) if demand.top_cock is None else demand.top_cock
+    cock = min(plant.wrist.upper - float(top[2]), furthest)
     least = [
         shoulder,
         float(theta2_from_right_arm(plant.robot, plant.robot.l56 + extension)),

@@ -159,7 +159,7 @@ def stroke_ends(plant: PlantParameters, i: int) -> tuple[float, float]:
     ends = actuator.chamber_ends
     if i < 2:
         return ends
-    return plant.wrist_lever * float(np.sin(ends[0])), plant.wrist_lever * float(np.sin(ends[1]))
+    return float(plant.wrist_stroke(ends[0])), float(plant.wrist_stroke(ends[1]))
 
 
 def _friction(actuator: Actuator, speed: Expression) -> Expression:
@@ -178,8 +178,9 @@ def build_equations(plant: PlantParameters) -> Equations:
     matrix, bias = _kinetics(plant, q, u)
     length = ca.sqrt(robot.l62**2 + robot.l23**2 + 2 * robot.l62 * robot.l23 * ca.cos(q[1]))
     extension, lever = length - robot.l56, -robot.l62 * robot.l23 * ca.sin(q[1]) / length
-    places = (q[0], extension, plant.wrist_lever * ca.sin(q[2]))
-    levers = (1.0, lever, plant.wrist_lever * ca.cos(q[2]))
+    turned = q[2] + plant.wrist_lever_angle if plant.wrist_lever_angle else q[2]
+    places = (q[0], extension, plant.wrist_lever * ca.sin(turned))
+    levers = (1.0, lever, plant.wrist_lever * ca.cos(turned))
     forces, rates, taken = [], [], 0.0
     for i, actuator in enumerate(plant.actuators):
         speed = levers[i] * u[i]
@@ -279,7 +280,7 @@ class DownswingProblem:
     pressure: float
     """Max chamber pressure, Pa absolute."""
     follow: Array | None = None
-    """(n, 3) motion to keep close to, evenly spaced over the downswing, rad."""
+    """(n, 3) motion to keep close to, evenly spaced over the downswing, rad; rows of NaN do not count."""
     ranges: Array | None = None
     """(3,) units of the deviations from it, rad."""
     concessions: Concessions = NO_CONCESSIONS
@@ -408,7 +409,8 @@ def solve_downswing(
     if p.follow is not None and p.ranges is not None:
         for k in range(n + 1):
             row = p.follow[round(k * (len(p.follow) - 1) / n)]
-            cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
+            if np.isfinite(row).all():
+                cost += ca.sumsqr((states[k][:3] - row) / p.ranges) / n * 10.0
         # Openings that jump are easy to plan and hard to follow.
         cost += (
             sum(0.1 * ca.sumsqr(s[13:]) for s in states) / n + sum(1e-5 * ca.sumsqr(c) for c in controls) / n

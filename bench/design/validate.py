@@ -7,7 +7,7 @@ and not only the failed ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from math import hypot, pi
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
@@ -289,9 +289,17 @@ def _clearance(plan: MachineSwing) -> Check:
     return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
 
 
+def fits_ranges(plant: PlantParameters, profile: Profile) -> bool:
+    """Return whether the motion of `profile` stays within the joints' ranges and cushions of `plant`."""
+    position = Motion(profile, plant).position
+    low = [actuator.lower - actuator.stop.travel for actuator in plant.actuators]
+    high = [actuator.upper + actuator.stop.travel for actuator in plant.actuators]
+    return bool(np.all((position >= low) & (position <= high)))
+
+
 def _lever(plan: MachineSwing) -> Check:
     """Check that the wrist's cylinder has a lever (thesis figure 11)."""
-    authority = np.abs(np.sin(plan.profile.angle[:, 2] - 1.5 * pi))
+    authority = plan.plant.wrist_authority(plan.profile.angle[:, 2])
     k, least, faults = int(authority.argmin()), plan.envelope.min_lever, []
     if authority[k] < least:
         cure = "Fold the wrist less; envelope.min_lever is the limit."

@@ -7,7 +7,7 @@ behind. All are assumptions: the dynamics are those of a plane.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 
@@ -63,20 +63,20 @@ def layers(plant: PlantParameters, link: float, arm: float) -> Layers:
 def wrist_way(plant: PlantParameters, theta3: float) -> float:
     """Return where the wrist's piston rod stands along the left arm, from R3 (m).
 
-    Its yoke slides along x2; the lever points along -y3, so that the place is d sin(theta3) exactly as in
-    the dynamics.
+    Its yoke slides along x2; the lever points along -y3, or so much further towards the shaft as it is
+    mounted, so that the place is d sin(theta3 + mounting angle) exactly as in the dynamics.
     """
-    return plant.wrist_lever * sin(theta3)
+    return float(plant.wrist_stroke(theta3))
 
 
 def wrist_ways(plant: PlantParameters) -> tuple[float, float]:
     """Return the ends of that way over the wrist's range with its clearance (m)."""
     low, high = plant.wrist.chamber_ends
     turns = np.linspace(low, high, 721)
-    ways = plant.wrist_lever * np.sin(turns)
+    ways = plant.wrist_stroke(turns)
     return float(ways.min()), float(ways.max())
 
 
 def lever_pin(plant: PlantParameters, theta3: float) -> tuple[float, float]:
     """Return the pin of the wrist's lever from R3 in the left arm's frame (m)."""
-    return wrist_way(plant, theta3), -plant.wrist_lever * cos(theta3)
+    return wrist_way(plant, theta3), -float(plant.wrist_slope(theta3))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import cos, sin, sqrt
 
 from bench.drawing.bodies import DrawnBody, Part
 from bench.drawing.layers import (
@@ -176,11 +176,16 @@ def wrist_rod(plant: PlantParameters) -> DrawnBody:
 
 
 def lever_parts(plant: PlantParameters) -> tuple[Part, ...]:
-    """Return the wrist's lever with its pin, which turn with the club: along -y3."""
+    """Return the wrist's lever with its pin, which turn with the club: along -y3, turned as it is mounted."""
     at, lever = layers_of(plant), plant.wrist_lever
+    c, s = cos(plant.wrist_lever_angle), sin(plant.wrist_lever_angle)
     size = (0.024, lever + 0.024, LEVER_HEIGHT)
     bar = Bar(
-        size, (0.0, -lever / 2, at.lever), bores=(Bore(0.0, lever / 2, PIN), Bore(0.0, -lever / 2, PIN))
+        size,
+        (lever / 2 * s, -lever / 2 * c, at.lever),
+        turn=((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)),
+        bores=(Bore(0.0, lever / 2, PIN), Bore(0.0, -lever / 2, PIN)),
     )
-    pin = Tube((0.0, -lever, at.lever - LEVER_HEIGHT / 2), (0.0, -lever, at.yoke + YOKE_HEIGHT), PIN)
+    x, y = lever * s, -lever * c
+    pin = Tube((x, y, at.lever - LEVER_HEIGHT / 2), (x, y, at.yoke + YOKE_HEIGHT), PIN)
     return Part("lever", bar, ALUMINIUM), Part("lever pin", pin, STEEL)

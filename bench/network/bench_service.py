@@ -213,6 +213,8 @@ class BenchStatus(TypedDict):
     """Warnings of the latest swing's record: speed or strike has drifted from that of the first swings."""
     vents_open: Annotated[list[bool | None], Len(2, 2)]
     """Position of each of the two vents; None without feedback."""
+    shut_off_open: bool | None
+    """Position of the shut-off valve; None without feedback."""
     emergency_stop_clear: bool
     guard_closed: bool
     guard_locked: bool

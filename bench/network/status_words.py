@@ -34,10 +34,17 @@ def interlock_conditions(status: BenchStatus) -> list[StatusCondition]:
     ]
 
 
+_POSITION = {True: "open", False: "shut", None: "no feedback"}
+
+
 def vent_words(positions: Sequence[bool | None]) -> str:
     """Return the positions of the vents; None: without feedback."""
-    words = {True: "open", False: "shut", None: "no feedback"}
-    return ", ".join(f"{number} {words[position]}" for number, position in enumerate(positions, start=1))
+    return ", ".join(f"{number} {_POSITION[position]}" for number, position in enumerate(positions, start=1))
+
+
+def shut_off_words(position: bool | None) -> str:
+    """Return the position of the shut-off valve; None: without feedback."""
+    return _POSITION[position]
 
 
 def _condition(yes: str, no: str, holds: bool) -> StatusCondition:

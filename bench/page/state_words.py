@@ -7,7 +7,7 @@ from typing import Any
 from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.command import REQUESTS
-from bench.network.status_words import interlock_conditions, robot_conditions, vent_words
+from bench.network.status_words import interlock_conditions, robot_conditions, shut_off_words, vent_words
 from drivers.base import ACTUATORS, JOINTS
 
 MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
@@ -93,6 +93,7 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
         ],
         "chambers": [{"name": name, "a_pa": a, "b_pa": b} for name, a, b in sides],
         "vents": vent_words(status["vents_open"]),
+        "shut_off": shut_off_words(status["shut_off_open"]),
         "warnings": _warnings(status),
         "accepts": accepted_commands(state),
         **{name: status[name] for name in _UNCHANGED},  # type: ignore[literal-required]

@@ -79,7 +79,8 @@ def status_of(
         "supply_pressure_pa": _number(r["supply_pressure"]),
         "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
         "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
-        "vents_open": [bool(x) if isfinite(x) else None for x in r["vent_open"]],
+        "vents_open": [_position(x) for x in r["vent_open"]],
+        "shut_off_open": _position(r["shut_off_open"]),
         "emergency_stop_clear": bool(r["emergency_stop_clear"]),
         "guard_closed": bool(r["guard_closed"]),
         "guard_locked": bool(r["guard_locked"]),
@@ -102,6 +103,11 @@ def cause_text(cause: Cause, stall: str) -> str:
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
     return CauseStatus(name=cause.name, text=cause_text(cause, stall)) if cause else None
+
+
+def _position(seen: float) -> bool | None:
+    """Return whether a valve is seen open; None without feedback."""
+    return bool(seen) if isfinite(seen) else None
 
 
 def _air_faults(bits: int) -> list[Cause]:

@@ -38,6 +38,9 @@ class SizingGrid:
     """Pa absolute."""
     levers: tuple[float, ...] = (0.06,)
     """m"""
+    lever_angles: tuple[float, ...] = (0.0,)
+    """Mounting angles of the lever, rad."""
+    frames: tuple[str, ...] = ("R80",)
 
     def candidates(self, catalogue: Catalogue) -> list[Hardware]:
         """Return all combinations; feed and manifold follow the valves.
@@ -46,10 +49,12 @@ class SizingGrid:
             BenchError: the catalogue has no part of a name.
         """
         found = []
-        for vane, bore, valve, (arm, wrist), pressure, lever in product(
-            self.vanes, self.cylinders, self.valves, self.absorbers, self.pressures, self.levers
-        ):
-            made = Hardware(vane, bore, bore, valve, valve, valve, arm, wrist, "L34", "M2", pressure, lever)
+        parts = product(self.vanes, self.cylinders, self.valves, self.absorbers)
+        free = list(product(self.pressures, self.levers, self.lever_angles, self.frames))
+        for (vane, bore, valve, (arm, wrist)), (pressure, lever, angle, frame) in product(parts, free):
+            made = Hardware(
+                vane, bore, bore, valve, valve, valve, arm, wrist, "L34", "M2", pressure, lever, angle, frame
+            )
             flow = sum(part.conductance for part in parts_of(catalogue, made).valves)
             found.append(made if flow <= _SMALL_FEED else replace(made, feed="L100", manifold="M5"))
         return found

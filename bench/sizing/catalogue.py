@@ -118,6 +118,36 @@ class ManifoldPart:
 
 
 @dataclass(frozen=True)
+class ShutOffPart:
+    """A shut-off valve that reports its position."""
+
+    name: str
+    switching_time: Annotated[float, Range(0.0, 5.0, "s")]
+    """Longest time from loss of power to exhausting, s."""
+    source: str
+
+
+@dataclass(frozen=True)
+class FramePart:
+    """The joints' ranges, with the right arm's cylinder that gives them."""
+
+    name: str
+    shoulder_lower: Annotated[float, Range(-6.0, 0.0, "rad")]
+    """rad"""
+    shoulder_upper: Annotated[float, Range(0.0, 6.0, "rad")]
+    """rad"""
+    wrist_cock: Annotated[float, Range(0.5, 2.8, "rad")]
+    """Range of the wrist from the line of the arm, rad."""
+    arm_body: Annotated[float, Range(0.1, 1.0, "m")]
+    """Right shoulder to the exit of the right arm's rod, m."""
+    arm_behind: Annotated[float, Range(0.0, 1.0, "m")]
+    """Length of its cylinder behind the right shoulder, about which it swings, m."""
+    arm_stroke: Annotated[float, Range(0.05, 1.0, "m")]
+    """m"""
+    source: str
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """All parts, by kind and name."""
 
@@ -127,6 +157,8 @@ class Catalogue:
     absorbers: dict[str, AbsorberPart]
     feeds: dict[str, FeedPart]
     manifolds: dict[str, ManifoldPart]
+    frames: dict[str, FramePart]
+    shut_offs: dict[str, ShutOffPart]
 
 
 def conductance_of(nominal_flow: float) -> float:

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import sqrt
+from math import degrees, sqrt
 from typing import Any, NamedTuple
 
 from bench.errors import BenchError
-from bench.sizing.catalogue import PRICES, AbsorberPart, Catalogue, CylinderPart, ValvePart, VanePart
+from bench.sizing.catalogue import (
+    PRICES,
+    AbsorberPart,
+    Catalogue,
+    CylinderPart,
+    FramePart,
+    ValvePart,
+    VanePart,
+)
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 
@@ -18,6 +26,8 @@ DESIGN_SPEED = 45.0
 """Head speed to which the limits of the joint speeds of the shipped envelope belong, m/s."""
 RELIEF = 0.5e5, 11.5e5
 """Opening of the relief valves above the highest planned pressure, and at most, Pa; ratings are 12 bar."""
+_CYLINDER_WIDTH = 0.045
+"""Width of the right arm's cylinder in its moment of inertia, m, as the thesis has it."""
 _MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1
 """Shares of the regulated pressure between which a swing may begin, as in the shipped envelope."""
 
@@ -42,12 +52,21 @@ class Hardware:
     """Regulated pressure, Pa absolute."""
     lever: float = 0.06
     """Wrist's lever, m."""
+    lever_angle: float = 0.0
+    """Mounting angle of that lever on the club, rad."""
+    frame: str = "R80"
+    """Joints' ranges; the structure has no price class."""
 
     @property
     def name(self) -> str:
-        """Name that holds all choices: part by part, pressure in bar, lever in mm."""
+        """Name with all choices: parts, pressure in bar, lever in mm; its angle and the frame if changed."""
         parts = [str(getattr(self, field.name)) for field in fields(self)[:10]]
-        return "-".join([*parts, f"{self.pressure / 1e5:g}bar", f"{1e3 * self.lever:g}mm"])
+        parts += [f"{self.pressure / 1e5:g}bar", f"{1e3 * self.lever:g}mm"]
+        if self.lever_angle:
+            parts.append(f"{degrees(self.lever_angle):g}deg")
+        if self.frame != Hardware.frame:
+            parts.append(self.frame)
+        return "-".join(parts)
 
 
 class Parts(NamedTuple):
@@ -62,6 +81,7 @@ class Parts(NamedTuple):
     """m3/(s Pa)"""
     manifold: float
     """m3"""
+    frame: FramePart
     price: int
     """Upper ends of the parts' price classes, EUR in all."""
 
@@ -77,6 +97,7 @@ _KINDS = {
     "wrist_absorber": "absorbers",
     "feed": "feeds",
     "manifold": "manifolds",
+    "frame": "frames",
 }
 """Kind of part of each field."""
 
@@ -103,7 +124,8 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
         (found["arm_absorber"], found["wrist_absorber"]),
         found["feed"].conductance,
         found["manifold"].volume,
-        sum(PRICES[part.price] for part in found.values()),
+        found["frame"],
+        sum(PRICES[part.price] for field, part in found.items() if field != "frame"),
     )
 
 
@@ -127,6 +149,10 @@ def overrides(
         | _wrist_stop(parts.absorbers[1]),
         "supply": _supply(parts, hardware, shipped),
     }
+    if hardware.lever_angle:
+        plant["wrist_lever_angle_deg"] = degrees(hardware.lever_angle)
+    if hardware.frame != Hardware.frame:
+        _set_ranges(plant, parts.frame, shipped)
     held = (shipped.right_arm.stop.energy, shipped.wrist.stop.energy)
     ratings = [part.energy / energy for part, energy in zip(parts.absorbers, held, strict=True)]
     return {"plant": plant, "envelope": _envelope(hardware, [1.0, *ratings], speed)}
@@ -146,6 +172,28 @@ def _actuator(shipped: Actuator, area_a: float, area_b: float, valve: ValvePart)
         },
         "valve": {"conductance": valve.conductance},
     }
+
+
+def _set_ranges(plant: dict[str, Any], frame: FramePart, shipped: PlantParameters) -> None:
+    """Set the ranges of `frame` in the tables of `plant`.
+
+    The right arm's cylinder weighs more as it is longer, a bar of even mass about its new middle.
+    """
+    robot = shipped.robot
+    length = frame.arm_behind + frame.arm_body
+    mass = robot.cylinder.mass * length / robot.l56
+    plant["robot"] = {
+        "l56": frame.arm_body,
+        "stroke": frame.arm_stroke,
+        "cylinder": {
+            "mass": mass,
+            "centre_of_mass": (frame.arm_body - frame.arm_behind) / 2,
+            "inertia": mass * (length**2 + _CYLINDER_WIDTH**2) / 12,
+        },
+    }
+    plant["shoulder"] |= {"lower": frame.shoulder_lower, "upper": frame.shoulder_upper}
+    plant["right_arm"]["upper"] = frame.arm_stroke
+    plant["wrist"]["lower_deg"] = degrees(shipped.wrist.upper - frame.wrist_cock)
 
 
 def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart) -> dict[str, Any]:

@@ -42,7 +42,9 @@ _STEP = 2.5e-4
 _LONGEST = 1.6
 """How far past their end the functions go on, in downswings."""
 _ADDRESS = 0.45, 0.2125
-"""theta1 (rad) and rod extension (m) at address: his right arm's range in the middle of the robot's."""
+"""theta1 (rad) and rod extension (m) at address: his right arm's range in the middle of the thesis' robot."""
+_THESIS_ARM = 0.34
+"""Length of that robot's right arm at no extension, m: other robots do not change the golfer's arms."""
 _COCK_AT_TOP = 1.769
 _WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
 """Range of the human wrist (thesis), as theta3."""
@@ -178,7 +180,7 @@ def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> Huma
     angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
     angle[:, 0] = _ADDRESS[0] - amplitude * (shoulder_turn(own) - DOWNSWING_TURN * past)
     # The linkage ends before the longest amplitude does.
-    angle[:, 1] = theta2_from_right_arm(robot, np.clip(robot.l56 + extension, 0.25, 0.85))
+    angle[:, 1] = theta2_from_right_arm(robot, np.clip(_THESIS_ARM + extension, 0.25, 0.85))
     speed[:, 0] = amplitude * DOWNSWING_TURN * scale
     speed[:, 1] = np.gradient(angle[:, 1], _STEP)
     angle[0, 2] = max(2 * np.pi - amplitude * _COCK_AT_TOP, _WRIST[0])

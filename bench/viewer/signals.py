@@ -134,7 +134,7 @@ def efforts(cycles: Cycles, plant: PlantParameters) -> Array:
         ],
         axis=1,
     )
-    forces[:, 2] *= plant.wrist_lever * np.cos(cycles["angle"][:, 2])
+    forces[:, 2] *= plant.wrist_slope(cycles["angle"][:, 2])
     return forces
 
 

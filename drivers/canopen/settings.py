@@ -52,8 +52,8 @@ class InputSettings:
     """Bit of the first vent's position switch: open; -1 if not fitted."""
     vent_2_open: OptionalBit = 6
     """Bit of the second vent's position switch: open; -1 if not fitted."""
-    shut_off_open: OptionalBit = -1
-    """Bit of the shut-off valve's position switch: open; -1 if not fitted."""
+    shut_off_open: OptionalBit = 7
+    """Bit of the shut-off valve's position switch: open; -1 if not fitted, which a real robot may not be."""
 
 
 @dataclass(frozen=True)

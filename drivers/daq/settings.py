@@ -70,7 +70,7 @@ class DaqSettings:
     vent_feedback: tuple[str, str] = ("", "")
     """Digital inputs of the two vents' position switches, high when open; empty if not fitted."""
     shut_off_feedback: str = ""
-    """Digital input of the shut-off valve's position switch, high when open; empty if not fitted."""
+    """Digital input of the shut-off valve's position switch, high when open; a real robot needs it."""
     vent_proof: str = ""
     """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
     pressure switches in the guard's circuit. Needed without a supply sensor, and if neither

@@ -127,6 +127,7 @@ class FakeDesk:
             air_faults=[],
             drift=[],
             vents_open=[True, True],
+            shut_off_open=False,
             emergency_stop_clear=True,
             guard_closed=True,
             guard_locked=False,

@@ -391,6 +391,12 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ("[plant.wrist.friction]\nstatic = 20.0", "plant.wrist.friction.static", "20", "at least coulomb"),
         ("[plant.right_arm]\nupper = 0.25", "plant.right_arm.upper", "0.25 m", "0 to 0.22 m"),
         ("[plant.wrist]\nlower_deg = 271", "plant.wrist.lower_deg", "271.0 deg", "278.6 to 441.4 deg"),
+        (
+            "[plant]\nwrist_lever_angle_deg = 30\n[plant.wrist]\nlower_deg = 240",
+            "plant.wrist.lower_deg",
+            "240.0 deg",
+            "248.6 to 411.4 deg",
+        ),
         ("[plant]\nsubsteps = 2", "plant.substeps", "2, internal steps of 0.5 ms", "at least 4"),
         (
             "[plant]\nsubsteps = 64\n[plant.encoders]\nlatency = 0.002",

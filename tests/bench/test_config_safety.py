@@ -15,7 +15,10 @@ from bench.config.safety import BOUNDS, Bound, check_safety
 from bench.config.settings import Configuration
 
 REAL = '[driver]\nname = "daq"\n[homing]\nmethod = "index"\n[lifecycle]\nlocal_reset = true\n'
-PROVEN = '[daq]\nvent_proof = "pressure switches PS1 to PS6 in the guard circuit"\n'
+PROVEN = (
+    '[daq]\nvent_proof = "pressure switches PS1 to PS6 in the guard circuit"\n'
+    'shut_off_feedback = "port0/line7"\n'
+)
 Found = Callable[[Configuration], dict[str, str]]
 each_bound = pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.key)
 
@@ -146,6 +149,25 @@ def test_the_node_proves_the_vent_or_names_what_does(
     assert c.is_machine
     found = {key for key in mistakes(c) if "canopen" in key}
     assert found == {f"canopen.valve_node.{key}" for key in missing}
+
+
+def test_a_real_robot_shows_where_its_shut_off_valve_is(
+    simulated: Configuration, real: Configuration
+) -> None:
+    without = replace(real, daq=replace(real.daq, shut_off_feedback=""))
+    assert set(mistakes(without)) == {"daq.shut_off_feedback"}
+    lifecycle = replace(simulated.lifecycle, local_reset=True)
+    for interface, bit, wrong in (
+        ("socketcan", 7, False),
+        ("socketcan", -1, True),
+        ("local_socket", -1, False),
+    ):
+        node = simulated.canopen.valve_node
+        node = replace(node, inputs=replace(node.inputs, shut_off_open=bit))
+        canopen = replace(simulated.canopen, interface=interface, valve_node=node)
+        driver = replace(simulated.driver, name="canopen")
+        c = replace(simulated, driver=driver, canopen=canopen, lifecycle=lifecycle)
+        assert ("canopen.valve_node.inputs.shut_off_open" in mistakes(c)) is wrong
 
 
 @pytest.mark.parametrize("interface", ["local_socket", "socketcan"])

@@ -255,7 +255,7 @@ def volumes(plant: Plant, q: Array) -> Array:
     extension = sqrt(robot.l62**2 + robot.l23**2 + 2 * robot.l62 * robot.l23 * np.cos(q[1])) - robot.l56
 
     def stroke(theta3: float) -> float:
-        return float(-parameters.wrist_lever * np.cos(theta3 - 1.5 * pi))
+        return float(-parameters.wrist_lever * np.cos(theta3 + parameters.wrist_lever_angle - 1.5 * pi))
 
     wrist = parameters.wrist
     position = (q[0], extension, stroke(q[2]))
@@ -271,9 +271,9 @@ def volumes(plant: Plant, q: Array) -> Array:
     return np.array(result)
 
 
-def closed_swing(exponent: float) -> tuple[Plant, list[Any]]:
+def closed_swing(exponent: float, mounted: float = 0.0) -> tuple[Plant, list[Any]]:
     """Let the robot bounce on the air shut up in its chambers."""
-    parameters = changed(PlantParameters(site=Site(ground=-3.0)), friction=NONE)
+    parameters = changed(PlantParameters(site=Site(ground=-3.0), wrist_lever_angle=mounted), friction=NONE)
     parameters = changed(parameters, **sealed(parameters.wrist))
     parameters = replace(parameters, supply=replace(parameters.supply, polytropic_exponent=exponent))
     plant = build_plant(parameters)
@@ -297,8 +297,9 @@ def test_a_closed_chamber_is_compressed_by_p_v_to_the_n(exponent: float) -> None
         assert np.all(np.ptp(pressure, axis=0) > 0.02 * pressure[0])
 
 
-def test_robot_and_shut_up_air_exchange_energy_without_loss() -> None:
-    plant, states = closed_swing(1.4)
+@pytest.mark.parametrize("mounted", [0.0, 0.7, -0.3])
+def test_robot_and_shut_up_air_exchange_energy_without_loss(mounted: float) -> None:
+    plant, states = closed_swing(1.4, mounted)
     atmosphere = plant.parameters.supply.atmosphere
     total = []
     for s in states:
@@ -306,6 +307,20 @@ def test_robot_and_shut_up_air_exchange_energy_without_loss() -> None:
         gas = float(np.sum(s["pressure"][0] * volume / 0.4 + atmosphere * volume))
         total.append(plant_energy(plant, s) + gas)
     assert np.ptp(total) < 1e-4  # of some 900 J in the air
+
+
+def test_a_lever_turned_on_the_club_acts_as_the_wrist_turned_as_far_did() -> None:
+    """Its cylinder cannot tell the mounting angle from the wrist's own."""
+    turned = 0.7
+    square, mounted = PlantParameters(), PlantParameters(wrist_lever_angle=turned)
+    theta3 = np.linspace(4.4, 6.2, 7)
+    assert mounted.wrist_stroke(theta3) == pytest.approx(square.wrist_stroke(theta3 + turned))
+    assert mounted.wrist_slope(theta3) == pytest.approx(square.wrist_slope(theta3 + turned))
+    assert mounted.wrist_authority(2 * pi - turned) == pytest.approx(1.0)
+    step = 1e-6
+    slope = (mounted.wrist_stroke(theta3 + step) - mounted.wrist_stroke(theta3 - step)) / (2 * step)
+    assert mounted.wrist_slope(theta3) == pytest.approx(slope, rel=1e-8)
+    assert mounted.wrist_authority(theta3) == pytest.approx(abs(slope) / mounted.wrist_lever, rel=1e-8)
 
 
 def air_in(plant: Plant, state: Any) -> float:

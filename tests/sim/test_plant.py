@@ -221,12 +221,13 @@ def test_equal_inputs_give_equal_bits() -> None:
     assert results[0] == results[1]
 
 
-def test_effort_is_force_of_the_air_less_the_atmospheres() -> None:
-    plant = locked_plant()
+@pytest.mark.parametrize("mounted", [0.0, 0.6])
+def test_effort_is_force_of_the_air_less_the_atmospheres(mounted: float) -> None:
+    plant = build_plant(replace(locked_plant().parameters, wrist_lever_angle=mounted))
     state = initial_state(plant, POSE)
     atmosphere = plant.parameters.supply.atmosphere
     state["pressure"] = atmosphere + np.array([2e5, 0.0, 1e5, 3e5, 4e5, 1e5])
     advance(*plant.records, state, command_of(exhaust_closed=True))
-    lever = plant.parameters.wrist_lever * np.sin(POSE[2] - 1.5 * np.pi)
+    lever = plant.parameters.wrist_lever * np.sin(POSE[2] + mounted - 1.5 * np.pi)
     expected = [4.0e-4 * 2e5, 19.63e-4 * 1e5 - 16.49e-4 * 3e5, (19.63e-4 * 4e5 - 16.49e-4 * 1e5) * lever]
     assert state["effort"][0] == pytest.approx(expected, rel=1e-9)

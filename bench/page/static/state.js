@@ -32,6 +32,7 @@ function figures() {
     ["Supply", quantity("pressure", view.supply_pressure_pa)],
     ...view.chambers.map((one) => [`${one.name} A / B`, `${quantity("pressure", one.a_pa)} / ${quantity("pressure", one.b_pa)}`]),
     ["Vents", view.vents],
+    ["Shut-off valve", view.shut_off],
     ["Ball on the tee", view.ball_present ? "yes" : "no"],
     ["Club", view.club],
     ["Swings", `${view.swings} of ${view.profile}${view.correction ? ", corrected" : ""}`],

@@ -7,7 +7,7 @@ from math import inf, nan
 import pytest
 
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
-from tests.bench.control.operating import TIMES, asked, full, reach
+from tests.bench.control.operating import TIMES, asked, at_power_up, full, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
 
 EMPTY_AT = TIMES.vented_pressure
@@ -19,6 +19,17 @@ each_source = pytest.mark.parametrize("source", FROM, ids=lambda state: state.na
 def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
     """Let the supply valve be stuck open: the manifold keeps `pressure` without a command."""
     puppet.give(supply_pressure=pressure, chamber_pressure=(ATMOSPHERE,) * 6)
+
+
+def test_a_bench_that_is_started_beside_a_hanging_arm_waits_until_it_has_sunk() -> None:
+    """Who restarted it a second after a stop may find the last air, and friction, still holding an arm."""
+    puppet = at_power_up(vented_still=0.05, vented_sinking=0.5)
+    puppet.control["warm"] = True
+    assert until(puppet, *LATCHED) in LATCHED
+    puppet.run(400)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(110)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
 @each_source

@@ -445,8 +445,9 @@ def test_frame_at_its_limit(phase: Phase, angle: tuple[float, float, float]) -> 
 
 
 @each_phase
+@pytest.mark.parametrize("mounted", [0.0, 0.5])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_lever_of_the_wrist(phase: Phase, side: float) -> None:
+def test_lever_of_the_wrist(phase: Phase, side: float, mounted: float) -> None:
     for beta, expected in (
         (asin(0.15) + TINY, Cause.NONE),
         (asin(0.15) - TINY, Cause.WRIST_LEVER),
@@ -454,9 +455,9 @@ def test_lever_of_the_wrist(phase: Phase, side: float) -> None:
         (pi - asin(0.15) - TINY, Cause.NONE),
         (pi - asin(0.15) + TINY, Cause.WRIST_LEVER),
     ):
-        angle = (0.5, 4.25, 1.5 * pi + side * beta)
+        angle = (0.5, 4.25, 1.5 * pi + side * beta - mounted)
         motion = Motion(phase=phase, estimator=moving(angle), reference=np.array(angle))
-        motion.parameters["min_lever"] = 0.15
+        motion.parameters["min_lever"], motion.parameters["lever_angle"] = 0.15, mounted
         assert motion.cause() is expected
         motion.parameters["min_lever"] = nan
         assert motion.cause() is Cause.WRIST_LEVER

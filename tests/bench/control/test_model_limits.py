@@ -144,6 +144,7 @@ def test_without_limits_the_default_tables_are_used(limits: ModelLimits, tmp_pat
     ("part", "changed"),
     [
         ("plant", {"plant": replace(PLANT, wrist_lever=0.9 * PLANT.wrist_lever)}),
+        ("plant", {"plant": replace(PLANT, wrist_lever_angle=0.1)}),
         ("controller", {"control": ControlSettings(brake_time=1.4)}),
         ("controller", {"estimator": EstimatorSettings(noise=(1e-5, 0.0, 0.0))}),
         ("controller", {"envelope": EnvelopeSettings(max_slew=300.0)}),

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ from sim.plant import PlantParameters
 def _plants() -> Iterator[tuple[str, PlantParameters]]:
     shipped = load_configuration(None)
     yield "shipped", shipped.plant
+    yield "lever at an angle", replace(shipped.plant, wrist_lever_angle=0.6)
     yield "small_plant", load_configuration(VARIANTS / "small_plant.toml").plant
     yield "swing_through_wrist", load_configuration(VARIANTS / "swing_through_wrist.toml").plant
     bag = load_configuration(VARIANTS / "bag.toml")

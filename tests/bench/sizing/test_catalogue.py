@@ -9,6 +9,7 @@ import pytest
 
 from bench.errors import BenchError
 from bench.sizing.catalogue import FILE, conductance_of, load_catalogue, shipped_catalogue
+from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE, flow
 
 NORMAL = 7.013e5, 6.013e5
@@ -34,6 +35,14 @@ def test_sizes_rise_within_each_kind_as_smaller_parts_are_looked_for_by_order() 
     ):
         sizes = [getattr(part, size) for part in getattr(catalogue, kind).values()]
         assert sizes == sorted(sizes)
+
+
+def test_a_shut_off_valve_switches_within_the_time_that_its_timer_leaves() -> None:
+    """The timer is twice what a supply valve that stays open takes to show; the valve may not use that up."""
+    delay = PlantParameters().supply.shut_off_delay
+    parts = shipped_catalogue().shut_offs.values()
+    assert len(parts) >= 2
+    assert all(part.switching_time < 0.25 * delay for part in parts)
 
 
 @pytest.mark.parametrize("nominal", [700.0, 2000.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields
+from math import radians
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,22 @@ needs_speed = pytest.mark.skipif(
 )
 
 
-def named_hardware() -> Hardware:
+def named_hardware(variant: str) -> Hardware:
     """Return the hardware that the comment of the variant names."""
-    found = re.search(r"^# (V\d+-\S+?)-8bar-60mm", (VARIANTS / "high_speed.toml").read_text(), re.MULTILINE)
+    text = (VARIANTS / f"{variant}.toml").read_text()
+    found = re.search(r"^# (V\d+-\S+?)-8bar-60mm-(\d+)deg(?:-(\w+))?", text, re.MULTILINE)
     assert found is not None
     names = [field.name for field in fields(Hardware)][:10]
     parts: dict[str, Any] = dict(zip(names, found[1].split("-"), strict=True))
+    parts |= {"lever_angle": radians(int(found[2])), "frame": found[3] or "R80"}
     return Hardware(**parts, pressure=8.0e5, lever=0.06)
 
 
-def test_the_variant_is_the_hardware_that_it_names() -> None:
-    hardware, shipped = named_hardware(), load_configuration(Path("shipped"))
-    text = candidate_text(shipped_catalogue(), hardware, shipped, SizingDemand(58.1))
-    made, variant = candidate_configuration(text), load_configuration(Path("high_speed"))
+@pytest.mark.parametrize(("name", "speed"), [("high_speed", 58.1), ("golfers", 51.41)])
+def test_a_variant_is_the_hardware_that_it_names(name: str, speed: float) -> None:
+    hardware, shipped = named_hardware(name), load_configuration(Path("shipped"))
+    text = candidate_text(shipped_catalogue(), hardware, shipped, SizingDemand(speed))
+    made, variant = candidate_configuration(text), load_configuration(Path(name))
     assert made.plant == variant.plant
     assert made.envelope == variant.envelope
 

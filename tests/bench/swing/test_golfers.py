@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.config import load_configuration
 from bench.design.designer import SwingDemand, top_pose
-from bench.design.follow import demand_like, gave_way
-from bench.swing.golfers import GOLFERS, Golfer, HumanDownswing, deviation, free_wrist, human_downswing
-from bench.swing.profile import Profile
+from bench.design.follow import RUN_UP, demand_like, gave_way
+from bench.swing.golfers import (
+    GOLFERS,
+    HUNT_WIENS,
+    Golfer,
+    HumanDownswing,
+    deviation,
+    free_wrist,
+    human_downswing,
+)
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
 from sim.kane import inverse_dynamics
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
@@ -40,13 +51,52 @@ def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, gol
     assert demand.backswing_time == golfer.backswing
     top = top_pose(plant, demand)
     assert demand.follow is not None
-    assert demand.follow.shape == human.angle.shape
-    assert np.all(demand.follow >= top - 1e-9)
-    assert np.all(demand.follow[:, 2] <= plant.wrist.upper)
+    counted = np.asarray(np.isfinite(demand.follow).all(axis=1))
+    assert np.all(demand.follow[counted] >= top - 1e-9)
+    assert np.all(demand.follow[counted, 2] <= plant.wrist.upper)
     # Where the robot can go, the human's own motion is asked for.
-    inside = (human.angle[:, 2] > top[2]) & (human.angle[:, 2] < plant.wrist.upper)
-    assert np.array_equal(demand.follow[inside, 2], human.angle[inside, 2])
+    lasting = float(human.time[-1])
+    time = np.linspace(0.0, lasting, len(human.angle))
+    begin = lasting - demand.downswing_time[1] if not counted.all() else 0.0
+    at = np.linspace(begin, lasting, len(demand.follow))
+    wrist = np.interp(at, time, human.angle[:, 2])
+    inside = counted & (wrist > top[2]) & (wrist < plant.wrist.upper)
+    assert demand.follow[inside, 2] == pytest.approx(wrist[inside], abs=1e-3)
+    assert inside.any()
     assert demand_like(plant, golfer, human, SwingDemand(), 30.0).head_speed == 30.0
+
+
+@pytest.mark.parametrize("golfer", GOLFERS.values(), ids=GOLFERS)
+def test_a_robot_with_room_behind_the_golfers_top_begins_there_in_a_run_up(golfer: Golfer) -> None:
+    plant = load_configuration(Path("golfers")).plant
+    human = human_downswing(plant, golfer)
+    demand = demand_like(plant, golfer, human, SwingDemand())
+    assert demand.downswing_time == (float(human.time[-1]) + RUN_UP,) * 2
+    turning = (human.angle[1, 0] - human.angle[0, 0]) / (human.time[1] - human.time[0])
+    assert demand.top_shoulder == pytest.approx(human.angle[0, 0] - turning * RUN_UP / 2)
+    assert top_pose(plant, demand)[0] >= plant.shoulder.lower + 0.1
+    assert demand.follow is not None
+    # What comes before the golfer's top does not count.
+    left_out = np.asarray(np.isnan(demand.follow).all(axis=1))
+    share = RUN_UP / demand.downswing_time[0]
+    assert left_out.mean() == pytest.approx(share, abs=1.5 / len(demand.follow))
+    assert not left_out[-1]
+    assert human.angle[0, 2] >= plant.wrist.lower
+
+
+@pytest.mark.parametrize("golfer", GOLFERS)
+def test_the_golfers_variant_swings_as_its_page_says(golfer: str) -> None:
+    plant, profile = load_configuration(Path("golfers")).plant, load_profile(find_profile(f"{golfer}-full"))
+    away = deviation(plant, profile, human_downswing(plant, GOLFERS[golfer]))
+    assert profile.delivery["head_speed_mps"] == pytest.approx(GOLFERS[golfer].head_speed, abs=0.05)
+    assert max(away) <= (0.12 if golfer == "two-handicap" else HUNT_WIENS)
+
+
+def test_a_golfers_arms_are_not_those_of_the_robot_beside(plant: PlantParameters) -> None:
+    longer = replace(plant, robot=replace(plant.robot, l56=0.24, stroke=0.33))
+    own, beside = (human_downswing(p, GOLFERS["senior"]) for p in (plant, longer))
+    # The rod's mass has moved, and the free wrist feels it: a little.
+    assert beside.angle[:9] == pytest.approx(own.angle[:9], abs=1e-3)
 
 
 def test_what_gave_way_is_told_with_both_figures(slow_swing: Profile) -> None:
