@@ -1,4 +1,4 @@
-"""What the shipped swings of the bag were designed for."""
+"""What the shipped swings of the bag, and those of the driver, were designed for."""
 
 from __future__ import annotations
 
@@ -32,7 +32,14 @@ DEMANDS = {
     "pitching-72mph": Demand(32.2, -3.2, "PW"),
     "wedge56-55yd": Demand(26.75, -4.5),
 }
-"""By profile."""
+"""By profile, on turf or on a low tee."""
+DRIVER_DEMANDS = {
+    "driver-85mph": Demand(38.0, 2.0),
+    "default": Demand(43.2, 2.0, "Driver"),
+    "driver-100mph": Demand(45.0, 2.0),
+}
+"""By profile, of the driver on its tee."""
+ALL_DEMANDS = DRIVER_DEMANDS | DEMANDS
 
 
 def mounted(name: str) -> SimulatedBench:
