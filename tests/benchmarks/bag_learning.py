@@ -1,9 +1,9 @@
 """The swings of driver and bag, learned on robots that differ from the one that the bench believes in.
 
-The robots are those of `learning`: friction and dead volume of each joint, flow of each valve, supply, vane and
-head mass uniformly within 10 %, up to 1 ms more latency; seeds 1 to `--draws`. Each learns for at most twelve
-swings by its encoders what the profile plans; judged is the mean of five further swings with the kept correction,
-as the plant knows it.
+The robots are those of `learning`: friction and dead volume of each joint, flow of each valve, supply, vane
+and head mass uniformly within 10 %, up to 1 ms more latency; seeds 1 to `--draws`. Each learns for at most
+twelve swings by its encoders what the profile plans; judged is the mean of five further swings with the kept
+correction, as the plant knows it.
 """
 
 from __future__ import annotations
