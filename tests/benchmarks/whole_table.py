@@ -18,5 +18,10 @@ def print_whole(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
         table.add_column(column, justify="left" if number == 0 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*row)
+    print_table(table)
+
+
+def print_table(table: Table) -> None:
+    """Print `table` as wide as it needs."""
     needed = Console(width=_WIDEST).measure(table).maximum
     Console(width=max(needed, Console().width)).print(table, highlight=False)
