@@ -180,7 +180,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
                 print(f"  one per cent more of {limit}: {gain:+.3f} m/s", flush=True)
         if given.save is not None and one.designed is not None:
             given.save.mkdir(parents=True, exist_ok=True)
-            file = f"{WANTED[name].club}-pga.toml"
+            file = f"{name.replace(', ', '-').replace(' ', '-')}.toml"
             save_profile(given.save / file, one.designed.profile)
     print_whole("the PGA Tour's speeds: demanded, delivered", _COLUMNS, map(_shown, found))
     designed = sum(one.designed is not None for one in found)
