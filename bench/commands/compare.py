@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import ClubName, Session
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -48,6 +48,7 @@ def compare(
     profile: ProfileName = None,
     robot: RobotName = "both",
     draw: Draw = None,
+    club: ClubName = None,
     swings: Swings = 3,
     learning: Learning = True,
     json_: Json = False,
@@ -67,7 +68,7 @@ def compare(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    configuration = context.ensure_object(Session).configuration()
+    configuration = context.ensure_object(Session).configuration().with_club(club)
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
     swing = load_profile(path)
     require_possible(swing, plant, configuration.envelope, str(path))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import ClubName, Session
 from bench.learning.source import Source
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ def learn(
     sim: Simulated = False,
     robot: Robot = None,
     draw: Draw = None,
+    club: ClubName = None,
     identified: IdentifiedRobot = None,
     records: Records = None,
     source: DeliverySource = None,
@@ -98,16 +99,17 @@ def learn(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
-    _require_usable({"--robot": robot, "--draw": draw} if not sim else {"--source": source}, sim)
+    elsewhere = {"--robot": robot, "--draw": draw, "--club": club}
+    _require_usable({"--source": source} if sim else elsewhere, sim)
     _require_identified(records, identified)
     recorded = read_recorded(records or [])
-    configuration = context.ensure_object(Session).configuration()
+    configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)
     path = find_profile(profile)
     swing, plant = load_profile(path), configuration.plant
     require_possible(swing, plant, configuration.envelope, str(path))
     configuration = configuration.for_profile(swing, path)
-    truth = _robot(plant, robot, draw)
+    truth = _robot(plant, robot, draw, club)
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     measured, origin = source or "encoders+model", _Origin(identified, recorded)
     if sim:
@@ -163,12 +165,15 @@ def _require_identified(records: list[Path] | None, identified: Path | None) -> 
         )
 
 
-def _robot(plant: PlantParameters, file: Path | None, draw: int | None) -> PlantParameters:
-    """Return the robot that swings in simulation: that of `file` or else `plant`, varied by seed `draw`."""
+def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: str | None) -> PlantParameters:
+    """Return the robot that swings in simulation: that of `file` or else `plant`, varied by seed `draw`.
+
+    It swings the club called `club`, as `plant` does.
+    """
     from bench.config import load_configuration
     from bench.simulation.variation import drawn
 
-    robot = plant if file is None else load_configuration(file).plant
+    robot = plant if file is None else load_configuration(file).with_club(club).plant
     return robot if draw is None else drawn(draw, robot).applied_to(robot)
 
 

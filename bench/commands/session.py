@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
     from bench.config import Configuration
+
+ClubName = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Club of the configuration.", show_default="the mounted one"),
+]
+"""Option of a command that simulates: this club on its site instead of the mounted one."""
 
 
 @dataclass

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import ClubName, Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 app = typer.Typer(invoke_without_command=True)
 
 Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
-ClubName = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Club of the configuration.", show_default="the mounted one"),
-]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 

@@ -224,8 +224,9 @@ class HomingSettings:
 class ModelSettings:
     """The model-based check (`bench.control.model`) and its limits by phase.
 
-    These hold for profiles without limits of their own (`bench.control.model_limits`): half as wide again as
-    any shipped profile's, and never tighter than the first ones, which were made for the default swing.
+    These hold for profiles without limits of their own (`bench.control.model_limits`): wider than those of
+    `steady` and the golfers' swings. Two rows of other shipped limits are wider still, the wrist's velocity
+    in the hold and its torque while it arms.
     """
 
     check: Literal["off", "simulated", "always"] = "off"

@@ -34,6 +34,8 @@ BENCHMARKS = (
 LONG = (
     "impact",
     "bag_swings",
+    "bag_learning",
+    "bag_speeds",
     "loop_timing",
     "command_fuzz",
     "frame_fuzz",

@@ -1,4 +1,4 @@
-"""The bag's shipped swings on their sites: delivered against demanded, launch beside the tours' averages.
+"""The shipped swings of driver and bag: delivered against demanded, launch beside the tours' averages.
 
 `--picture FILE` also draws launch, spin, carry and descent: the tours' 23 averages, the model of impact and
 flight from the tours' deliveries, and the robot's swings.
@@ -12,8 +12,6 @@ from math import degrees
 from pathlib import Path
 
 import matplotlib as mpl
-from rich.console import Console
-from rich.table import Table
 
 from bench.config import load_configuration
 from bench.shot.plot_style import COLOURS, STYLE, styled
@@ -21,8 +19,9 @@ from bench.simulation.simulated_bench import SwingResult, simulate_swing
 from sim.flight import Flight, Launch, fly
 from sim.impact import delivery_from_angles, strike
 from sim.robot import Club
-from tests.bench.design.bag_demands import DEMANDS, mounted
+from tests.bench.design.bag_demands import ALL_DEMANDS, mounted
 from tests.benchmarks.row import Row
+from tests.benchmarks.whole_table import print_whole
 from tests.sim.tour_averages import BALL, MPH, RPM, FlownAverage, club_of, flown_averages
 
 NAME = "bag_swings"
@@ -56,50 +55,43 @@ def _modelled(flown: FlownAverage, bag: Mapping[str, Club]) -> tuple[float, ...]
     return _figures(launch, fly(launch, ball=BALL))
 
 
-def _shown(swings: Mapping[str, SwingResult], averages: Mapping[str, FlownAverage]) -> Table:
-    """Return a table of the swings: demanded and delivered, launched and (tour)."""
-    title = "delivered (demanded); launched (LPGA Tour's average)"
-    table = Table(title=title, title_justify="left", title_style="bold")
-    columns = (
-        "swing",
-        "m/s",
-        "attack",
-        "strike, mm",
-        "loft",
-        "ball, mph",
-        "launch",
-        "rpm",
-        "carry",
-        "descent",
-    )
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
-    for name, result in swings.items():
-        delivery, launch, flight, demand = result.delivery, result.launch, result.flight, DEMANDS[name]
-        if delivery is None or launch is None or flight is None:
-            table.add_row(name, result.reason)
-            continue
-        tour = averages.get(demand.average)
-        beside: tuple[str, ...] = ("",) * 5
-        if tour is not None:
-            speed = f" ({tour.average.ball_speed / MPH:.0f})"
-            values = zip((1, 0, 0, 0), _published(tour), strict=True)
-            beside = (speed, *(f" ({value:.{places}f})" for places, value in values))
-        table.add_row(
-            name,
-            f"{delivery.speed:.2f} ({demand.speed:g})",
-            f"{degrees(delivery.attack_angle):+.2f} ({demand.attack:+g})",
-            f"{1e3 * delivery.in_plane_error:+.2f}",
-            f"{degrees(delivery.dynamic_loft):.1f}",
-            f"{launch.speed / MPH:.0f}{beside[0]}",
-            *(
-                f"{value:.{places}f}{text}"
-                for places, value, text in zip(
-                    (1, 0, 0, 0), _figures(launch, flight), beside[1:], strict=True
-                )
-            ),
+_TITLE = "delivered (demanded); launched (LPGA Tour's average)"
+_COLUMNS = (
+    "swing",
+    "m/s",
+    "attack",
+    "strike, mm",
+    "loft",
+    "ball, mph",
+    "launch",
+    "rpm",
+    "carry",
+    "descent",
+)
+
+
+def _shown(name: str, result: SwingResult, tour: FlownAverage | None) -> tuple[str, ...]:
+    """Return the row of a swing: demanded and delivered, launched beside the `tour`'s average."""
+    delivery, launch, flight, demand = result.delivery, result.launch, result.flight, ALL_DEMANDS[name]
+    if delivery is None or launch is None or flight is None:
+        return name, result.reason
+    beside: tuple[str, ...] = ("",) * 5
+    if tour is not None:
+        values = zip((1, 0, 0, 0), _published(tour), strict=True)
+        beside = (
+            f" ({tour.average.ball_speed / MPH:.0f})",
+            *(f" ({value:.{places}f})" for places, value in values),
         )
-    return table
+    figures = zip((1, 0, 0, 0), _figures(launch, flight), beside[1:], strict=True)
+    return (
+        name,
+        f"{delivery.speed:.2f} ({demand.speed:g})",
+        f"{degrees(delivery.attack_angle):+.2f} ({demand.attack:+g})",
+        f"{1e3 * delivery.in_plane_error:+.2f}",
+        f"{degrees(delivery.dynamic_loft):.1f}",
+        f"{launch.speed / MPH:.0f}{beside[0]}",
+        *(f"{value:.{places}f}{text}" for places, value, text in figures),
+    )
 
 
 def _draw(swings: Mapping[str, SwingResult], bag: Mapping[str, Club], file: Path) -> None:
@@ -116,9 +108,9 @@ def _draw(swings: Mapping[str, SwingResult], bag: Mapping[str, Club], file: Path
                 averages = [_published(row)[panel] for row in rows]
                 axes.plot(places, averages, "o", color=colour, markersize=4, label=f"{tour}, average")
             mine = [
-                (CLUBS.index(DEMANDS[name].average), _figures(result.launch, result.flight)[panel])
+                (CLUBS.index(ALL_DEMANDS[name].average), _figures(result.launch, result.flight)[panel])
                 for name, result in swings.items()
-                if DEMANDS[name].average and result.launch is not None and result.flight is not None
+                if ALL_DEMANDS[name].average and result.launch is not None and result.flight is not None
             ]
             axes.plot(*zip(*mine, strict=True), "x", color=COLOURS[2], label="robot's swing, simulated")
             axes.set_xticks(range(len(CLUBS)), CLUBS, rotation=60)
@@ -132,17 +124,18 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {NAME}", description=__doc__)
     parser.add_argument("--picture", type=Path, metavar="FILE", help="also draw it: .png, .svg or .pdf")
     given = parser.parse_args(arguments)
-    swings = {name: simulate_swing(mounted(name)) for name in DEMANDS}
+    swings = {name: simulate_swing(mounted(name)) for name in ALL_DEMANDS}
     averages = {row.average.club: row for row in flown_averages() if row.average.group == "LPGA"}
-    Console().print(_shown(swings, averages))
+    rows = (_shown(name, result, averages.get(ALL_DEMANDS[name].average)) for name, result in swings.items())
+    print_whole(_TITLE, _COLUMNS, rows)
     if given.picture:
         _draw(swings, load_configuration(Path("bag")).clubs, given.picture)
-    found = [(result.delivery, DEMANDS[name]) for name, result in swings.items()]
+    found = [(result.delivery, ALL_DEMANDS[name]) for name, result in swings.items()]
     delivered = [(delivery, demand) for delivery, demand in found if delivery is not None]
     launched = [
-        degrees(abs(result.launch.launch_angle - averages[DEMANDS[name].average].average.launch))
+        degrees(abs(result.launch.launch_angle - averages[ALL_DEMANDS[name].average].average.launch))
         for name, result in swings.items()
-        if DEMANDS[name].average and result.launch is not None
+        if ALL_DEMANDS[name].average and result.launch is not None
     ]
     off = {
         "speed": max(100 * abs(one.speed / demand.speed - 1) for one, demand in delivered),
@@ -155,8 +148,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             "swings that struck their ball",
             len(delivered),
             "",
-            f"of {len(DEMANDS)}",
-            at_least=len(DEMANDS),
+            f"of {len(ALL_DEMANDS)}",
+            at_least=len(ALL_DEMANDS),
         ),
         Row(NAME, "speed off its demand, at most", off["speed"], "%", at_most=0.2),
         Row(NAME, "attack off its demand, at most", off["attack"], "deg", at_most=0.1),

@@ -9,7 +9,7 @@ tolerances, `--homing` searches the encoders' index in place of swinging. `--sto
 and stops copies of it in every phase, by request or emergency stop, which may not escalate; one of them is
 armed again from where it came to rest. `--access` arms,
 vents, releases the guard and secures it. `--check off` leaves out the model-based check; `--configuration`
-and `--profile` take another machine and swing.
+and `--profile` take another machine and swing, with the club of that swing.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
     file = find_profile(options.profile or c.swing.profile)
     profile = load_profile(file)
-    c = replace(c, envelope=c.envelope.with_model_check(options.check))
+    c = replace(c.with_club(profile.club), envelope=c.envelope.with_model_check(options.check))
     limits = c.limits_in_use(profile, file).source if options.check != "off" else "none"
     c = c.for_profile(profile, file)
     nominal = counting(c.plant) if options.homing else c.plant

@@ -16,7 +16,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from bench.config import load_configuration
@@ -25,6 +24,7 @@ from sim.flight import Launch, fly
 from sim.impact import delivery_from_angles, strike
 from sim.robot import Club
 from tests.benchmarks.row import Row
+from tests.benchmarks.whole_table import print_table
 from tests.sim.tour_averages import (
     BALL,
     MPH,
@@ -282,7 +282,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--fit", action="store_true", help="fit again, and print the values")
     parser.add_argument("--picture", type=Path, metavar="FOLDER", help="also draw face-map.png and bag.png")
     given = parser.parse_args(arguments)
-    bag, console = load_configuration(Path("bag")).clubs, Console()
+    bag = load_configuration(Path("bag")).clubs
     averages = tour_averages()
     tours, errors = _errors(
         "tour averages 2023, loft from spin; published, error of the model", averages, bag
@@ -290,9 +290,9 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     lofted, with_loft = _errors("averages with a published loft", lofted_averages(), bag)
     shown, found = _bag_table(bag)
     for table in (tours, lofted, _face_table(bag["wood1"]), shown):
-        console.print(table)
+        print_table(table)
     if given.fit:
-        console.print(_fitted(fit(averages, bag)))
+        print_table(_fitted(fit(averages, bag)))
     if given.picture:
         given.picture.mkdir(parents=True, exist_ok=True)
         _draw_face(bag["wood1"], given.picture / "face-map.png")

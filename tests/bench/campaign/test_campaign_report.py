@@ -253,7 +253,42 @@ def test_a_browser_shows_it_without_a_word_of_complaint_and_prints_it(
     assert "m more carry (launch monitor) than seam" in shown
 
 
-def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.CompletedProcess[Any]:
+@pytest.mark.requires("chromium")
+def test_the_table_of_all_quantities_fits_its_page(
+    record: CampaignRecord, tmp_path: Path, tool: Callable[[str], str]
+) -> None:
+    shots = [
+        replace(
+            shot,
+            ball_speed_mps=64.54 + 0.05 * (n % 5),
+            launch_angle_deg=12.65 + 0.03 * (n % 5),
+            spin_rpm=2402.0 + 99 * (n % 7),
+            landing_angle_deg=35.6 + 0.05 * (n % 5),
+            apex_m=23.0 + 0.05 * (n % 5),
+            total_m=231.5 + 0.05 * (n % 5),
+            carry_side_m=10.7 + 0.05 * (n % 5),
+        )
+        for n, shot in enumerate(record.shots)
+    ]
+    text = render_campaign_report(replace(record, shots=shots), findings(record.plan, shots))
+    measure = """<script>
+        const table = document.querySelector(".all"), page = table.parentElement;
+        document.title = [table.rows[0].cells.length, table.scrollWidth, page.clientWidth].join();
+    </script></body>"""
+    may_run = "default-src 'none'; script-src 'unsafe-inline';"
+    page = tmp_path / "report.html"
+    text = text.replace("default-src 'none';", may_run).replace("seam</th>", "pitching</th>")
+    page.write_text(text.replace("</body>", measure))
+    shown = _browse(tool("chromium"), tmp_path, "--dump-dom", page, "--window-size=1100,1500").stdout
+    found = re.search(r"<title>(\d+),(\d+),(\d+)</title>", shown)
+    assert found is not None
+    columns, needed, width = map(int, found.groups())
+    assert (columns, needed) == (11, width)
+
+
+def _browse(
+    chromium: str, folder: Path, action: str, page: Path, *more: str
+) -> subprocess.CompletedProcess[Any]:
     options = (
         "--headless",
         "--no-sandbox",
@@ -264,7 +299,7 @@ def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.
         "--enable-logging=stderr",
         f"--user-data-dir={folder / 'profile'}",
     )
-    command = [chromium, *options, action, page.as_uri()]
+    command = [chromium, *options, *more, action, page.as_uri()]
     return subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
 
 

@@ -112,6 +112,23 @@ def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
     assert (answer.code, "one of driver" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
+def test_a_swing_of_the_bag_is_learned_with_its_club_mounted(run: Run) -> None:
+    learn = ("--config", "bag", "learn", str(IRON), "--sim", "--swings", "1", "--json")
+    answer = run(*learn)
+    assert (answer.code, '"driver", the mounted one' in answer.err) == (ExitCode.BAD_INPUT, True)
+    answer = run(*learn, "--club", "iron7", "--draw", "1")
+    assert json.loads(answer.out)["content"]["target"]["head_speed_mps"] == pytest.approx(34.9, rel=0.01)
+
+
+def test_a_running_bench_has_the_club_that_it_has(run: Run) -> None:
+    answer = run("--config", "bag", "learn", str(IRON), "--club", "iron7")
+    assert (answer.code, "--club" in answer.err, "with --sim only" in answer.err) == (
+        ExitCode.BAD_INPUT,
+        True,
+        True,
+    )
+
+
 def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
     answer = run("check", "slwo")
     assert (answer.code, "Did you mean slow?" in answer.err) == (ExitCode.BAD_INPUT, True)

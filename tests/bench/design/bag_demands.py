@@ -1,4 +1,4 @@
-"""What the shipped swings of the bag were designed for."""
+"""What the shipped swings of the bag, and those of the driver, were designed for."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ class Demand(NamedTuple):
     """deg"""
     average: str = ""
     """Club of that row; empty for a partial swing."""
+    configuration: str = "bag"
+    """Variant that has club and robot."""
 
 
 DEMANDS = {
@@ -32,12 +34,21 @@ DEMANDS = {
     "pitching-72mph": Demand(32.2, -3.2, "PW"),
     "wedge56-55yd": Demand(26.75, -4.5),
 }
-"""By profile."""
+"""By profile, on turf or on a low tee."""
+DRIVER_DEMANDS = {
+    "driver-85mph": Demand(38.0, 2.0),
+    "default": Demand(43.2, 2.0, "Driver"),
+    "driver-100mph": Demand(45.0, 2.0),
+    "driver-115mph": Demand(51.41, 2.0, configuration="high_speed"),
+}
+"""By profile, of the driver on its tee."""
+ALL_DEMANDS = DRIVER_DEMANDS | DEMANDS
 
 
 def mounted(name: str) -> SimulatedBench:
-    """Return the bench of the variant `bag` with profile `name` and its club, on the club's site."""
+    """Return the bench that the profile `name` was designed for, with its club on the club's site."""
     path = find_profile(name)
     profile = load_profile(path)
-    c: Configuration = load_configuration(Path("bag")).with_club(profile.club).for_profile(profile, path)
+    c: Configuration = load_configuration(Path(ALL_DEMANDS[name].configuration))
+    c = c.with_club(profile.club).for_profile(profile, path)
     return SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)

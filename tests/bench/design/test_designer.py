@@ -55,6 +55,7 @@ SHIPPED = (
     ("driver-85mph", "shipped", 38.0),
     ("driver-90mph", "shipped", 40.2),
     ("driver-100mph", "shipped", 45.0),
+    ("driver-115mph", "high_speed", 51.41),
     ("driver-130mph", "high_speed", 58.4),
     ("driver-130mph-level", "high_speed", 58.4),
     ("average-male", "steady", 41.57),
@@ -75,7 +76,7 @@ SHIPPED = (
 """Name, for which configuration, and head speed (m/s) demanded."""
 RISING = dict.fromkeys(
     (
-        *("default", "driver-85mph", "driver-90mph", "driver-100mph", "driver-130mph"),
+        *("default", "driver-85mph", "driver-90mph", "driver-100mph", "driver-115mph", "driver-130mph"),
         *("two-handicap", "tour-male", "two-handicap-full", "tour-male-full", "rules-125mph"),
     ),
     2.0,

@@ -17,11 +17,12 @@ from bench.simulation.deviations import healthy_run
 from bench.simulation.variation import healthy_plant
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
+from tests.bench.design.bag_demands import DEMANDS
 
 SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph", "driver-100mph"}
-"""Profiles designed for the shipped gains; the others are for those of `steady`."""
+"""Profiles designed for the shipped gains; others are for the bag's clubs, or the gains of `steady`."""
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
-CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE --output FILE"
+CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE [--club CLUB] --output FILE"
 
 needs_speed = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
@@ -30,6 +31,8 @@ needs_speed = pytest.mark.skipif(
 
 def designed_for(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for."""
+    if name in DEMANDS:
+        return load_configuration(Path("bag")).with_club(load_profile(find_profile(name)).club)
     return load_configuration(None if name in SHIPPED_GAINS else Path("steady"))
 
 

@@ -45,7 +45,7 @@ def test_a_variant_is_the_hardware_that_it_names(name: str, speed: float) -> Non
 
 
 @needs_speed
-@pytest.mark.parametrize("name", ["driver-130mph", "driver-130mph-level"])
+@pytest.mark.parametrize("name", ["driver-115mph", "driver-130mph", "driver-130mph-level"])
 def test_stops_silence_and_a_missing_ball_end_safely_every_fifth_of_a_second(name: str) -> None:
     c, profile = load_configuration(Path("high_speed")), load_profile(find_profile(name))
     trials = tuple(trial for trial in TRIALS if "stuck" not in trial.name)
