@@ -53,7 +53,7 @@ _RATE = 6.0
 _CHARGING_RATE = 30.0
 """The same while charging, 1/s."""
 _TRIM_RATE = 1.0
-"""Rate at which the offset that keeps the difference is learned, 1/s."""
+"""Rate at which the offset that keeps the difference, or loosens a late joint, is learned, 1/s."""
 _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
 _MISSED = 1.5
@@ -217,7 +217,7 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
         if s.air_swung[i] != 0:
             most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
             offset = min(max(_offset_for(state, parameters, i, force, rate), -most), most)
-            if held:
+            if held or (late and not slips):
                 trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
                 s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
             if late:

@@ -20,15 +20,17 @@ from bench.commissioning.rising_swings import (
     slow_swing,
 )
 from bench.commissioning.slowed_swing import slowed
-from bench.commissioning.swung_robot import SimulatedRobot
+from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.design.designer import DesignFailed
 from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
+from bench.simulation.series import Bench, SeriesSwing
 from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
+from sim.plant import PlantParameters
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
 TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
@@ -144,3 +146,42 @@ def test_a_load_beyond_a_rating_ends_the_swings() -> None:
     with pytest.raises(WrongMachine, match="120 % of its rated energy"):
         require_safe(loads, "swing of 80 %")
     require_safe(None, "swing of 80 %")  # a real robot does not say
+
+
+class _Stumbling:
+    """A robot that stops in every swing that is not designed."""
+
+    def __init__(self, truth: PlantParameters, profile: Profile) -> None:
+        self.truth, self.profile, self.benches = truth, profile, list[Bench]()
+
+    def series(self, bench: Bench) -> SimulatedSeries:
+        self.benches.append(bench)
+        made = SimulatedRobot(self.truth).series(bench)
+        if bench.profile is not self.profile:
+            swing = made.swing
+
+            def stopped(profile: Profile, *, ball: bool = True) -> SeriesSwing:
+                return swing(profile, ball=ball)._replace(cause=Cause.WRIST_LEVER)
+
+            made.swing = stopped  # type: ignore[method-assign, assignment]
+        return made
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_a_slow_swing_that_the_robot_stops_is_designed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
+) -> None:
+    """Near the top friction lets a slow robot slip, in one swing and not in its prediction."""
+    (tmp_path / "records").mkdir()
+    monkeypatch.setattr(rising_swings, "design_at", lambda *_: default)
+    robot = _Stumbling(configuration.plant, default)
+    known = replace(configuration, envelope=configuration.envelope.with_model_check("off"))
+    speed = default.delivery["head_speed_mps"]
+    notes = rising_swings.swung_slowly(robot, known, default, 0.6, speed, tmp_path)
+    assert [bench.profile is default for bench in robot.benches] == [False, True]
+    assert "designed instead" in notes[0]
+    assert "predicted" in notes[1]
+    robot.profile = replace(default, name="another")
+    with pytest.raises(WrongMachine, match="stopped"):
+        rising_swings.swung_slowly(robot, known, default, 0.6, speed, tmp_path)

@@ -19,7 +19,7 @@ from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.series import Bench, Series, quiet
-from bench.simulation.variation import WORN
+from bench.simulation.variation import WORN, healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
@@ -361,6 +361,44 @@ def test_a_joint_that_sticks_and_slips_comes_to_rest_and_stays(profile: Profile)
         held = bench.advance(6000)["angle"]
         assert np.abs(held - held[0]).max() < 0.012
         assert np.abs(held - planned.angle[0]).max() < 0.02
+
+
+@compiled_only
+@pytest.mark.parametrize("seed", [1_000_002, 1_000_015])
+def test_leakage_that_the_model_does_not_know_keeps_no_joint_beside_its_address(
+    profile: Profile, seed: int
+) -> None:
+    """An arm with much leakage: what its model missed pushed as hard as its loosening.
+
+    A commissioned robot had it; a third of its healthy neighbours never came to its band.
+    """
+    arm = PLANT.right_arm
+    friction = replace(arm.friction, coulomb=38.78, static=52.36, viscous=19.18)
+    valve = replace(
+        arm.valve,
+        centre=-0.02799,
+        dead_band=0.041556,
+        conductance=9.3135e-8,
+        critical_ratio=0.25683,
+        leakage=2.427e-3,
+        natural_frequency=564.78,
+    )
+    found = replace(
+        arm,
+        area_a=1.47043e-3,
+        area_b=2.01301e-3,
+        dead_volume=3.7823e-5,
+        cross_leakage=7.5315e-11,
+        friction=friction,
+        valve=valve,
+    )
+    model = replace(PLANT, right_arm=found, encoders=replace(PLANT.encoders, latency=6.4e-4))
+    planned, plant = with_planned_air(profile, model), healthy_plant(model, seed)
+    controller = build_controller(model, planned)
+    bench = LockstepEngine(Lockstep(build_plant(plant), controller, hanging_pose(plant)))
+    bench.advance(200)
+    bench.arm()
+    assert bench.await_air(), bench.cause.name
 
 
 def test_slow_spools_are_swung_more_slowly() -> None:
