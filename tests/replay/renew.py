@@ -8,8 +8,9 @@ one that is stopped in the backswing. What a replay does not need, the plant's t
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,11 @@ _RETURN_TICKS = 100
 """Kept of the way back."""
 _BRAKE_TICKS = 300
 """Kept of the stop."""
-_LOOKS_BEFORE_STOP = 200
-"""Looks at Ctrl-C, one in 20 ms, before it comes: in the backswing."""
+_LOOKS_BEFORE_STOP = range(200, 1500, 10)
+"""Looks at Ctrl-C, one in 20 ms, before it comes, tried in turn: it is to come in the backswing."""
+
+_UNDER_WAY = 400
+"""Ticks of the backswing after which it is under way."""
 
 
 def reference_bench() -> SimulatedBench:
@@ -40,10 +44,15 @@ def reference_bench() -> SimulatedBench:
     return replace(bench, plant=replace(bench.plant, encoders=encoders))
 
 
-def stop_in_the_backswing() -> Callable[[], bool]:
-    """Return what tells of Ctrl-C once the robot is in its backswing."""
-    looks = iter(range(10**6))
-    return lambda: next(looks) >= _LOOKS_BEFORE_STOP
+def stopped_in_the_backswing(bench: SimulatedBench) -> SwingResult | None:
+    """Return a swing of `bench` that Ctrl-C stops in its backswing; None if it never comes there."""
+    for looks in _LOOKS_BEFORE_STOP:
+        left = iter([False] * looks)
+        with suppress(KeyboardInterrupt):  # it came before the swing's record began
+            stopped = simulate_swing(bench, stop=partial(next, left, True))
+            if stopped.interrupted and np.sum(stopped.cycles["phase"] == Phase.BACKSWING) > _UNDER_WAY:
+                return stopped
+    return None
 
 
 def write_reference(path: Path, bench: SimulatedBench, result: SwingResult, ticks: int | None = None) -> None:
@@ -65,8 +74,8 @@ def main() -> int:
         return 1
     returning = int(np.argmax(swing.cycles["phase"] == Phase.RETURN))
     write_reference(SWING, bench, swing, returning + _RETURN_TICKS)
-    stopped = simulate_swing(bench, stop=stop_in_the_backswing())
-    if not stopped.interrupted or Phase.BACKSWING not in stopped.cycles["phase"]:
+    stopped = stopped_in_the_backswing(bench)
+    if stopped is None:
         print("the stop did not come in the backswing: change _LOOKS_BEFORE_STOP")
         return 1
     braking = int(np.argmax(stopped.cycles["reaction"] == Reaction.BRAKE))
