@@ -148,6 +148,16 @@ def test_a_load_beyond_a_rating_ends_the_swings() -> None:
     require_safe(None, "swing of 80 %")  # a real robot does not say
 
 
+def test_a_slow_swing_may_be_as_far_off_as_a_full_one() -> None:
+    """In m/s: friction makes a slow swing uncertain, and its energy is low."""
+    off = GOOD._replace(measured=1.12 * GOOD.predicted)
+    require_as_predicted(off, Cause.NONE, "swing of 60 %", 0.6)
+    with pytest.raises(WrongMachine, match="12 % beside"):
+        require_as_predicted(off, Cause.NONE, "swing of 100 %", 1.0)
+    with pytest.raises(WrongMachine, match="within 13 %"):
+        require_as_predicted(GOOD._replace(measured=1.15 * GOOD.predicted), Cause.NONE, "swing of 60 %", 0.6)
+
+
 class _Stumbling:
     """A robot that stops in every swing that is not designed."""
 
