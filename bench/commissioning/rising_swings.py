@@ -42,8 +42,8 @@ RESERVE = 0.95
 SWING_FILE = "swing.toml"
 """Profile of 100 %."""
 _MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
-"""Max deviation from the prediction: of the head's highest speed, a share of that of the full swing, which counts
-at the cushions; of a joint up to the ball, rad."""
+"""Max deviation from the prediction: of the head's highest speed, a share of the full swing's, which counts at
+the cushions; of a joint up to the ball, rad."""
 _MOST_BRAKE = 0.15, 1.5
 """Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
 _PREDICTIONS = 4
@@ -78,7 +78,8 @@ class RisingSwings:
     name, title = "swings", "Swings of 40, 60, 80 and 100 % of the speed"
     bounds_text = (
         "each designed for the robot as measured, within its cushions if the ball is missed or the bench "
-        f"falls silent; the next one only if its speed came within {100 * _MOST_SPEED:g} % of the full one beside the prediction"
+        f"falls silent; the next one only if the speed came within {100 * _MOST_SPEED:g} % of the full one "
+        "beside its prediction"
     )
 
     def swing(
