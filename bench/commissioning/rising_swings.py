@@ -42,8 +42,8 @@ RESERVE = 0.95
 SWING_FILE = "swing.toml"
 """Profile of 100 %."""
 _MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
-"""Max deviation from the prediction: of the head's highest speed, a share of the full swing's, which counts at
-the cushions; of a joint up to the ball, rad."""
+"""Max deviation from the prediction: of the head's highest speed, a share of the full swing's, which counts
+at the cushions; of a joint up to the ball, rad."""
 _MOST_BRAKE = 0.15, 1.5
 """Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
 _PREDICTIONS = 4
