@@ -11,6 +11,7 @@ import pytest
 
 from bench.commissioning import rising_swings
 from bench.commissioning.rising_swings import (
+    PredictionSpread,
     SwingDeviation,
     bench_of,
     deviation,
@@ -18,6 +19,7 @@ from bench.commissioning.rising_swings import (
     require_as_predicted,
     require_safe,
     slow_swing,
+    widest,
 )
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
@@ -33,6 +35,8 @@ from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
+OTHER_PREDICTIONS = (([0.05, 0.01, 0.1], 30.3), ([0.01, 0.02, 0.05], 31.8))
+"""Deviations of two predictions from a third of 30 m/s."""
 TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
@@ -156,6 +160,24 @@ def test_a_slow_swing_may_be_as_far_off_as_a_full_one() -> None:
         require_as_predicted(off, Cause.NONE, "swing of 100 %", 1.0)
     with pytest.raises(WrongMachine, match="within 13 %"):
         require_as_predicted(GOOD._replace(measured=1.15 * GOOD.predicted), Cause.NONE, "swing of 60 %", 0.6)
+
+
+def test_a_robot_may_differ_as_its_predictions_do() -> None:
+    """What friction alone takes apart is no wrong machine."""
+    assert widest([]) == PredictionSpread()
+    others = [GOOD._replace(path=np.array(path), measured=speed) for path, speed in OTHER_PREDICTIONS]
+    spread = widest(others)
+    assert spread.path == (0.05, 0.02, 0.1)
+    assert spread.speed == pytest.approx(0.06)
+    off = GOOD._replace(path=np.array([0.16, 0.01, 0.02]))
+    require_as_predicted(off, Cause.NONE, "swing of 100 %", spread=spread)
+    with pytest.raises(WrongMachine, match=r"the shoulder 0\.16 rad(?s:.)*at most 0\.15 rad"):
+        require_as_predicted(off, Cause.NONE, "swing of 100 %")
+    with pytest.raises(WrongMachine, match=r"at most 0\.20 rad"):
+        require_as_predicted(
+            GOOD._replace(path=np.array([0.21, 0.0, 0.0])), Cause.NONE, "swing of 100 %", spread=spread
+        )
+    require_as_predicted(GOOD._replace(measured=1.13 * 30.0), Cause.NONE, "swing of 100 %", spread=spread)
 
 
 class _Stumbling:
