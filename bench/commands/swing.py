@@ -588,9 +588,10 @@ def golfers(
     from bench.swing.profile import load_profile
 
     _require_picture(plot)
-    plant = context.ensure_object(Session).configuration().plant
+    configuration = context.ensure_object(Session).configuration()
+    plant = configuration.plant
     if profile is None:
-        swings = _golfers_own(plant)
+        swings = _golfers_own(configuration)
     else:
         swings = dict.fromkeys(GOLFERS, load_profile(find_profile(profile)))
     rows = [golfer_row(plant, GOLFERS[name], swing) for name, swing in swings.items()]
@@ -608,12 +609,12 @@ def golfers(
         console.print(f"Picture: {plot}", highlight=False)
 
 
-def _golfers_own(plant: PlantParameters) -> dict[str, Profile]:
-    """Return the swing of each golfer that comes with golfbench: one made for the ranges of `plant`.
+def _golfers_own(c: Configuration) -> dict[str, Profile]:
+    """Return the swing of each golfer that comes with golfbench: one made for the ranges of robot `c`.
 
     NAME-full asks for the longest ways of shoulder, right arm and wrist, NAME for those of the shipped robot.
     """
-    from bench.design.validate import fits_ranges
+    from bench.design.validate import beyond_range
     from bench.swing.golfers import GOLFERS
     from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
@@ -621,7 +622,7 @@ def _golfers_own(plant: PlantParameters) -> dict[str, Profile]:
     known, found = profile_names(), {}
     for golfer in GOLFERS:
         own = [load_profile(find_profile(n)) for n in (f"{golfer}-full", golfer) if n in known]
-        fitting = [swing for swing in own if fits_ranges(plant, swing)]
+        fitting = [swing for swing in own if not beyond_range(swing, c.plant, c.envelope)]
         if own:
             found[golfer] = (fitting or own[-1:])[0]
     return found

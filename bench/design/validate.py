@@ -289,14 +289,6 @@ def _clearance(plan: MachineSwing) -> Check:
     return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
 
 
-def fits_ranges(plant: PlantParameters, profile: Profile) -> bool:
-    """Return whether the motion of `profile` stays within the joints' ranges and cushions of `plant`."""
-    position = Motion(profile, plant).position
-    low = [actuator.lower - actuator.stop.travel for actuator in plant.actuators]
-    high = [actuator.upper + actuator.stop.travel for actuator in plant.actuators]
-    return bool(np.all((position >= low) & (position <= high)))
-
-
 def _lever(plan: MachineSwing) -> Check:
     """Check that the wrist's cylinder has a lever (thesis figure 11)."""
     authority = plan.plant.wrist_authority(plan.profile.angle[:, 2])
