@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -202,18 +202,6 @@ class _Machine(NamedTuple):
     """Returns notes after a measuring step."""
 
 
-def _machine(
-    configuration: Configuration,
-    truth: Configuration,
-    regulator: str | None,
-    bar: Progress,
-    *,
-    live: bool,
-) -> AbstractContextManager[_Machine]:
-    """Return the robot of the configured driver if `live`, else `truth` in lock-step."""
-    return _live(configuration, truth, regulator, bar) if live else _simulated(configuration, truth)
-
-
 @contextmanager
 def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
@@ -265,7 +253,7 @@ def _live(
         if c.driver.name == "sim":
             marks = ContactWatch(owner.folder)
             hands = Hands(of_simulation(owner.folder), say, look=lambda: _mark_in(marks, truth.plant))
-            moving = live_robot(c, owner, hands, truth.plant, tuple(truth.faults.values()))
+            moving = live_robot(c, owner, hands, truth)
         else:
             turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else None
             person = ask_mark if sys.stdin.isatty() else None

@@ -48,6 +48,11 @@ _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
 
 
+def stopped_by_operator() -> Refused:
+    """Return the error of a motion that was asked to end."""
+    return Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")
+
+
 class _Trouble(NamedTuple):
     """Why a machine may not move; without text it may."""
 
@@ -173,7 +178,7 @@ class DriverMachine:
             opening = np.clip(begin + (end - begin) * (k / ticks), -bounds.opening, bounds.opening)
             self._write(opening, segment.vents_shut)
             log.note(self._readings, self._applied, number)
-            passed = bound_passed(bounds, log.speed(self._tick), log.way(), self._pressure())
+            passed = bound_passed(bounds, self._speed(), log.way(), self._pressure())
             if passed:
                 self.make_passive()
                 return passed, False
@@ -240,7 +245,7 @@ class DriverMachine:
             self._refuse_to_go_on()
         if self._stop():
             self.make_passive()
-            raise Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")
+            raise stopped_by_operator()
 
     def _read(self) -> None:
         """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
@@ -328,13 +333,6 @@ class _Log:
     def way(self) -> Array:
         """Return the way (3,) rad since the first row."""
         return np.asarray(self._count[max(self._n - 1, 0)] * (2 * np.pi / self._counts))
-
-    def speed(self, tick: float) -> Array:
-        """Return the speeds (3,) rad/s over the last ticks."""
-        if self._n <= _SPEED_SPAN:
-            return np.zeros(3)
-        change = self._count[self._n - 1] - self._count[self._n - 1 - _SPEED_SPAN]
-        return np.asarray(change * (2 * np.pi / self._counts / (_SPEED_SPAN * tick)))
 
     def rested(self, span: int, joint: int | None = None) -> bool:
         """Return whether `joint`, or each, has rested for `span` rows."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, cast
@@ -30,8 +30,6 @@ from bench.processes.ownership import Ownership
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.swing.profile import Profile
-from sim.faults import Fault
-from sim.plant import PlantParameters
 
 _START, _END = 120.0, 20.0
 """s in which the process is ready, and in which it brings the robot to rest at its end."""
@@ -165,12 +163,11 @@ def live_robot(
     configuration: Configuration,
     owner: Ownership,
     hands: Hands,
-    truth: PlantParameters | None = None,
-    faults: Sequence[Fault] = (),
+    truth: Configuration | None = None,
 ) -> Iterator[LiveRobot]:
     """Start the process that has the machine of the bench owned by `owner`; at the end the robot rests.
 
-    `truth` with `faults` is the robot that really moves where it is simulated.
+    `truth` has the robot that really moves, with its faults, where it is simulated.
 
     Raises:
         BenchError: it does not start, and why.
@@ -178,7 +175,9 @@ def live_robot(
     ours, its = socket.socketpair()
     with ours, its:
         os.set_inheritable(its.fileno(), True)
-        plan = MachinePlan(configuration, owner.folder, owner.descriptor, its.fileno(), truth, tuple(faults))
+        plan = MachinePlan(
+            configuration, owner.folder, owner.descriptor, its.fileno(), truth or configuration
+        )
         child = Child.start(
             "machine", "bench.commissioning.machine_process", plan, pass_fds=(owner.descriptor, its.fileno())
         )

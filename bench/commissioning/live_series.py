@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from bench.clock import Clock
+from bench.commissioning.driver_machine import stopped_by_operator
 from bench.control.settings import (
     HomingSettings,
     LifecycleSettings,
@@ -112,10 +113,8 @@ class LiveSeries:
                 settled = bool(self.bench.profile.air)
                 return SeriesSwing(cycles, None, float("nan"), cause, float("nan"), settled)
             self._say("the record has gaps before the ball: the swing is repeated")
-        found, cure = (
-            f"{_REPEATED} records with gaps before the ball",
-            "Look at the timing: golfbench doctor.",
-        )
+        found = f"{_REPEATED} records with gaps before the ball"
+        cure = "Look at the timing: golfbench doctor."
         raise Refused(f"swinging {profile.name!r}", found, "complete records", cure)
 
     def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
@@ -160,7 +159,7 @@ class LiveSeries:
         operator = self._operator
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
-        operator.run_until(lambda: False, LONGEST_STOP)
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
         self._ask(Request.ACCESS, _ACCESS)
 
     def lock(self) -> None:
@@ -191,7 +190,7 @@ class LiveSeries:
     def _arm(self) -> None:
         """Reset, home and arm, as far as it is needed."""
         operator = self._operator
-        operator.run_until(lambda: False, LONGEST_STOP)
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
         if self._state in (State.ESTOP, State.FAULT):
             self._revive()
             self._ask(Request.RESET)
@@ -203,7 +202,7 @@ class LiveSeries:
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
         operator.wait_for(lambda: bool(operator.control["emptied"][0]), _PATIENCE)
         if not operator.arm():
-            raise self._stopped()
+            raise stopped_by_operator()
 
     def _ask(self, request: Request, patience: float = _PATIENCE) -> None:
         """Request until it is accepted; Refused with the bench's reason after `patience` (s)."""
@@ -230,11 +229,11 @@ class LiveSeries:
         if not ball:
             return
         self._ask(Request.TEE)
-        if not operator.run_until(lambda: bool(self._readings("ball_present")), _FEED):
+        if not operator.run_until(self._sees_ball, _FEED):
             raise Refused("tee", f"no ball in {_FEED:g} s", "a ball", "Fill the feeder, then --resume.")
 
-    def _readings(self, name: str) -> bool:
-        return bool(self._operator.stepper.cycle.record[name][0])
+    def _sees_ball(self) -> bool:
+        return bool(self._operator.stepper.cycle.record["ball_present"][0])
 
     def _revive(self) -> None:
         """Set a device to work again that went passive by itself."""
@@ -248,7 +247,4 @@ class LiveSeries:
 
     def _require_no_stop(self) -> None:
         if self._operator.stop():
-            raise self._stopped()
-
-    def _stopped(self) -> Refused:
-        return Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")
+            raise stopped_by_operator()

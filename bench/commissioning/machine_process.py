@@ -32,8 +32,6 @@ from bench.processes.real_time import real_time
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.canopen.frames import MAX_LOAD, bus_load
-from sim.faults import Fault
-from sim.plant import PlantParameters
 
 _PRESSURE_TICKS = 2
 """Least ticks between two readings of the pressures; three missed ones are a lost sensor."""
@@ -50,10 +48,8 @@ class MachinePlan:
     """Inherited descriptor of its locked file."""
     connection: int
     """Inherited descriptor of the connection."""
-    truth: PlantParameters | None = None
-    """Robot that really moves, simulated; None: as configured."""
-    faults: tuple[Fault, ...] = ()
-    """Its faults."""
+    truth: Configuration
+    """Has the robot that really moves, with its faults, where it is simulated."""
 
 
 class _Interruption:
@@ -82,10 +78,8 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
     with ExitStack() as stack:
         stack.enter_context(adopt(plan.lock))
         connection = stack.enter_context(Connection(plan.connection))
-        simulated = replace(
-            c, plant=plan.truth or c.plant, faults={f"robot{n}": fault for n, fault in enumerate(plan.faults)}
-        )
-        driver = configured_driver(simulated, plan.folder)
+        moving = replace(c, plant=plan.truth.plant, faults=plan.truth.faults)
+        driver = configured_driver(moving, plan.folder)
         granted = stack.enter_context(real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu))
         period = 1.0 / c.loop.rate
         clock = PacedClock(period) if c.driver.paced else GridClock(round(1e9 * period))

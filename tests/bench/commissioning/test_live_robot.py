@@ -262,7 +262,7 @@ def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.obey(ArmFor(bench_of(configuration, slow)))
-    monkeypatch.setattr("bench.commissioning.live_series.LiveSeries._readings", lambda self, name: False)
+    monkeypatch.setattr("bench.commissioning.live_series.LiveSeries._sees_ball", lambda self: False)
     with pytest.raises(Refused, match="Fill the feeder"):
         server.obey(Swing(slow, ball=True))
 
