@@ -22,9 +22,10 @@ Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
 
 
-_BEFORE = 0.004
-"""Distance (m) of face and ball at which the last reading before the contact is looked for: an off-centre
-strike may begin so far before the face's centre is there."""
+_BEFORE = 0.015
+"""Distance (m) of face and ball at which the last reading before the contact is looked for. The contact may
+come so far before the model's: off the face's centre, with links as long as they are known to 2 mm, and a ball
+teed up by hand. A reading after it would take the ball's blow for the club's speed."""
 _LOW = 0.1
 """m above the ball below which the head is at the bottom of the swing."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 12
@@ -102,7 +103,8 @@ def _beside(
 ) -> Callable[[Array | float], Array] | None:
     """Return the angles of `plan` (k, 3) by the time (s) from where its head comes to `x` (m) on.
 
-    That is looked for around row `last`; None where it does not come, or where the plan ends too early.
+    That is looked for around row `last`; None where it does not come. Rows of `plan` after that count
+    no more, it is carried on instead: soon after the ball's place, a swing without a ball is in its cushions.
     """
     first = max(last - _LATE - _READINGS_BESIDE_PLAN, 0)
     near = plan[first : last + _LATE]
@@ -113,9 +115,10 @@ def _beside(
         return None
     k = int(crossings[0])
     row = k + (x - head[k, 0]) / (head[k + 1, 0] - head[k, 0])
-    if row < _READINGS_BESIDE_PLAN or row + _SEARCHED[1] / plant.tick > len(near):
+    if row < _READINGS_BESIDE_PLAN:
         return None
-    spline = CubicSpline(np.arange(len(near)), near)
+    used = near[: k + 2]
+    spline = CubicSpline(np.arange(len(used)), used)
     return lambda time: np.asarray(spline(row + np.asarray(time) / plant.tick))
 
 
