@@ -24,8 +24,8 @@ Cycles = np.ndarray[Any, Any]
 
 _BEFORE = 0.015
 """Distance (m) of face and ball at which the last reading before the contact is looked for. The contact may
-come so far before the model's: off the face's centre, with links as long as they are known to 2 mm, and a ball
-teed up by hand. A reading after it would take the ball's blow for the club's speed."""
+come so far before the model's: off the face's centre, with lengths known to 2 mm, with a ball teed up by
+hand. A reading after it would take the ball's blow for the club's speed."""
 _LOW = 0.1
 """m above the ball below which the head is at the bottom of the swing."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 12
