@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.errors import BenchError
 from bench.learning.compare import (
     compare,
@@ -32,8 +31,8 @@ compiled_only = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    steady = load_configuration(Path("steady"))
-    return Bench(steady.plant, load_profile(find_profile("average-male")), steady.control, steady.envelope)
+    c = load_configuration(shipped_configuration())
+    return Bench(c.plant, load_profile(find_profile("average-male")), c.control, c.envelope)
 
 
 def test_the_plan_is_in_the_profile(bench: Bench) -> None:
