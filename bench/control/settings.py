@@ -224,9 +224,7 @@ class HomingSettings:
 class ModelSettings:
     """The model-based check (`bench.control.model`) and its limits by phase.
 
-    These hold for profiles without limits of their own (`bench.control.model_limits`): wider than those of
-    `steady` and the golfers' swings. Two rows of other shipped limits are wider still, the wrist's velocity
-    in the hold and its torque while it arms.
+    These hold for profiles without limits of their own (`bench.control.model_limits`).
     """
 
     check: Literal["off", "simulated", "always"] = "off"

@@ -84,7 +84,7 @@ def make_limits(
             f"limits of profile {bench.profile.name!r}",
             f"{len(causes) + draws - len(runs)} of {draws} healthy robots stopped: {why}",
             "a profile that this controller can swing",
-            "Choose the configuration that the profile was designed for, such as `--config steady`.",
+            "Choose the configuration that the profile was designed for, such as `--config bag`.",
         )
     known = [run.largest for run in runs]
     learning_runs = _drawn(

@@ -5,10 +5,9 @@ mark in the hall that no encoder knows of: the strike bends the wrist's path, wh
 0.2 ms, and at that instant the head is at the ball. An encoder whose coupling slipped, or that lost counts,
 sees it elsewhere from then on: 0.02 rad are 20 to 35 mm.
 
-Both are compared with the first swings with the same tables, and with their scatter: the shipped variant
-`default` scatters by 1 % in speed, `steady` by less than 0.1 %. Of the speed only a loss that lasts for three
-swings counts, and of `default` only one that is larger than its scatter, 5 %. A drift is a warning with the
-record and in the status, not a cause to stop.
+Both are compared with the first swings with the same tables, and with their scatter, which differs from swing
+to swing and robot to robot. Of the speed only a loss that lasts for three swings counts. A drift is a warning
+with the record and in the status, not a cause to stop.
 """
 
 from __future__ import annotations

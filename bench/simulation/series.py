@@ -145,8 +145,7 @@ class Series:
         self.rest()
         stepper = self._engine.stepper
         own = stepper.parameters
-        stepper.parameters = parameters or own
-        swing = self._swing(profile, len(profile.angle), ball=ball)
+        swing = self._swing(profile, len(profile.angle), ball=ball, other=parameters)
         if parameters is not None:
             stepper.parameters = own
         if self._returned():
@@ -155,14 +154,19 @@ class Series:
         self._recover()
         return swing._replace(cause=cause)
 
-    def _swing(self, profile: Profile, ticks: int, *, ball: bool = True) -> SeriesSwing:
-        engine, stepper = self._engine, self._engine.stepper
-        stepper.parameters = with_tables_of(stepper.parameters, profile, self.bench.control, self.bench.model)
+    def _swing(
+        self, profile: Profile, ticks: int, *, ball: bool = True, other: ControlParameters | None = None
+    ) -> SeriesSwing:
+        """Swing for `ticks`, from the accepted request on by the controller `other` if there is one."""
+        engine, stepper, bench = self._engine, self._engine.stepper, self.bench
+        stepper.parameters = with_tables_of(stepper.parameters, profile, bench.control, bench.model)
         engine.begin_record()
         engine.tee_up(ball=ball)
         before = float(engine.plant_state["air_used"][0])
         if not engine.start_swing(_REQUESTS, _CHUNK):
             raise engine.refusal("the robot does not come to rest there")
+        if other is not None:  # not before: the address is held, and its air awaited, by the bench's own
+            stepper.parameters = with_tables_of(other, profile, bench.control, bench.model)
         cycles = joined([engine.latest, engine.advance(ticks - 1)])
         contact, site = contact_in(engine.plant_state), self.bench.model.site
         delivery, time = None, float("nan")

@@ -224,14 +224,14 @@ def test_a_bad_base_is_refused(text: str, found: str, tmp_path: Path) -> None:
 
 def test_a_variant_is_a_base_by_name(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text('base = "steady"\n[bench]\nid = "here"\n')
+    path.write_text('base = "small_plant"\n[bench]\nid = "here"\n')
     found = load_configuration(path)
-    steady = load_configuration(Path("steady"))
-    assert found == replace(steady, bench=replace(steady.bench, id="here"))
-    assert [file.name for file in found.files] == ["config.toml", "steady.toml", "mine.toml"]
+    small = load_configuration(Path("small_plant"))
+    assert found == replace(small, bench=replace(small.bench, id="here"))
+    assert [file.name for file in found.files] == ["config.toml", "small_plant.toml", "mine.toml"]
     # A file of that name in the folder comes first.
-    (tmp_path / "steady").write_text('base = "shipped"\n[bench]\nid = "mine"\n')
-    path.write_text('base = "steady"\n')
+    (tmp_path / "small_plant").write_text('base = "shipped"\n[bench]\nid = "mine"\n')
+    path.write_text('base = "small_plant"\n')
     assert load_configuration(path).bench.id == "mine"
 
 

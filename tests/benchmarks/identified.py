@@ -1,6 +1,6 @@
 """What identification saves in learning swings: `... identified [--draws N] [--folder DIR]`.
 
-Robots as in `learning`, each armed anew. Three swings of `steady`, not the first after arming, identify each.
+Robots as in `learning`, each armed anew. Three swings of the shipped profile identify each.
 Then it learns in three ways: without that; beginning where the identified robot ends in simulation, with what
 identification left over; and with a swing designed anew on the identified robot, of the same head speed and
 attack angle, lean as is easiest. With `--folder` what was identified and designed is kept there, and taken
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.errors import BenchError, Refused
 from bench.learning.beginning import begun_on
@@ -48,8 +48,7 @@ class Outcome(NamedTuple):
 
     first: float
     """Of the first swing."""
-    settled: float
-    """Of the second one: the first after arming begins with other air."""
+    second: float
     used: int
     after: float
     """Of the mean of five further swings, as the plant knows it."""
@@ -75,7 +74,7 @@ def run(arguments: list[str]) -> list[Row]:
     parser.add_argument("--folder", type=Path, default=None, help="where robots and swings are kept")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
-    configuration = load_configuration(Path("steady"))
+    configuration = load_configuration(shipped_configuration())
     profile = load_profile(find_profile(configuration.swing.profile))
     problem = prepare(_bench(configuration, profile))
     plant = configuration.plant
@@ -89,7 +88,7 @@ def run(arguments: list[str]) -> list[Row]:
             for way, outcome in ways:
                 outcomes[way][name] = outcome
                 print(
-                    f"{name}, {way}: first swing {outcome.first:.1f}, second {outcome.settled:.1f}, "
+                    f"{name}, {way}: first swing {outcome.first:.1f}, second {outcome.second:.1f}, "
                     f"{outcome.used} learning swings, {outcome.after:.2f} after",
                     flush=True,
                 )
@@ -106,7 +105,6 @@ def _in_all_ways(
 ) -> list[tuple[str, Outcome]]:
     truth, profile = variation.applied_to(problem.bench.model), problem.bench.profile
     series = Series(problem.bench, truth)
-    series.swing(profile)
     swings = [series.swing(profile).cycles for _ in range(RECORDED)]
     recorded = [Recorded(profile, cycles, truth.encoders) for cycles in swings]
     file = folder / f"{name}.toml"
@@ -153,8 +151,8 @@ def _taught(problem: LearningProblem, truth: PlantParameters) -> Outcome:
     swing, scale = result.correction.applied_to(problem.bench.profile), Tolerance().scale(problem.target)
     figures = [figures_of(series.swing(swing).delivery).array for _ in range(CHECKED)]
     after = (np.mean(figures, axis=0) - problem.target.array) / scale
-    first, settled = (_worst(attempt.error) for attempt in result.attempts[:2])
-    return Outcome(first, settled, result.used, _worst(after))
+    first, second = (_worst(attempt.error) for attempt in result.attempts[:2])
+    return Outcome(first, second, result.used, _worst(after))
 
 
 def _worst(error: Array) -> float:

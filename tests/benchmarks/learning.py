@@ -1,8 +1,9 @@
 """Learning on robots that differ from the one that the bench believes in: `... learning [--draws N]`.
 
-The configuration is the variant `steady`. One robot is worn: friction +40 %, valve flow -8 %, supply -4 %,
-head +10 g, vane +3 %, encoder latency +1 ms. The others are drawn: friction and dead volume of each joint,
-flow of each valve, supply, vane and head mass uniformly within 10 %, up to 1 ms more latency; seeds 1 to N.
+The configuration is the shipped one, with its profile and the limits of the model-based check. One robot is
+worn: friction +40 %, valve flow -8 %, supply -4 %, head +10 g, vane +3 %, encoder latency +1 ms. The others
+are drawn: friction and dead volume of each joint, flow of each valve, supply, vane and head mass uniformly
+within 10 %, up to 1 ms more latency; seeds 1 to N.
 Each learns for at most twelve swings by its encoders; judged is what the plant knows, in the mean of five
 swings with the kept correction. The worn robot then makes a hundred with noise in encoders, which the
 estimator is told of, and in the supply.
@@ -13,13 +14,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.errors import Refused
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
@@ -102,9 +102,11 @@ def run(arguments: list[str]) -> list[Row]:
     parser.add_argument("--draws", type=int, default=50, help="robots drawn (default: %(default)s)")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
-    configuration = load_configuration(Path("steady"))
-    plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
-    problem = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
+    shipped = load_configuration(shipped_configuration())
+    file = find_profile(shipped.swing.profile)
+    profile = load_profile(file)
+    c = configuration = shipped.for_profile(profile, file)
+    problem = prepare(Bench(c.plant, profile, c.control, c.envelope, c.estimator))
     worn, result, series = _taught(problem, "worn", WORN)
     print(worn.text, flush=True)
     seeds = range(1, options.draws + 1)

@@ -24,6 +24,7 @@ from bench.control.settings import ControlSettings, EstimatorSettings, estimator
 from bench.simulation.variation import WORN
 from sim.plant import PlantParameters, build_plant
 from sim.pneumatics import Actuator
+from tests.bench.hand_gains import HAND
 from tests.benchmarks.row import Row
 
 NAME = "machine_gains"
@@ -34,11 +35,10 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks machine_gains")
     parser.add_argument("--poses", type=int, default=200)
     options = parser.parse_args(arguments)
-    hand = load_configuration(Path("steady")).control
     rows = []
     for name, plant in plants().items():
         for source in ("hand", "machine"):
-            control = replace(hand, gains=source)
+            control = replace(HAND, gains=source)
             begin = perf_counter()
             shares = np.array(_shares(plant, control, options.poses))
             note = (

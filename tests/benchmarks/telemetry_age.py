@@ -218,7 +218,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         stack.callback(swinging.join)
         stack.callback(over.set)
         swinging.start()
-        steady = subscribe("steady")
+        undisturbed = subscribe("undisturbed")
         time.sleep(_SETTLING)
         watch = RingWatch(bench)
         phases["undisturbed"] = watch.measure(timing, 60.0 * options.minutes, lambda: None)
@@ -245,7 +245,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         time.sleep(0.5)
         watch.look()
         time.sleep(0.5)
-        counts, heard, ages = steady.end()
+        counts, heard, ages = undisturbed.end()
         lost_by_watch = watch.lost
         over.set()
         swinging.join()

@@ -81,7 +81,7 @@ def test_a_swing_is_learned_when_it_is_up_again(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     for number, speed in ((1, 42.0), (2, 42.4)):
         assert not any(blocks.block(number, speed))
-    assert not any(blocks.block(3, 38.0, "steady"))
+    assert not any(blocks.block(3, 38.0, "driver-90mph"))
     assert any(blocks.block(4, 42.4))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -13,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.control.air import actuator_force
 from bench.control.demand import actuator_forces, demand_of
 from bench.control.feed_forward import FeedForward, force_rates, kane_gains, opening_for
@@ -165,10 +164,10 @@ def test_a_stall_and_senseless_steps_do_not_spoil_the_observer() -> None:
 
 
 @pytest.fixture(scope="module")
-def steady() -> Bench:
-    """Return the variant `steady` with the swing that was planned for it."""
-    configuration = load_configuration(Path("steady"))
-    return Bench(configuration.plant, load_profile(find_profile("steady")), configuration.control)
+def shipped() -> Bench:
+    """Return the shipped configuration with its swing."""
+    c = load_configuration(shipped_configuration())
+    return Bench(c.plant, load_profile(find_profile(c.swing.profile)), c.control)
 
 
 def bench_with(bench: Bench, feed_forward: FeedForward) -> Bench:
@@ -182,11 +181,11 @@ def rms(cycles: Array, first: int, last: int) -> Array:
 
 
 @compiled_only
-def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(steady: Bench) -> None:
-    blind = replace(steady.model, pressure_sensors=False)
-    begins, errors = steady.profile.begins, {}
+def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(shipped: Bench) -> None:
+    blind = replace(shipped.model, pressure_sensors=False)
+    begins, errors = shipped.profile.begins, {}
     for feed_forward in ("none", "kane+pneumatic"):
-        swing = Series(bench_with(steady, feed_forward), blind).swing(steady.profile)
+        swing = Series(bench_with(shipped, feed_forward), blind).swing(shipped.profile)
         assert np.isnan(swing.cycles["chamber_pressure"]).all()
         errors[feed_forward] = rms(swing.cycles, begins[1], begins[4])
     assert (errors["kane+pneumatic"] < 0.05).all()
@@ -195,16 +194,16 @@ def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(stead
 
 @compiled_only
 @pytest.mark.parametrize("worn", [False, True], ids=["nominal", "worn"])
-def test_the_observer_knows_the_forces(steady: Bench, worn: bool) -> None:
-    plant = replace(steady.model, pressure_sensors=False)
+def test_the_observer_knows_the_forces(shipped: Bench, worn: bool) -> None:
+    plant = replace(shipped.model, pressure_sensors=False)
     plant = WORN.applied_to(plant) if worn else plant
-    bench = bench_with(steady, "kane+pneumatic")
+    bench = bench_with(shipped, "kane+pneumatic")
     stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
-    assert LockstepEngine(stepper).arm()
-    stepper.advance(500)
-    stepper.advance(1, 2)
+    engine = LockstepEngine(stepper)
+    assert engine.arm()
+    assert engine.start_swing(attempts=1, wait=1)
     off, size = [], []
-    for _ in range(bench.profile.begins[5] - 2):
+    for _ in range(bench.profile.begins[5] - 1):
         stepper.advance(1)
         if stepper.state.control["phase"][0] in (Phase.DOWNSWING, Phase.COMMITTED):
             air = stepper.state.air["pressure"][0].copy()

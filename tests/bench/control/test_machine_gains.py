@@ -107,7 +107,7 @@ def test_the_same_machine_gives_the_same_gains_whatever_its_encoders_zeros() -> 
 
 
 def test_the_controller_takes_them_when_asked() -> None:
-    profile = load_profile(find_profile("steady"))
+    profile = load_profile(find_profile("default"))
 
     def record(source: Any) -> Any:
         return build_controller(SHIPPED, profile, ControlSettings(gains=source))

@@ -17,7 +17,7 @@ from sim.plant import PlantParameters
 
 
 def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
-    plant, profile = PlantParameters(), load_profile(find_profile("steady"))
+    plant, profile = PlantParameters(), load_profile(find_profile("default"))
     demand = demand_near(plant, profile, SwingDemand(head_speed=43.2))
     begin, ball = profile.begins[3], round(profile.impact_time / profile.period)
     assert demand.follow is not None
@@ -31,7 +31,7 @@ def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
 
 
 def test_a_swing_follows_a_golfer_or_another_swing(tmp_path: Path) -> None:
-    arguments = ["swing", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "steady"]
+    arguments = ["swing", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "default"]
     result = CliRunner().invoke(app, arguments)
     assert "--golfer and --near" in str(result.exception or result.output)
     assert not list(tmp_path.iterdir())

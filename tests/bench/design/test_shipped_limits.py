@@ -8,7 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.config.settings import Configuration
 from bench.control.model_limits import ENDING
 from bench.control.settings import build_controller
@@ -19,8 +19,6 @@ from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from tests.bench.design.bag_demands import DEMANDS
 
-SHIPPED_GAINS = {"default", "driver-85mph", "driver-90mph", "driver-100mph"}
-"""Profiles designed for the shipped gains; others are for the bag's clubs, or the gains of `steady`."""
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE [--club CLUB] --output FILE"
 
@@ -33,7 +31,7 @@ def designed_for(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for."""
     if name in DEMANDS:
         return load_configuration(Path("bag")).with_club(load_profile(find_profile(name)).club)
-    return load_configuration(None if name in SHIPPED_GAINS else Path("steady"))
+    return load_configuration(shipped_configuration())
 
 
 def watched(name: str) -> Configuration:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.errors import BenchError
 from bench.learning.compare import (
     compare,
@@ -32,15 +31,15 @@ compiled_only = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    steady = load_configuration(Path("steady"))
-    return Bench(steady.plant, load_profile(find_profile("average-male")), steady.control, steady.envelope)
+    c = load_configuration(shipped_configuration())
+    return Bench(c.plant, load_profile(find_profile("average-male")), c.control, c.envelope)
 
 
 def test_the_plan_is_in_the_profile(bench: Bench) -> None:
     planned = planned_figures(bench).shown
-    assert planned["head_speed_mps"] == pytest.approx(41.537, abs=0.001)
-    assert planned["attack_angle_deg"] == pytest.approx(-0.0001, abs=0.001)
-    assert planned["strike_mm"] == pytest.approx(-0.057, abs=0.001)
+    assert planned["head_speed_mps"] == pytest.approx(41.573, abs=0.001)
+    assert planned["attack_angle_deg"] == pytest.approx(-0.0094, abs=0.001)
+    assert planned["strike_mm"] == pytest.approx(-0.084, abs=0.001)
     without = replace(bench.profile, delivery={})
     with pytest.raises(BenchError, match="in_plane_error_mm"):
         planned_figures(bench._replace(profile=without))
@@ -82,7 +81,8 @@ def test_the_model_tracks_where_pids_alone_do_not(bench: Bench) -> None:
     rows = compare(bench, bench.model, swings=1, problem=problem_of(bench), on_start=told.append)
     thesis, alone, kane, inverted, fitted, planned, learned = rows
     assert [row.controller.split(",")[0] for row in rows] == [name.split(",")[0] for name in told]
-    assert thesis.cause is not Cause.NONE
+    # It fails in the swing: the address is held by the bench's own controller.
+    assert thesis.cause not in {Cause.NONE, Cause.ADDRESS_TIMEOUT}
     assert np.isnan(thesis.figures.array).all()  # it only brushes the ball in the backswing
     assert min(alone.path, kane.path) > 3 * inverted.path
     for row in (inverted, fitted, planned, learned):

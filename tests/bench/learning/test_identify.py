@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.errors import BenchError
 from bench.learning.identify import (
     NAMES,
@@ -23,8 +23,8 @@ from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import new_record
 
-STEADY = load_configuration(Path("steady"))
-BENCH = Bench(STEADY.plant, load_profile(find_profile("steady")), STEADY.control)
+SHIPPED = load_configuration(shipped_configuration())
+BENCH = Bench(SHIPPED.plant, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
 FLOW, INERTIA = NAMES.index("flow of the shoulder's valve"), NAMES.index("club inertia")
 SUPPLY = NAMES.index("supply pressure")
 
@@ -40,7 +40,6 @@ def test_flow_and_inertia_are_found_from_swings() -> None:
     truth = nominal()
     truth[FLOW], truth[INERTIA] = 0.92, 1.05
     series = Series(BENCH, variation_of(truth, BENCH).applied_to(BENCH.model))
-    series.swing(BENCH.profile)
     swings = [series.swing(BENCH.profile).cycles for _ in range(2)]
     found = identify(BENCH, swings, (NAMES[FLOW], NAMES[INERTIA]))
     assert found.values == pytest.approx(truth, abs=0.02)
@@ -55,11 +54,11 @@ def test_the_identified_robot_is_a_configuration(tmp_path: Path) -> None:
     found = Identified(values, error, 5.0, 0.5)
     robot = found.variation(BENCH).applied_to(BENCH.model)
     path = tmp_path / "robot.toml"
-    write_plant_file(path, plant_file(robot, found, STEADY))
+    write_plant_file(path, plant_file(robot, found, SHIPPED))
     assert f"{NAMES[0]}: 1.0500 of the nominal, 0.2000; NOT identified" in path.read_text()
     again = load_configuration(path)
     assert again.plant == robot
-    assert again.control == STEADY.control
+    assert again.control == SHIPPED.control
 
 
 def test_nothing_is_identified_from_nothing() -> None:

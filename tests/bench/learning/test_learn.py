@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numba
 import numpy as np
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.learning.learner import LearningSettings
@@ -24,9 +22,9 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-STEADY = load_configuration(Path("steady"))
-PLANT = STEADY.plant
-BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
+SHIPPED = load_configuration(shipped_configuration())
+PLANT = SHIPPED.plant
+BENCH = Bench(PLANT, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
 WORN = variation.WORN.applied_to(PLANT)
 
 
@@ -48,7 +46,6 @@ def test_the_robot_learns_what_the_model_delivers(problem: LearningProblem, resu
     assert result.used < LearningSettings().swings
     series = Series(BENCH, WORN)
     swing = result.correction.applied_to(BENCH.profile)
-    series.swing(swing)
     truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
     off = (truth - problem.target.array) / Tolerance().scale(problem.target)
     assert np.abs(off).max() <= 1.0
@@ -59,7 +56,6 @@ def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
 ) -> None:
     """The worn robot's first swing comes when the modelled one has run into the wrist's cushion."""
     series, scale = Series(BENCH, WORN), Tolerance().scale(problem.target)
-    series.swing(BENCH.profile)
     swing = series.swing(BENCH.profile)
     truth = figures_of(swing.delivery).array
     seen = figures_of(delivery_from_encoders(swing.cycles, PLANT, problem.response.free)).array
@@ -80,8 +76,8 @@ def test_encoders_tell_the_delivery_that_the_plant_knows(problem: LearningProble
 def test_other_sources_replace_what_they_tell(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     encoders = figures_from("encoders+model", swing.cycles, PLANT, problem.response.free)
-    marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(6.0, 4.5))
-    assert marked.strike == pytest.approx(strike_from_mark(6.0, 4.5, PLANT))
+    marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(6.0, 12.0))
+    assert marked.strike == pytest.approx(strike_from_mark(6.0, 12.0, PLANT))
     assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
     assert marked[1:] == encoders[1:]
     monitor = figures_from("launch-monitor", swing.cycles, PLANT, problem.response.free, club_speed=42.0)

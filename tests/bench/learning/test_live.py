@@ -61,8 +61,8 @@ def test_a_record_without_a_swing_is_refused() -> None:
 def test_only_the_bench_that_swings_the_profile_learns_it() -> None:
     status = FakeDesk().status()
     require_bench(status, PROFILE, "encoders+model")
-    with pytest.raises(Refused, match="it swings steady"):
-        require_bench({**status, "profile": "steady"}, PROFILE, "encoders+model")
+    with pytest.raises(Refused, match="it swings driver-90mph"):
+        require_bench({**status, "profile": "driver-90mph"}, PROFILE, "encoders+model")
 
 
 def test_a_launch_monitor_that_is_not_there_tells_nothing() -> None:

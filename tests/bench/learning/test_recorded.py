@@ -59,5 +59,5 @@ def test_swings_with_another_correction_are_not_alike() -> None:
     other = replace(PROFILE, valve=PROFILE.valve + 1e-3)
     with pytest.raises(BenchError, match="with another correction"):
         require_alike(PROFILE, other, "b")
-    with pytest.raises(BenchError, match="a swing of steady"):
-        require_alike(PROFILE, load_profile(find_profile("steady")), "b")
+    with pytest.raises(BenchError, match="a swing of driver-90mph"):
+        require_alike(PROFILE, load_profile(find_profile("driver-90mph")), "b")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import nan
-from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 import pytest
 
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.shot.swing_drift import LASTING, NEEDED, REFERENCE, DriftWatch, StrikeSeen, strike_seen
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import healthy_plant
@@ -83,9 +82,9 @@ needs_speed = pytest.mark.skipif(
 )
 
 
-def steady() -> tuple[Series, Any, PlantParameters]:
-    c = load_configuration(Path("steady"))
-    file = find_profile("steady")
+def shipped() -> tuple[Series, Any, PlantParameters]:
+    c = load_configuration(shipped_configuration())
+    file = find_profile(c.swing.profile)
     profile = load_profile(file)
     c = c.for_profile(profile, file)
     plant = healthy_plant(c.plant, 1)
@@ -104,7 +103,7 @@ def swung(watch: DriftWatch, series: Series, profile: Any, counts: int) -> tuple
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("joint", range(3))
 def test_an_encoder_that_slipped_by_twenty_millirad_shows_where_the_ball_is_met(joint: int) -> None:
-    series, profile, plant = steady()
+    series, profile, plant = shipped()
     counts, watch = plant.encoders.counts_per_revolution, DriftWatch()
     for _ in range(NEEDED + 1):
         assert swung(watch, series, profile, counts) == ()

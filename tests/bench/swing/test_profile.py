@@ -211,8 +211,12 @@ def test_a_designed_swing_plans_its_air_for_the_shipped_plant() -> None:
     assert profile.air_supply == plant.supply.pressure
 
 
-def test_a_profile_without_planned_pressures_has_none() -> None:
-    assert load_profile(find_profile("steady")).air == ()
+def test_a_profile_without_planned_pressures_has_none(tmp_path: Path) -> None:
+    planned = load_profile(find_profile("default"))
+    file = tmp_path / "free.toml"
+    save_profile(file, replace(planned, air=(), air_supply=0.0))
+    assert "[address]" not in file.read_text()
+    assert load_profile(file).air == ()
 
 
 GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR)}"}

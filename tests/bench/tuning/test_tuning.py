@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.config import load_configuration
+from bench.config import load_configuration, shipped_configuration
 from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, least_damping, steady_estimator
 from bench.control.linear_plant import Frozen, freeze
@@ -25,6 +25,7 @@ from bench.tuning.gains import gains_of, with_gains
 from bench.tuning.gains_file import gains_file, machine_gains_file
 from bench.tuning.recipe import STEP, Steps, StepTrial, step_profile, tune_by_recipe
 from sim.plant import advance, build_plant
+from tests.bench.hand_gains import HAND
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
@@ -33,9 +34,9 @@ compiled_only = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    steady = load_configuration(Path("steady"))
-    profile = load_profile(find_profile(steady.swing.profile))
-    return Bench(steady.plant, profile, steady.control, steady.envelope)
+    """Return the shipped configuration and its swing, with gains by hand."""
+    c = load_configuration(shipped_configuration())
+    return Bench(c.plant, load_profile(find_profile(c.swing.profile)), HAND, c.envelope)
 
 
 @pytest.fixture(scope="module")
@@ -91,13 +92,13 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
 
 @compiled_only
 def test_hunting_is_foretold(bench: Bench, plants: list[Frozen], estimator: Estimator) -> None:
-    """With this stiff wrist the loop was seen to swing at 4 Hz in a backswing; `steady` cured it by hand."""
-    steady = gains_of(bench.control)
-    stiff = steady.with_joint(2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
+    """With this stiff wrist the loop was seen to swing at 4 Hz in a backswing; with the soft one not."""
+    soft = gains_of(bench.control)
+    stiff = soft.with_joint(2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
     judged = [frozen for frozen in plants if frozen.point.judged]
     ratios = [
         min(least_damping(frozen, estimator, gains, bench.model.tick) for frozen in judged)
-        for gains in (stiff, steady)
+        for gains in (stiff, soft)
     ]
     assert ratios[0] < 0.03
     assert ratios[1] > 2.0 * ratios[0]
@@ -193,25 +194,27 @@ def test_a_step_is_a_step_of_one_joint(bench: Bench) -> None:
     assert steps.step(gains.with_joint(1, proportional=50.0), 1, 1).overshoot > one.overshoot
 
 
-def test_the_file_of_gains_is_a_configuration(tmp_path: Path, bench: Bench) -> None:
+def test_the_file_of_gains_is_a_configuration(tmp_path: Path) -> None:
     rows = ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.01, 0.02, 0.03), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
     gains = Gains(*rows)
-    base = load_configuration(Path("steady")).files[-1]
+    shipped = load_configuration(shipped_configuration())
+    base = shipped.files[-1]
     path = tmp_path / "gains.toml"
     path.write_text(gains_file(gains, base, "by a test"))
     control = load_configuration(path).control
     assert gains_of(control) == gains
-    assert control == with_gains(bench.control, gains)
+    assert control == with_gains(shipped.control, gains)
+    assert control.gains == "hand"
     assert with_gains(ControlSettings(), gains).dither == ControlSettings().dither
     path.write_text(machine_gains_file(base))
-    assert load_configuration(path).control == replace(bench.control, gains="machine")
+    assert load_configuration(path).control == replace(shipped.control, gains="machine")
 
 
 @compiled_only
 def test_the_command_writes_gains_that_swing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "gains.toml"
     with pytest.raises(SystemExit) as ended:
-        main(["--config", "steady", "tune", "--method", "thesis", "--output", str(path), "--json"])
+        main(["tune", "--method", "thesis", "--output", str(path), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert len(told["margins"]) == 21
     assert set(told["swings"]) == {"nominal", "worn"}
@@ -219,7 +222,7 @@ def test_the_command_writes_gains_that_swing(tmp_path: Path, capsys: pytest.Capt
     assert ended.value.code == (1 if failed else 0)
     assert path.exists() != failed
     with pytest.raises(SystemExit) as ended:
-        main(["--config", "steady", "tune", "--method", "none"])
+        main(["tune", "--method", "none"])
     shown = capsys.readouterr().out
     assert ended.value.code == 0
     assert "backswing 2/3" in shown
