@@ -76,6 +76,8 @@ def size(
     lever_mm: Levers = None,
     lever_angle: Angles = None,
     frame: Names = None,
+    hose: Names = None,
+    vent: Names = None,
     rounds: Rounds = 2,
     swings: Swings = 1,
     faults: FaultSpacing = 0,
@@ -96,7 +98,7 @@ def size(
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
     search = _search(
         known,
-        (vane, cylinder, valve, absorbers, frame),
+        (vane, cylinder, valve, absorbers, frame, hose, vent),
         (pressure_bar, lever_mm, lever_angle),
         (rounds, swings, faults),
     )
@@ -132,7 +134,7 @@ def _search(
     from bench.sizing.candidates import SizingGrid
     from bench.sizing.search import SizingSearch
 
-    vanes, cylinders, valves, absorbers, frames = parts
+    vanes, cylinders, valves, absorbers, frames, hoses, vents = parts
     pressures, levers, angles = numbers
     own = SizingGrid()
     grid = SizingGrid(
@@ -144,6 +146,8 @@ def _search(
         tuple(1e-3 * lever for lever in levers) if levers else own.levers,
         tuple(radians(angle) for angle in angles) if angles else own.lever_angles,
         tuple(frames or own.frames),
+        tuple(hoses or own.hoses),
+        tuple(vents or own.vents),
     )
     grid.candidates(catalogue)  # refuses unknown parts before the long part
     return SizingSearch(grid, *depth)
@@ -212,7 +216,7 @@ def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Ta
     from rich.table import Table
 
     table = Table(title="Front: no other candidate is both faster and cheaper", title_justify="left")
-    for name in ("vane", "arm", "wrist", "valves", "absorbers", "bar", "EUR"):
+    for name in ("vane", "arm", "wrist", "valves, hose, vents", "absorbers", "bar", "EUR"):
         table.add_column(name)
     for name in ("plan m/s", "cushions J", "peak bar", "swing m/s", "air g", "peak bar"):
         table.add_column(name, justify="right")
@@ -230,7 +234,7 @@ def _plan_cells(point: SizedPoint) -> tuple[str, ...]:
         hardware.vane,
         hardware.arm,
         f"{hardware.wrist}, {1e3 * hardware.lever:g} mm" + _mounting(hardware),
-        f"{hardware.shoulder_valve} {hardware.arm_valve} {hardware.wrist_valve}",
+        " ".join(filter(None, (*hardware.valves, hardware.hose, hardware.vent))),
         f"{hardware.arm_absorber} {hardware.wrist_absorber}",
         f"{hardware.pressure / 1e5:g}",
         str(point.price),
