@@ -40,6 +40,12 @@ PartsFile = Annotated[
     typer.Option(metavar="FILE", help="Catalogue of parts, TOML.", show_default="golfbench's own"),
 ]
 Names = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Part of the grid; repeatable.")]
+NamesOrNone = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME", help='Part of the grid, or "none"; repeatable.', show_default="none, as shipped"
+    ),
+]
 Absorbers = Annotated[
     list[str] | None,
     typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable."),
@@ -76,8 +82,8 @@ def size(
     lever_mm: Levers = None,
     lever_angle: Angles = None,
     frame: Names = None,
-    hose: Names = None,
-    vent: Names = None,
+    hose: NamesOrNone = None,
+    vent: NamesOrNone = None,
     rounds: Rounds = 2,
     swings: Swings = 1,
     faults: FaultSpacing = 0,
@@ -146,11 +152,16 @@ def _search(
         tuple(1e-3 * lever for lever in levers) if levers else own.levers,
         tuple(radians(angle) for angle in angles) if angles else own.lever_angles,
         tuple(frames or own.frames),
-        tuple(hoses or own.hoses),
-        tuple(vents or own.vents),
+        _or_none(hoses, own.hoses),
+        _or_none(vents, own.vents),
     )
     grid.candidates(catalogue)  # refuses unknown parts before the long part
     return SizingSearch(grid, *depth)
+
+
+def _or_none(names: list[str] | None, own: tuple[str, ...]) -> tuple[str, ...]:
+    """Return parts that may be left out, written "none", or the grid's `own`."""
+    return tuple("" if name == "none" else name for name in names) if names else own
 
 
 def _pair(text: str) -> tuple[str, str]:
