@@ -233,7 +233,7 @@ def hose_conductance(inner_diameter: float, length: float) -> float:
     k, needed = _HEAT_RATIO, _WALL_FRICTION * length / inner_diameter
     mach = float(brentq(lambda m: fanno_length(m) - needed, 1e-4, 1.0 - 1e-12))
     speed = mach * sqrt(k * GAS_CONSTANT * REFERENCE_TEMPERATURE)  # at rest's temperature
-    density_ratio = (1 + (k - 1) / 2 * mach**2) ** (-(k + 1) / (2 * (k - 1)))
+    density_ratio: float = (1 + (k - 1) / 2 * mach**2) ** (-(k + 1) / (2 * (k - 1)))
     area = pi / 4 * inner_diameter**2
     return area * speed * density_ratio / (GAS_CONSTANT * REFERENCE_TEMPERATURE * REFERENCE_DENSITY)
 
