@@ -134,7 +134,7 @@ def test_a_shut_vent_proves_nothing() -> None:
 
 
 def test_low_pressure_behind_two_shut_vents_is_no_proof_of_empty_chambers() -> None:
-    """What is left below `vented_pressure` carries an arm, and sinks it as it leaks away."""
+    """The air left below `vented_pressure` carries an arm, which sinks as it leaks away."""
     puppet = fit(reach(State.READY), vents=True)
     puppet.give(vent_open=(0.0, 0.0)).run(20)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
