@@ -166,8 +166,8 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
     is proven by nothing. So is one behind a shut-off valve that does not follow its command, as the supply
     valve alone keeps it empty. So are chambers whose vents report their positions, and none is open: the air
-    left below `vented_pressure` carries an arm, which sinks as it leaks away. A doubt refuses access, and does
-    not end it.
+    left below `vented_pressure` carries an arm, which sinks as it leaks away. A doubt refuses access, and
+    does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):
